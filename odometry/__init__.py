@@ -1,0 +1,1 @@
+"""How did the camera move? Visual odometry that knows nothing of places, maps or files."""

@@ -1,0 +1,61 @@
+"""Rectified stereo cameras: pixels to points and back.
+
+Camera frame: x right, y down, z forward, metres, origin at the left camera. Pixel (0, 0) is the centre of the
+top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline, 0, 0).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StereoCamera:
+    """Intrinsics of a rectified stereo pair.
+
+    Attributes:
+        fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels.
+        baseline: distance from the left to the right camera, metres, positive.
+        width, height: image size, pixels.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    baseline: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        numbers = np.array([self.fx, self.fy, self.cx, self.cy, self.baseline])
+        if not np.isfinite(numbers).all() or min(self.fx, self.fy, self.baseline) <= 0:
+            raise ValueError(f"expected finite intrinsics with positive focal lengths and baseline, got {self}")
+
+    @property
+    def K(self) -> Array:
+        """Calibration matrix (3, 3) of either camera, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points_camera: Array) -> Array:
+        """Project points (N, 3), metres, left camera frame, to stereo pixels (N, 3): u left, u right, v.
+
+        Points at or behind the image plane come back as NaN.
+        """
+        x, y, z = np.asarray(points_camera, dtype=np.float64).T
+        z = np.where(z > 0, z, np.nan)
+        u_left = self.fx * x / z + self.cx
+        return np.stack([u_left, u_left - self.fx * self.baseline / z, self.fy * y / z + self.cy], axis=1)
+
+    def triangulate(self, pixels_left: Array, disparity: Array) -> Array:
+        """Points (N, 3), metres, left camera frame, of pixels (N, 2) in the left image with disparity (N,), pixels.
+
+        Disparity is u_left - u_right. Where it is not positive the point comes back as NaN.
+        """
+        pixels, disparity = np.asarray(pixels_left, dtype=np.float64), np.asarray(disparity, dtype=np.float64)
+        z = self.fx * self.baseline / np.where(disparity > 0, disparity, np.nan)
+        return np.stack([(pixels[:, 0] - self.cx) * z / self.fx, (pixels[:, 1] - self.cy) * z / self.fy, z], axis=1)

@@ -1,0 +1,85 @@
+"""Rigid motions SE(3) as (4, 4) matrices, and their tangent space.
+
+Tangent vectors xi (6,) hold rotation first, then translation: (wx, wy, wz, vx, vy, vz), radians and metres, in
+the body frame: a perturbed pose is `T @ exp(xi)` (the order and side that GTSAM's Pose3 uses; g2o files have
+translation first). Covariances (6, 6) use the same order. Formulas: Barfoot, State Estimation for Robotics
+(2017), section 7.1.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-6  # rad; below it the series are exact to double precision
+
+
+def hat(w: Array) -> Array:
+    """Skew-symmetric matrix (3, 3) with `hat(w) @ p == cross(w, p)`, for w (3,)."""
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def pose(R: Array, t: Array) -> Array:
+    """Assemble a pose (4, 4) from rotation (3, 3) and translation (3,), metres."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Invert one pose (4, 4) or a stack of them (..., 4, 4)."""
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = Rt
+    out[..., :3, 3] = -(Rt @ T[..., :3, 3:])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(T_a_b: Array, points_b: Array) -> Array:
+    """Points (N, 3) of frame b expressed in frame a."""
+    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def left_jacobian(w: Array) -> Array:
+    """Left Jacobian (3, 3) of SO(3) at the rotation vector w (3,), radians."""
+    angle = float(np.linalg.norm(w))
+    W = hat(w)
+    if angle < _SMALL_ANGLE:
+        return np.eye(3) + 0.5 * W + W @ W / 6.0
+    a = (1.0 - np.cos(angle)) / angle**2
+    b = (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + a * W + b * (W @ W)
+
+
+def exp(xi: Array) -> Array:
+    """Pose (4, 4) of the tangent vector xi (6,): rotation, then translation."""
+    xi = np.asarray(xi, dtype=np.float64)
+    return pose(Rotation.from_rotvec(xi[:3]).as_matrix(), left_jacobian(xi[:3]) @ xi[3:])
+
+
+def log(T: Array) -> Array:
+    """Tangent vector (6,) of a pose (4, 4), the inverse of `exp` for angles below pi."""
+    w = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    return np.concatenate([w, np.linalg.solve(left_jacobian(w), T[:3, 3])])
+
+
+def adjoint(T: Array) -> Array:
+    """Adjoint (6, 6) with `T @ exp(xi) == exp(adjoint(T) @ xi) @ T`."""
+    R, t = T[:3, :3], T[:3, 3]
+    Ad = np.zeros((6, 6))
+    Ad[:3, :3] = Ad[3:, 3:] = R
+    Ad[3:, :3] = hat(t) @ R
+    return Ad
+
+
+def compose_covariance(covariance_a: Array, T_b: Array, covariance_b: Array) -> Array:
+    """Covariance (6, 6) of `T_a @ T_b` to first order, the errors of the two motions being independent."""
+    Ad = adjoint(inverse(T_b))
+    return Ad @ covariance_a @ Ad.T + covariance_b
+
+
+def angle(T: Array) -> float:
+    """Rotation angle of a pose (4, 4), radians, in [0, pi]."""
+    return float(np.linalg.norm(Rotation.from_matrix(T[:3, :3]).as_rotvec()))

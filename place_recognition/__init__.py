@@ -1,0 +1,1 @@
+"""Have I been here before? The chapter's Figure 4.2, folder by folder: images, map, belief, paradigms."""

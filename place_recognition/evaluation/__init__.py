@@ -1,0 +1,1 @@
+"""Section 4.3: ground truth, precision and recall."""

@@ -1,0 +1,52 @@
+"""Local features: where they are and what they look like."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class LocalFeatures:
+    """Key points of one image with their descriptors, strongest first.
+
+    Attributes:
+        pixels: (N, 2) float32, x right and y down, pixel centres at integers.
+        scales: (N,) float32, size of the feature as a Gaussian sigma, pixels.
+        responses: (N,) float32, the detector's strength.
+        descriptors: (N, D) float32 of unit length.
+    """
+
+    pixels: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    responses: NDArray[np.float32]
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+class FeatureExtractor(Protocol):
+    """Detects and describes local features."""
+
+    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
+        """Features of a grey image (H, W) uint8; none, without an error, where there is nothing to see."""
+        ...
+
+
+class SharedFeatures:
+    """Features computed once an image, however many stages of the chain ask for them.
+
+    Holds the latest images only: stages that need features for longer keep what they need.
+    """
+
+    def __init__(self, extractor: FeatureExtractor) -> None:
+        self._extractor = extractor
+        self._latest: tuple[int, LocalFeatures] | None = None
+
+    def of(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
+        """Features of image (H, W) uint8, which is known by image_id."""
+        if self._latest is None or self._latest[0] != image_id:
+            self._latest = (image_id, self._extractor.extract(image))
+        return self._latest[1]

@@ -1,0 +1,48 @@
+"""The contract that every place recogniser meets, and the answer it gives."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What a recogniser thinks about one query image.
+
+    Attributes:
+        query: id of the image asked about; a recogniser may answer late (one sequence, one place).
+        match: the best earlier image, never one inside the recogniser's own exclusion window; None if there is none.
+        score: larger is surer, on the paradigm's own scale; swept for precision-recall curves; 0 without a match.
+        accepted: the score passes the paradigm's threshold and its geometric verification.
+        inliers: matches that agree with one epipolar geometry; None where the paradigm did not verify.
+    """
+
+    query: int
+    match: int | None
+    score: float
+    accepted: bool
+    inliers: int | None = None
+
+
+class PlaceRecognizer(Protocol):
+    """Sees images once, in order, and answers from what it has seen: online and causal. Same input, same bits."""
+
+    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
+        """Add an image and answer.
+
+        Args:
+            image_id: increases by one or more from call to call.
+            image: (H, W) uint8, grey.
+            travelled: way driven so far by odometry, metres.
+
+        Returns:
+            Beliefs that became ready with this image; over a whole drive exactly one for each image, in order,
+            except for those that `finish` returns.
+        """
+        ...
+
+    def finish(self) -> list[Belief]:
+        """Return the beliefs of images that are still unanswered when the drive ends."""
+        ...

@@ -1,0 +1,1 @@
+"""Recorded drives, read frame by frame."""

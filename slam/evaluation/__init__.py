@@ -1,0 +1,1 @@
+"""How good was it? Trajectory and loop errors against ground truth."""

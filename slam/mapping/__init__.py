@@ -1,0 +1,1 @@
+"""What the world looks like: landmarks that move with the key frames that saw them."""

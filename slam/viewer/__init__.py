@@ -1,0 +1,1 @@
+"""Watching a run: the rerun recording, or nothing at all."""
