@@ -15,8 +15,9 @@ class Belief:
         query: id of the image asked about; a recogniser may answer late (one sequence, one place).
         match: the best earlier image, never one inside the recogniser's own exclusion window; None if there is none.
         score: larger is surer, on the paradigm's own scale; swept for precision-recall curves; 0 without a match.
-        accepted: the score passes the paradigm's threshold and its geometric verification.
-        inliers: matches that agree with one epipolar geometry; None where the paradigm did not verify.
+        accepted: the score passes the paradigm's threshold and the match its geometric verification.
+        inliers: matches that agree with one epipolar geometry; None where none was sought.
+        verified: False where a geometric verification was tried and failed; such a match is never a detection.
     """
 
     query: int
@@ -24,6 +25,7 @@ class Belief:
     score: float
     accepted: bool
     inliers: int | None = None
+    verified: bool = True
 
 
 class PlaceRecognizer(Protocol):

@@ -1,0 +1,86 @@
+"""What one run leaves behind, in numpy: the common source of files, pictures and the report."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoopRow:
+    """One line of the ledger `loops.csv`: what became of the belief about one query image.
+
+    Attributes:
+        query, match: frame indices.
+        score: the recogniser's, on its own scale.
+        accepted: the recogniser took the match for a revisit.
+        matches, inliers: landmark matches, and those that agree with the relative pose; 0 where none were sought.
+        verified: the relative pose was proved by geometry.
+        in_graph: the loop stands in the corrected graph.
+        weight: the robust back end's trust, 0 to 1; NaN where the loop never entered the graph.
+        residual: square root of chi-square (6 degrees of freedom) after optimisation; NaN likewise.
+        truth: whether it is a true revisit, by ground truth; None where there is none.
+        reason: the verdict in plain words.
+    """
+
+    query: int
+    match: int
+    score: float
+    accepted: bool
+    matches: int = 0
+    inliers: int = 0
+    verified: bool = False
+    in_graph: bool = False
+    weight: float = float("nan")
+    residual: float = float("nan")
+    truth: bool | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of the map.
+
+    Attributes:
+        points: (N, 3) metres, world frame (first camera: x right, y down, z forward).
+        grey: (N,) uint8, brightness in the image.
+    """
+
+    points: Array
+    grey: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class DriveRecord:
+    """Everything known after a drive.
+
+    Attributes:
+        name: of the drive.
+        timestamps: (N,) seconds.
+        odometry: T_world_camera (N, 4, 4) by odometry alone, metres.
+        online: (N, 4, 4) the estimate of each frame at the moment it was seen.
+        corrected: (N, 4, 4) after the final optimisation.
+        ground_truth: (N, 4, 4) or None.
+        predicted: (N,) bool, frames whose motion was extrapolated.
+        inliers: (N,) int, tracks that agree with the motion.
+        loops: the ledger, by query.
+        stage_ms: milliseconds of each stage for each frame, stage name to (N,).
+        map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
+        metrics: what goes into metrics.json, nested.
+    """
+
+    name: str
+    timestamps: Array
+    odometry: Array
+    online: Array
+    corrected: Array
+    ground_truth: Array | None
+    predicted: NDArray[np.bool_]
+    inliers: NDArray[np.int64]
+    loops: tuple[LoopRow, ...]
+    stage_ms: dict[str, Array]
+    map_before: Cloud
+    map_after: Cloud
+    metrics: dict[str, object]
