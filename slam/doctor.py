@@ -57,10 +57,12 @@ def _check_python() -> Check:
 
 
 def _check_wheels() -> Iterator[Check]:
-    requirements = metadata.requires("revisit-slam") or []
-    for requirement in requirements:
-        if "extra ==" in requirement:
-            continue
+    try:
+        requirements = metadata.requires("revisit-slam") or []
+    except metadata.PackageNotFoundError:
+        yield Check("revisit-slam", "", "not installed", "python -m pip install revisit-slam")
+        return
+    for requirement in (line for line in requirements if "extra ==" not in line):
         name = requirement.split(">")[0].split("=")[0].strip()
         try:
             yield Check(name, metadata.version(name))
