@@ -19,7 +19,7 @@ from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
 from slam.mapping.landmarks import LandmarkMapConfig
 from slam.pose_graph import PoseGraphConfig
-from slam.robust import DEFAULT_BACK_END
+from slam.robust import DEFAULT
 
 T = TypeVar("T")
 
@@ -36,7 +36,7 @@ class RunConfig:
     """
 
     paradigm: str = "tracked-words"
-    robust: str = DEFAULT_BACK_END
+    robust: str = DEFAULT
     seed: int = 0
     record: bool = True
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)

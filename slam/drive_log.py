@@ -1,70 +1,59 @@
-"""What a run remembers of each frame, until it becomes the record of the drive."""
+"""What a run remembers of each frame: numbers, never an image."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odometry.motion import Motion
+from slam.storage.tables import FrameTable
 from slam.system import LoopAttempt, Processed
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class FrameLine:
-    """One line of `frames.csv`, images left out.
+@dataclass
+class DriveLog:
+    """Grows by one entry a frame.
 
     Attributes:
-        timestamp: seconds.
-        T_world_camera_odometry, T_world_camera_online: (4, 4) metres, at the moment the frame was seen.
-        predicted: the motion was extrapolated.
-        reason: why; empty when measured.
-        tracks, inliers: followed points, and those that agree with the motion.
-        residual_px: of the inliers, pixels; NaN when predicted.
+        timestamps: seconds.
+        odometry, online: T_world_camera (4, 4), metres, as they were when the frame was seen.
+        attempts: every belief, and what came of it.
         stage_ms: milliseconds by stage.
     """
 
-    timestamp: float
-    T_world_camera_odometry: Array
-    T_world_camera_online: Array
-    predicted: bool
-    reason: str
-    tracks: int
-    inliers: int
-    residual_px: float
-    stage_ms: dict[str, float]
-
-
-@dataclass
-class DriveLog:
-    """Grows by one line a frame; holds no image."""
-
-    frames: list[FrameLine] = field(default_factory=list)
+    timestamps: list[float] = field(default_factory=list)
+    odometry: list[Array] = field(default_factory=list)
+    online: list[Array] = field(default_factory=list)
     attempts: list[LoopAttempt] = field(default_factory=list)
+    stage_ms: list[dict[str, float]] = field(default_factory=list)
+    _motions: list[tuple[bool, str, int, int, float]] = field(default_factory=list)
 
-    def add(self, processed: Processed, extra_ms: dict[str, float]) -> None:
-        """Remember a frame; `extra_ms` are the stages outside the system, milliseconds."""
-        motion = processed.motion
-        self.frames.append(
-            FrameLine(
-                processed.frame.timestamp,
-                processed.T_world_camera_odometry,
-                processed.T_world_camera,
-                motion.predicted,
-                motion.reason,
-                len(motion.inliers),
-                int(motion.inliers.sum()),
-                motion.residual_px,
-                processed.stage_ms | extra_ms,
-            )
-        )
+    def add(self, processed: Processed, outside_ms: dict[str, float]) -> None:
+        """Remember a frame; `outside_ms` are the stages outside the system, milliseconds."""
+        self.timestamps.append(processed.frame.timestamp)
+        self.odometry.append(processed.T_world_camera_odometry)
+        self.online.append(processed.T_world_camera)
         self.attempts.extend(processed.attempts)
+        self.stage_ms.append(processed.stage_ms | outside_ms)
+        self._motions.append(_summary(processed.motion))
 
-    def poses(self, name: str) -> Array:
-        """Stack (N, 4, 4) of the named pose of every frame."""
-        return np.array([getattr(line, name) for line in self.frames]).reshape(-1, 4, 4)
+    def table(self) -> FrameTable:
+        """Everything that `frames.csv` holds."""
+        predicted, reasons, inliers, tracks, residuals = zip(*self._motions, strict=True)
+        stages = dict.fromkeys(stage for spent in self.stage_ms for stage in spent)
+        return FrameTable(
+            timestamps=np.array(self.timestamps),
+            predicted=np.array(predicted, dtype=bool),
+            reasons=reasons,
+            inliers=np.array(inliers, dtype=np.int64),
+            tracks=np.array(tracks, dtype=np.int64),
+            residual_px=np.array(residuals, dtype=np.float64),
+            stage_ms={stage: np.array([spent.get(stage, 0.0) for spent in self.stage_ms]) for stage in stages},
+        )
 
-    def stage_ms(self) -> dict[str, Array]:
-        """Milliseconds of each stage for each frame: name to (N,); 0 where a stage had nothing to do."""
-        names = dict.fromkeys(name for line in self.frames for name in line.stage_ms)
-        return {name: np.array([line.stage_ms.get(name, 0.0) for line in self.frames]) for name in names}
+
+def _summary(motion: Motion) -> tuple[bool, str, int, int, float]:
+    inliers = int(motion.inliers.sum())
+    return motion.predicted, motion.reason, inliers, len(motion.inliers), motion.residual_px

@@ -14,7 +14,8 @@ from slam.datasets.dataset import Frame
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing import Landmarks, LoopCloser, LoopClosure, Rejection
 from slam.mapping.landmarks import LandmarkMap
-from slam.pose_graph import LoopGate, Optimized, PoseGraph
+from slam.pose_graph import PoseGraph
+from slam.robust import LoopGate, Optimized
 
 Array = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ class LoopAttempt:
     @property
     def closed(self) -> bool:
         """Whether the loop entered the graph."""
-        return self.gate is not None and self.gate.accepted
+        return self.gate is not None and self.gate.passed
 
 
 @dataclass(frozen=True)
