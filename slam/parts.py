@@ -37,5 +37,5 @@ def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
         loop_closer=LoopCloser(camera, features, config.loop_closing),
         graph=PoseGraph(config.pose_graph),
         key_frames=KeyFrameSelector(config.key_frames),
-        landmarks=LandmarkMap(config.landmarks),
+        landmarks=LandmarkMap(config.landmarks, camera),
     )

@@ -21,7 +21,7 @@ from slam.report.figures import save_before_after
 from slam.report.page import write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
-from slam.storage.g2o import write_drive_graph
+from slam.storage.g2o import chain_graph, write_g2o
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_frames, write_loops
 from slam.storage.trajectory import write_kitti, write_tum
@@ -109,8 +109,8 @@ def write_results(folder: Path, record: DriveRecord, config: RunConfig, finished
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
     graph, kept = finished.slam.parts.graph, finished.optimized.kept
     closed = [loop for loop, keep in zip(graph.loops, kept, strict=True) if keep]
-    write_drive_graph(folder / "pose_graph_before.g2o", record.odometry, graph.odometry, graph.loops)
-    write_drive_graph(folder / "pose_graph_after.g2o", record.corrected, graph.odometry, closed)
+    write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
+    write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, graph.odometry, closed))
 
 
 def _write_maps(folder: Path, record: DriveRecord) -> None:

@@ -56,6 +56,13 @@ class LoopAttempt:
     gate: LoopGate | None
 
     @property
+    def reason(self) -> str:
+        """The verdict so far, in plain words; empty for a belief that was not accepted."""
+        if self.gate is not None:
+            return self.gate.reason
+        return self.geometry.reason if isinstance(self.geometry, Rejection) else ""
+
+    @property
     def closed(self) -> bool:
         """Whether the loop entered the graph."""
         return self.gate is not None and self.gate.passed
@@ -157,5 +164,5 @@ class Slam:
     def _map(self, index: int, landmarks: Landmarks) -> bool:
         is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)
         if is_key_frame:
-            self.parts.landmarks.add(index, landmarks.points_camera, landmarks.grey)
+            self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)
         return is_key_frame

@@ -6,18 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from slam.datasets.dataset import Dataset
 from slam.loop_closing import LoopClosure
 from slam.system import LoopAttempt, Processed, Slam
 from slam.viewer.viewer import ClosedLoop, Step, Viewer
 
 Array = NDArray[np.float64]
 
+_PAIR_EVERY = 10  # frames between two image pairs shown: the earlier image has to be read again
+_NO_PIXELS = np.empty((0, 2))
+
 
 class Watcher:
-    """Shows each processed frame, and the loops it closed, in a viewer."""
+    """Shows each processed frame, and what became of the loops proposed with it, in a viewer."""
 
-    def __init__(self, slam: Slam, viewer: Viewer) -> None:
-        self._slam, self._viewer = slam, viewer
+    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset) -> None:
+        self._slam, self._viewer, self._drive = slam, viewer, drive
+        self._last_pair = -_PAIR_EVERY
 
     def show(self, processed: Processed) -> dict[str, float]:
         """Show a frame. Returns the milliseconds it took, as the stage `viewer`."""
@@ -25,13 +30,30 @@ class Watcher:
         self._viewer.step(_step(processed))
         for attempt in processed.attempts:
             if attempt.geometry is not None:
-                self._viewer.loop(self._closed(attempt, processed), self._poses(attempt))
+                self._show_loop(attempt, processed)
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
-    def _poses(self, attempt: LoopAttempt) -> Array:
-        return self._slam.parts.graph.poses() if attempt.closed else np.empty((0, 4, 4))
+    def _show_loop(self, attempt: LoopAttempt, processed: Processed) -> None:
+        with_pair = processed.frame.index - self._last_pair >= _PAIR_EVERY
+        if with_pair:
+            self._last_pair = processed.frame.index
+        poses = self._slam.parts.graph.poses() if with_pair else np.empty((0, 4, 4))
+        self._viewer.loop(self._closed(attempt, processed, with_pair), poses)
 
-    def _closed(self, attempt: LoopAttempt, processed: Processed) -> ClosedLoop: ...
+    def _closed(self, attempt: LoopAttempt, processed: Processed, with_pair: bool) -> ClosedLoop:
+        geometry, belief = attempt.geometry, attempt.belief
+        assert belief.match is not None
+        proved = isinstance(geometry, LoopClosure)
+        return ClosedLoop(
+            query=belief.query,
+            match=belief.match,
+            image_query=processed.frame.left if with_pair and belief.query == processed.frame.index else None,
+            image_match=self._drive[belief.match].left if with_pair else None,
+            pixels_query=geometry.pixels_query if proved else _NO_PIXELS,
+            pixels_match=geometry.pixels_match if proved else _NO_PIXELS,
+            accepted=attempt.closed,
+            reason=attempt.reason,
+        )
 
 
 def _step(processed: Processed) -> Step:
@@ -56,4 +78,4 @@ def _step(processed: Processed) -> Step:
 def _landmarks_world(processed: Processed) -> Array | None:
     if not processed.is_key_frame:
         return None
-    return se3.transform(processed.T_world_camera, processed.landmarks.points_camera)
+    return se3.transform(processed.T_world_camera, processed.landmarks.points)
