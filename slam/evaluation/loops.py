@@ -88,8 +88,13 @@ def is_true_loop(
     return bool(near and turned and is_same_place(truth, query, match, rule))
 
 
-def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
-    """Frames (N,) of T_world_camera (N, 4, 4), metres, that come back to a place as the rule declares."""
+def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
+    """Which earlier frames a frame comes back to: (N, N), row = query, column = earlier frame.
+
+    Args:
+        truth: T_world_camera (N, 4, 4), metres.
+        rule: what counts as a revisit.
+    """
     rule = rule or LoopRule()
     positions, ahead, way = truth[:, :3, 3], truth[:, :3, 2], distances_along(truth)
     near = cKDTree(positions).query_pairs(rule.revisit_m, output_type="ndarray")
@@ -97,9 +102,15 @@ def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool
     far_behind = way[later] - way[earlier] >= rule.revisit_way_radii * rule.revisit_m
     cosines = np.einsum("ij,ij->i", ahead[earlier], ahead[later])
     same_way = cosines >= np.cos(np.radians(rule.revisit_heading_deg))
-    revisits = np.zeros(len(truth), dtype=bool)
-    revisits[later[far_behind & same_way]] = True
-    return revisits
+    good = far_behind & same_way
+    matrix = np.zeros((len(truth), len(truth)), dtype=bool)
+    matrix[later[good], earlier[good]] = True
+    return matrix
+
+
+def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
+    """Frames (N,) of T_world_camera (N, 4, 4), metres, that come back to a place as the rule declares."""
+    return revisit_matrix(truth, rule).any(axis=1)
 
 
 def count_loops(
