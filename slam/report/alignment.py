@@ -11,11 +11,11 @@ from slam.record import DriveRecord
 
 Array = NDArray[np.float64]
 
-_STRAIGHT = 1e-2  # below this ratio of second to first spread a track does not say how it is rolled about its own axis
+_STRAIGHT = 1e-2  # below this ratio of second to first spread a track does not say how it is rolled
 
 
 def anchored_truth(record: DriveRecord) -> Array | None:
-    """Ground truth (N, 4, 4), metres, moved so that its first pose is that of the odometry; None where unknown.
+    """Ground truth (N, 4, 4), metres, moved to start at the odometry's first pose; None where unknown.
 
     In this frame (first camera) the plan view is x-z whatever frame the ground truth was recorded in.
     """
@@ -25,10 +25,10 @@ def anchored_truth(record: DriveRecord) -> Array | None:
 
 
 def similarity(estimate: Array, truth: Array, with_scale: bool = False) -> Array:
-    """Transform (4, 4) that takes an estimate (N, 4, 4) onto the truth (N, 4, 4) with the least squared distance.
+    """Transform (4, 4) that takes an estimate (N, 4, 4) onto the truth (N, 4, 4) with least squared distance.
 
-    Its upper left block is a rotation, times the scale when with_scale. SciPy solves for the rotation (Wahba's
-    problem). A straight or standing track leaves the rotation open: the first poses then decide it.
+    Its upper left block is a rotation, times the scale when with_scale. SciPy solves for the rotation
+    (Wahba's problem). A straight or standing track leaves it open: the first poses then decide.
     """
     p, q = estimate[:, :3, 3], truth[:, :3, 3]
     centre_p, centre_q = p.mean(axis=0), q.mean(axis=0)

@@ -19,7 +19,7 @@ _BAR = 0.32  # inches of height for each stage
 
 
 def error_over_way(record: DriveRecord) -> Figure | None:
-    """Draw the distance from the ground truth after alignment [m] over the way driven [m]; None without truth."""
+    """Draw the distance from the ground truth after alignment over the way driven; None without truth."""
     truth = anchored_truth(record)
     if truth is None:
         return None
@@ -36,7 +36,7 @@ def error_over_way(record: DriveRecord) -> Figure | None:
 
 
 def inliers_per_frame(record: DriveRecord) -> Figure:
-    """Draw how many tracks agreed with the motion in each frame, and the frames whose motion had to be predicted."""
+    """Draw how many tracks agreed with the motion in each frame, and where it had to be predicted."""
     figure = new_figure(9.0, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
@@ -49,7 +49,7 @@ def inliers_per_frame(record: DriveRecord) -> Figure:
 
 
 def time_per_stage(record: DriveRecord) -> Figure | None:
-    """Draw median and 99th percentile [ms] of each stage, first stage on top; None where nothing was timed."""
+    """Draw median and 99th percentile of each stage, first stage on top; None where nothing was timed."""
     times = stage_times(record)[::-1]
     if not times:
         return None
@@ -57,7 +57,9 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
     ax = figure.subplots()
     rows = np.arange(len(times))
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
-    ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
+    ax.plot(
+        [t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile"
+    )
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
     _finish(ax, "milliseconds a frame", "")
     return figure
@@ -65,7 +67,9 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
 
 def _mark_loops(record: DriveRecord, way: np.ndarray, ax: Axes) -> None:
     queries = [row.query for row in kept(record)]
-    ax.plot(way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed")
+    ax.plot(
+        way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed"
+    )
 
 
 def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:

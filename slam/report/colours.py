@@ -1,6 +1,6 @@
 """One colour for each thing, in every picture, page and recording.
 
-The hues are those that Okabe and Ito (Color Universal Design, 2008) chose to be told apart by colour-blind readers.
+The hues are those that Okabe and Ito (Color Universal Design, 2008) chose for colour-blind readers.
 Where two lines could still be confused their dashes differ as well.
 """
 

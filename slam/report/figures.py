@@ -60,7 +60,9 @@ def before_after(record: DriveRecord) -> Figure:
     for ax, panel in zip(figure.subplots(1, 2, sharex=True, sharey=True), panels, strict=True):
         _draw(ax, panel, record)
         ax.set_aspect("equal", adjustable="box")
-        ax.set(xlim=(centre[0] - half[0], centre[0] + half[0]), ylim=(centre[1] - half[1], centre[1] + half[1]))
+        ax.set(
+            xlim=(centre[0] - half[0], centre[0] + half[0]), ylim=(centre[1] - half[1], centre[1] + half[1])
+        )
     left, right = figure.axes
     left.set_ylabel("z [m], forward at the start")
     figure.suptitle(record.name, color=INK, parse_math=False, fontweight="bold", y=0.985, va="top")
@@ -70,8 +72,8 @@ def before_after(record: DriveRecord) -> Figure:
 
 
 def _canvas(tallness: float) -> Figure:
-    """Make a figure whose two panels fit data of this height over width, with room above and below in inches."""
-    width, above, below = 12.0, 0.95, 0.95
+    """Make a figure whose two panels fit data of this height over width."""
+    width, above, below = 12.0, 0.95, 0.95  # inches
     height = float(np.clip(5.5 * tallness, 3.3, 6.6)) + above + below
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
@@ -167,7 +169,9 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
         return
     plan = panel.positions[:, [0, 2]]
     away = np.linalg.norm(plan - plan[0], axis=1)
-    ax.plot(*plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7)
+    ax.plot(
+        *plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7
+    )
     if away.max() > 0:
         ahead = plan[int(np.argmax(away > _AHEAD * away.max()))] - plan[0]
         tip = ahead / np.linalg.norm(ahead) * _ARROW
@@ -176,8 +180,10 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
 
 
 def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
-    """Centre (2,) and half size (2,), metres, of both panels: the trajectories; of landmarks some are always far off."""
-    shown = [panel.positions for panel in panels] + [panel.truth for panel in panels if panel.truth is not None]
+    """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
+    shown = [panel.positions for panel in panels] + [
+        panel.truth for panel in panels if panel.truth is not None
+    ]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
@@ -194,13 +200,17 @@ def save_png(figure: Figure, path: Path) -> None:
     try:
         path.write_bytes(png(figure))
     except OSError as error:
-        raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
+        raise OutputError(
+            f"{path}: cannot write the picture ({error.strerror}); choose another folder"
+        ) from error
 
 
 def png(figure: Figure) -> bytes:
     """Render a figure as PNG on white, without the date and version that matplotlib would add."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")  # names in scripts that the font lacks become boxes
+        warnings.filterwarnings(
+            "ignore", message="Glyph"
+        )  # names in scripts that the font lacks become boxes
         figure.savefig(buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
     return buffer.getvalue()

@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.record import DriveRecord, LoopRow
 
-MISSING = "–"
+MISSING = "\N{EN DASH}"
 
 
 def value(metrics: Mapping[str, object], key: str) -> object | None:
@@ -20,7 +20,7 @@ def value(metrics: Mapping[str, object], key: str) -> object | None:
 
 
 def note(metrics: Mapping[str, object], key: str) -> str:
-    """Why a value could not be computed: the note on its dotted key or on the nearest group; empty if there is none."""
+    """Why a value could not be computed: the note on its dotted key or on the nearest group, or empty."""
     notes = metrics.get("notes")
     if not isinstance(notes, Mapping):
         return ""
@@ -46,7 +46,7 @@ def kept(record: DriveRecord) -> list[LoopRow]:
 
 
 def rejected(record: DriveRecord) -> list[LoopRow]:
-    """Matches that the recogniser took for revisits and that geometry or the back end turned down."""
+    """Return matches that the recogniser took for revisits and geometry or the back end turned down."""
     return [row for row in record.loops if row.accepted and not row.in_graph]
 
 
@@ -77,7 +77,7 @@ class StageTime:
 
 def stage_times(record: DriveRecord) -> list[StageTime]:
     """Time of each stage in the order of the chain; a stage that never ran is left out."""
-    stages = {name: ms[np.isfinite(ms)] for name, ms in record.stage_ms.items() if name != "total"}
+    stages = {name: ms[np.isfinite(ms) & (ms > 0)] for name, ms in record.stage_ms.items() if name != "total"}
     whole = sum(float(ms.sum()) for ms in stages.values()) or 1.0
     return [
         StageTime(name, float(np.median(ms)), float(np.percentile(ms, 99)), float(ms.sum()) / whole)
