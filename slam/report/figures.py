@@ -1,0 +1,216 @@
+"""Figure 4.1 of one drive: where the robot thought it was, and where it was once its loops were closed."""
+
+import io
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from odometry.se3 import transform
+from slam.errors import OutputError
+from slam.record import Cloud, DriveRecord, LoopRow
+from slam.report import colours
+from slam.report.alignment import anchored_truth, similarity
+from slam.report.reading import kept, rejected, text, value
+
+Array = NDArray[np.float64]
+
+INK = "#1a1a1a"
+_DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
+_MARGIN = 0.07  # of the larger side, around the trajectories
+_SMALLEST = 4.0  # metres shown at least, for a robot that stood still
+_NARROWEST = 0.6  # short over long side of a panel at least, for straight tracks
+_AHEAD = 0.04  # the heading is shown to where the robot is so far from the start, of its largest distance
+_ARROW = 26.0  # points
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """What one panel shows, all in the frame of the first camera.
+
+    Attributes:
+        title, name, colour: of the estimate.
+        positions: (N, 3) metres.
+        landmarks: (M, 3) metres.
+        truth: (N, 3) metres, or None.
+    """
+
+    title: str
+    name: str
+    colour: str
+    positions: Array
+    landmarks: Array
+    truth: Array | None
+
+
+def before_after(record: DriveRecord) -> Figure:
+    """Draw the drive in plan view (x to the right, z up, metres): odometry alone, and corrected by its loops.
+
+    Where there is ground truth both estimates are laid over it by the same alignment as their ATE.
+    """
+    panels = _panels(record)
+    centre, half = _window(panels)
+    figure = _canvas(half[1] / half[0])
+    for ax, panel in zip(figure.subplots(1, 2, sharex=True, sharey=True), panels, strict=True):
+        _draw(ax, panel, record)
+        ax.set_aspect("equal", adjustable="box")
+        ax.set(
+            xlim=(centre[0] - half[0], centre[0] + half[0]), ylim=(centre[1] - half[1], centre[1] + half[1])
+        )
+    left, right = figure.axes
+    left.set_ylabel("z [m], forward at the start")
+    figure.suptitle(record.name, color=INK, parse_math=False, fontweight="bold", y=0.985, va="top")
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False, labelcolor=INK)
+    return figure
+
+
+def _canvas(tallness: float) -> Figure:
+    """Make a figure whose two panels fit data of this height over width."""
+    width, above, below = 12.0, 0.95, 0.95  # inches
+    height = float(np.clip(5.5 * tallness, 3.3, 6.6)) + above + below
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    figure.subplots_adjust(left=0.06, right=0.985, bottom=below / height, top=1 - above / height, wspace=0.06)
+    return figure
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure of so many inches that shares no state with others."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def style(ax: Axes) -> None:
+    """Give axes the look that all pictures share."""
+    ax.grid(True, linewidth=0.5, alpha=0.25, color=INK)
+    ax.tick_params(colors=INK, labelsize=9)
+    ax.xaxis.label.set_color(INK)
+    ax.yaxis.label.set_color(INK)
+    for side, spine in ax.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(INK)
+
+
+def _panels(record: DriveRecord) -> tuple[_Panel, _Panel]:
+    return (
+        _panel(record, "Before: odometry alone", "odometry", record.map_before),
+        _panel(record, "After: loops closed", "corrected", record.map_after),
+    )
+
+
+def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel:
+    estimate = record.odometry if name == "odometry" else record.corrected
+    truth = anchored_truth(record)
+    T = np.eye(4)
+    if truth is not None and len(estimate):
+        T = similarity(estimate, truth, _with_scale(record, name))
+    points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    return _Panel(
+        title=f"{heading}\n{_ate(record, name)}",
+        name=name,
+        colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
+        positions=transform(T, estimate[:, :3, 3]),
+        landmarks=transform(T, points[:: len(points) // _DOTS + 1]),
+        truth=None if truth is None else truth[:, :3, 3],
+    )
+
+
+def _with_scale(record: DriveRecord, name: str) -> bool:
+    return "sim" in str(value(record.metrics, f"{name}.ate_alignment")).lower()
+
+
+def _ate(record: DriveRecord, name: str) -> str:
+    if record.ground_truth is None:
+        return "no ground truth"
+    ate = value(record.metrics, f"{name}.ate_m")
+    alignment = value(record.metrics, f"{name}.ate_alignment") or "SE(3)"
+    return f"ATE {text(ate, 2, ' m')}, {alignment} alignment"
+
+
+def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:
+    style(ax)
+    ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)
+    ax.set_xlabel("x [m]")
+    x, _, z = panel.landmarks.T
+    ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
+    if panel.truth is not None:
+        truth = panel.truth[:, [0, 2]].T
+        ax.plot(*truth, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
+    for name, colour in (("odometry", colours.ODOMETRY), ("corrected", colours.CORRECTED)):
+        shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
+        ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
+    _draw_loops(ax, panel, kept(record), ("accepted loop", colours.ACCEPTED, "-"))
+    _draw_loops(ax, panel, rejected(record), ("rejected loop", colours.REJECTED, ":"))
+    _draw_start(ax, panel)
+
+
+def _draw_loops(ax: Axes, panel: _Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
+    label, colour, dashes = look
+    pairs = np.array([(row.query, row.match) for row in rows], dtype=np.int64).reshape(-1, 2)
+    ends = panel.positions[:, [0, 2]][pairs]
+    name = f"{label} ({len(pairs)})"
+    ax.add_collection(LineCollection(list(ends), colors=colour, lw=1.0, ls=dashes, alpha=0.8, zorder=5))
+    ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=name)
+    # a loop that closed well is too short to see as a line
+    ax.plot(*ends[:, 0].T, ".", color=colour, ms=5, alpha=0.9, zorder=6)
+
+
+def _draw_start(ax: Axes, panel: _Panel) -> None:
+    if not len(panel.positions):
+        return
+    plan = panel.positions[:, [0, 2]]
+    away = np.linalg.norm(plan - plan[0], axis=1)
+    ax.plot(
+        *plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7
+    )
+    if away.max() > 0:
+        ahead = plan[int(np.argmax(away > _AHEAD * away.max()))] - plan[0]
+        tip = ahead / np.linalg.norm(ahead) * _ARROW
+        arrow = {"arrowstyle": "<|-", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 5}
+        ax.annotate("", xy=plan[0], xytext=tip, textcoords="offset points", arrowprops=arrow, zorder=7)
+
+
+def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
+    """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
+    shown = [panel.positions for panel in panels] + [
+        panel.truth for panel in panels if panel.truth is not None
+    ]
+    plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
+    plan = plan[np.isfinite(plan).all(axis=1)]
+    low, high = plan.min(axis=0), plan.max(axis=0)
+    side = max(float((high - low).max()), _SMALLEST)
+    return (low + high) / 2, np.maximum((high - low) / 2, side * _NARROWEST / 2) + _MARGIN * side
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG: the same figure gives the same bytes, whatever the day.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        path.write_bytes(png(figure))
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot write the picture ({error.strerror}); choose another folder"
+        ) from error
+
+
+def png(figure: Figure) -> bytes:
+    """Render a figure as PNG on white, without the date and version that matplotlib would add."""
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", message="Glyph"
+        )  # names in scripts that the font lacks become boxes
+        figure.savefig(buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,119 @@
+"""Start rerun's own viewer so that it listens on this machine alone, keeps to its memory and phones nobody.
+
+rerun's SDK can spawn and serve too, but then it listens on every interface; its command line takes an
+address.
+"""
+
+import logging
+import os
+import shutil
+import socket
+import subprocess
+import time
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import quote
+
+from slam.errors import OutputError
+
+_LOG = logging.getLogger(__name__)
+
+LOOPBACK = "127.0.0.1"
+VIEWER_MEMORY = "2GB"
+SERVER_MEMORY = "512MB"
+_PATIENCE_S = 20.0  # a cold start of the viewer takes some seconds
+
+
+@dataclass(frozen=True)
+class Listener:
+    """A running viewer process.
+
+    Attributes:
+        process: the child; a window stays open when the run ends, a web server is stopped with it.
+        address: where data is to be sent.
+        page: what to open in a browser; empty for a window.
+    """
+
+    process: subprocess.Popen[bytes]
+    address: str
+    page: str
+
+    def stop(self) -> None:
+        """End a web server; leave a window to the user, who closes it."""
+        if self.page and self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(timeout=_PATIENCE_S)
+
+
+def listen(web: bool) -> Listener:
+    """Start a viewer, as a window or as a web page, and wait until it takes data.
+
+    Raises:
+        OutputError: rerun's program is missing, ended at once (no display, for instance) or stays silent.
+    """
+    port, page_port = free_port(), free_port()
+    process = subprocess.Popen(
+        _command(web, port, page_port), env=_private(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, start_new_session=not web,
+    )  # fmt: skip
+    _wait(process, [port, page_port] if web else [port])
+    address = f"rerun+http://{LOOPBACK}:{port}/proxy"
+    page = f"http://{LOOPBACK}:{page_port}/?url={quote(address, safe='')}" if web else ""
+    if web:
+        _LOG.warning("watch the run at %s", page)
+    return Listener(process, address, page)
+
+
+def free_port() -> int:
+    """Return a port of the loopback interface that is free just now."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+def _command(web: bool, port: int, page_port: int) -> list[str]:
+    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
+    how = ["--serve-web", "--web-viewer-port", str(page_port)] if web else ["--expect-data-soon"]
+    return [_program(), "--bind", LOOPBACK, "--port", str(port), *limits, *how]
+
+
+def _program() -> str:
+    spec = find_spec("rerun_cli")
+    binary = Path(spec.origin).with_name("rerun") if spec and spec.origin else Path()
+    found = str(binary) if binary.is_file() else shutil.which("rerun")
+    if found is None:
+        raise OutputError(
+            "rerun: expected its viewer program beside rerun-sdk, found none; reinstall or use --view none"
+        )
+    return found
+
+
+def _private() -> dict[str, str]:
+    # rerun reports its use to its makers unless switched off, and never where CI is set
+    return {**os.environ, "CI": "true", "RERUN_APP_ONLY": "true"}
+
+
+def _wait(process: subprocess.Popen[bytes], ports: list[int]) -> None:
+    deadline = time.monotonic() + _PATIENCE_S
+    while ports:
+        if process.poll() is not None:
+            raise OutputError(
+                f"rerun: expected a viewer, but it ended at once with code {process.returncode} "
+                "(no display?); use --view web or --view none"
+            )
+        if time.monotonic() > deadline:
+            process.terminate()
+            raise OutputError(
+                f"rerun: expected a viewer on port {ports[0]} within {_PATIENCE_S:.0f} s; use --view none"
+            )
+        ports = [port for port in ports if not _answers(port)]
+        time.sleep(0.05)
+
+
+def _answers(port: int) -> bool:
+    try:
+        with socket.create_connection((LOOPBACK, port), timeout=1.0):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,92 @@
+"""Numpy into rerun's shapes: small functions that know colours and sizes, and nothing of the run."""
+
+from collections.abc import Callable, Iterable
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from slam.record import Cloud
+from slam.report import colours
+from slam.viewer.viewer import Step
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_JPEG_QUALITY = 60  # 54 kB for a 1241 x 376 image of a street; 75 would take 70 kB
+_TRACKS = 400  # drawn in an image
+_MAP_POINTS = 300_000  # of either map
+_DASHES = 300  # of the ground truth
+_LIFT = np.array([0.0, 0.5, 0.0])  # metres; up is -y; dots float above the line that they would sink into
+
+
+def jpeg(image: Image) -> rr.EncodedImage:
+    """Compress an image (H, W) uint8."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+
+
+def line(colour: str) -> Callable[[Array], rr.LineStrips3D]:
+    """Return a function that draws positions (N, 3), metres, as one line."""
+
+    def draw(positions: Array) -> rr.LineStrips3D:
+        return rr.LineStrips3D([positions], colors=[colours.rgb(colour)], radii=rr.Radius.ui_points(1.4))
+
+    return draw
+
+
+def dots(points: Array) -> rr.Points3D:
+    """Draw landmarks (N, 3), metres, as small grey dots."""
+    return rr.Points3D(points, colors=[150, 150, 150], radii=rr.Radius.ui_points(0.8))
+
+
+def dashes(positions: Array) -> rr.LineStrips3D:
+    """Draw positions (N, 3), metres, as a dashed grey line: rerun has no dashes, so each is its own line."""
+    length = max(len(positions) // (2 * _DASHES), 1) + 1
+    pieces = [positions[k : k + length] for k in range(0, len(positions), 2 * (length - 1))]
+    return rr.LineStrips3D(pieces, colors=[colours.rgb(colours.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
+
+
+def tracks(step: Step) -> rr.Arrows2D:
+    """Draw tracks as arrows from the previous to the current pixel: inliers green, the others red."""
+    shown = slice(None, None, len(step.pixels_current) // _TRACKS + 1)
+    start, end, agrees = step.pixels_previous[shown], step.pixels_current[shown], step.inliers[shown]
+    good, bad = colours.rgb(colours.ACCEPTED), colours.rgb(colours.REJECTED)
+    return rr.Arrows2D(
+        origins=start, vectors=end - start, colors=np.where(agrees[:, None], good, bad).astype(np.uint8),
+        radii=rr.Radius.ui_points(1.0),
+    )  # fmt: skip
+
+
+def loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> tuple[rr.Arrows3D, rr.Points3D]:
+    """Draw loops (query, match) on poses (N, 4, 4), metres, as arrows from query to match.
+
+    The queries are dots as well: a loop that closed well is too short to see as an arrow.
+    """
+    known = np.array([pair for pair in pairs if max(pair) < len(poses)], dtype=np.int64).reshape(-1, 2)
+    ends = poses[:, :3, 3][known]
+    look = {"colors": colours.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
+    arrows = rr.Arrows3D(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], **look)
+    return arrows, rr.Points3D(ends[:, 0] - _LIFT, colors=colours.rgb(colour), radii=rr.Radius.ui_points(4.0))
+
+
+def cloud(points: Cloud, colour: str) -> rr.Points3D:
+    """Draw a map: a colour, as bright as the points were in the images."""
+    shown = slice(None, None, len(points.points) // _MAP_POINTS + 1)
+    brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0
+    tinted = (brightness * np.array(colours.rgb(colour))).astype(np.uint8)
+    return rr.Points3D(points.points[shown], colors=tinted, radii=rr.Radius.ui_points(0.8))
+
+
+def matches(pixels: Array) -> rr.Points2D:
+    """Draw matched pixels (K, 2); the k-th point has the same colour in both images of a pair."""
+    hues = np.linspace(0, 179, len(pixels), endpoint=False).astype(np.uint8)
+    hsv = np.stack([hues, np.full_like(hues, 200), np.full_like(hues, 255)], axis=1)
+    rgb = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0] if len(hues) else hsv
+    return rr.Points2D(pixels, colors=rgb, radii=rr.Radius.ui_points(3.0))
+
+
+def some(rows: Array, most: int) -> Array:
+    """Every n-th row, so that there are no more than so many."""
+    return rows[:: len(rows) // most + 1]

@@ -1,0 +1,109 @@
+"""A plausible record of a drive that never took place: two laps of a circle with drift."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from odometry import se3
+from slam.record import Cloud, DriveRecord, LoopRow
+
+RADIUS = 40.0
+LAP = 100
+
+
+def circle(frames):
+    turn = se3.exp(np.array([0.0, 2 * np.pi / LAP, 0.0, 0.0, 0.0, 2 * np.pi * RADIUS / LAP]))
+    poses = [np.eye(4)]
+    for _ in range(frames - 1):
+        poses.append(poses[-1] @ turn)
+    return np.array(poses)
+
+
+def drifting(poses, rng, turn, step):
+    out = [poses[0]]
+    for before, after in pairwise(poses):
+        noise = rng.normal([0, turn, 0, 0, 0, 2 * step], [2e-4, turn, 2e-4, step, step / 3, step])
+        out.append(out[-1] @ se3.inverse(before) @ after @ se3.exp(noise))
+    return np.array(out)
+
+
+def cloud(poses, rng):
+    points = [se3.transform(T, rng.uniform([-12, -4, 4], [12, 1.5, 25], size=(30, 3))) for T in poses]
+    points = np.concatenate([np.concatenate(points), [[5000.0, 0.0, 0.0]]])  # one outlier, as maps have
+    return Cloud(points, rng.integers(0, 255, len(points)).astype(np.uint8))
+
+
+def ledger(frames):
+    rows = []
+    for query in range(LAP + 5, frames, 5):
+        truth = query % 15 != 0
+        reason = "kept by the back end" if truth else "too few inliers (9 of 25)"
+        rows.append(
+            LoopRow(query, query - LAP if truth else 3, 0.8, True, 120, 60 if truth else 9, truth, truth,
+                    1.0 if truth else float("nan"), 1.3 if truth else float("nan"), truth, reason)
+        )  # fmt: skip
+    return (LoopRow(20, 2, 0.1, False, reason="score below threshold", truth=False), *rows)
+
+
+def metrics(frames):
+    row = {
+        "ate_alignment": "se3",
+        "t_rel_percent": None,
+        "r_rel_deg_per_100m": 0.61,
+        "end_error_percent": 1.4,
+    }
+    return {
+        "schema": 1, "source": "fabricated", "sequence": "00",
+        "command": "revisit run fabricated --out runs/x",
+        "versions": {"revisit-slam": "0.1.0", "numpy": "2.0"}, "seed": 7,
+        "frames": frames, "path_length_m": 502.6,
+        "odometry": {"ate_m": 5.42, "end_error_m": 7.0, **row},
+        "online": {"ate_m": 2.5, "end_error_m": 1.1, **row},
+        "corrected": {"ate_m": 0.83, "end_error_m": 0.9, **row},
+        "loops": {"proposed": 19, "verified": 13, "kept": 13, "true": 13, "false": 0,
+                  "precision": 1.0, "recall": 0.9},
+        "timing_ms": {"total": {"median": 42.0, "p99": 81.0}}, "frames_per_second": 21.3, "wall_seconds": 9.4,
+        "peak_memory_mb": 512.0, "notes": {"odometry.t_rel_percent": "the drive is shorter than 800 m"},
+    }  # fmt: skip
+
+
+def record(frames=200, seed=3):
+    rng = np.random.default_rng(seed)
+    truth = circle(frames)
+    odometry = drifting(truth, rng, 1.2e-3, 0.012)
+    corrected = drifting(truth, rng, 5e-5, 0.004)
+    online = np.concatenate([odometry[: LAP + 10], corrected[LAP + 10 :]])
+    stages = ("read", "odometry", "recognise", "verify", "optimise")
+    times = {name: rng.gamma(4.0, 2.0 + 2 * k, frames) for k, name in enumerate(stages)}
+    times["optimise"][::2] = np.nan
+    return DriveRecord(
+        "fabricated circle", np.arange(frames) / 10, odometry, online, corrected, truth,
+        np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), ledger(frames), times,
+        cloud(odometry, rng), cloud(corrected, rng), metrics(frames),
+    )  # fmt: skip
+
+
+def without_truth(whole):
+    loops = tuple(replace(row, truth=None) for row in whole.loops)
+    return replace(whole, ground_truth=None, loops=loops, metrics={})
+
+
+def without_loops(whole):
+    return replace(whole, loops=())
+
+
+def straight(frames=60):
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, 2, 3] = np.arange(frames)
+    empty = Cloud(np.empty((0, 3)), np.empty(0, np.uint8))
+    whole = record(frames)
+    return replace(whole, odometry=poses, online=poses, corrected=poses, ground_truth=poses, loops=(),
+                   map_before=empty, map_after=empty)  # fmt: skip
+
+
+def standing():
+    poses = np.eye(4)[None]
+    return replace(
+        straight(1), odometry=poses, online=poses, corrected=poses, ground_truth=poses, stage_ms={}
+    )
