@@ -34,8 +34,11 @@ class PlausibilityConfig:
     moving_m: float = 0.1
 
 
-def doubt(estimate: TwoViewEstimate | None, T_expected: Array, config: PlausibilityConfig) -> str:
-    """Why an estimate is not to be believed, in words; empty if it is. None stands for too few tracks."""
+def doubt(estimate: TwoViewEstimate | None, T_expected: Array | None, config: PlausibilityConfig) -> str:
+    """Why an estimate is not to be believed, in words; empty if it is.
+
+    No estimate stands for too few tracks; no expected motion (4, 4) for one that nothing is known about.
+    """
     if estimate is None:
         return f"fewer than {config.tracks} points could be followed"
     agree, ratio = int(estimate.inliers.sum()), float(np.mean(estimate.inliers))
@@ -45,10 +48,12 @@ def doubt(estimate: TwoViewEstimate | None, T_expected: Array, config: Plausibil
         return f"only {agree} of {len(estimate.inliers)} points agree on one motion"
     if estimate.noise_px > config.noise_px:
         return f"the points agree only to {estimate.noise_px:.1f} px"
-    return "" if ratio >= config.sure_ratio else _jump(estimate.T_first_second, T_expected, config)
+    if T_expected is None or ratio >= config.sure_ratio:
+        return ""
+    return jump(estimate.T_first_second, T_expected, config)
 
 
-def _jump(T: Array, T_expected: Array, config: PlausibilityConfig) -> str:
+def jump(T: Array, T_expected: Array, config: PlausibilityConfig) -> str:
     """Why a motion that a minority contradicts is too far from the expected one; empty if it is not."""
     off = se3.inverse(T_expected) @ T
     shift, turn = float(np.linalg.norm(off[:3, 3])), se3.angle(off)

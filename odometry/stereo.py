@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from odometry.plausibility import PlausibilityConfig, doubt
+from odometry.plausibility import PlausibilityConfig, doubt, jump
 from odometry.rectification import Rectification, RectificationConfig
 from odometry.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.tracking import TrackingConfig, detect, follow, inside
@@ -74,7 +74,7 @@ class StereoOdometry:
         # Where the previous image stands in the reference's frame: identity but after an extrapolation.
         self._T_reference_previous = np.eye(4)
         self._covariance_previous = np.zeros((6, 6))
-        self._velocity = np.zeros(6)  # tangent vector of the last measured motion, per image
+        self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._age = 1  # images since the reference
 
     def track(self, left: Image, right: Image) -> Motion:
@@ -83,13 +83,31 @@ class StereoOdometry:
         if self._reference is None:
             self._restart(self._observe(left, right))
             return _motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), "")
-        guess = self._T_reference_previous @ se3.exp(self._velocity)
-        tracks = self._follow(self._reference, left, right, guess)
-        estimate = self._estimate(tracks, guess)
-        reason = doubt(estimate, guess, self._config.plausibility)
+        expected = self._T_reference_previous @ self._expected_motion()
+        tracks, estimate = self._measure(self._reference, left, right, expected)
+        reason = doubt(estimate, None if self._velocity is None else expected, self._config.plausibility)
         if estimate is None or reason:
             return self._extrapolate(left, right, reason)
         return self._accept(left, right, tracks, estimate)
+
+    def _expected_motion(self) -> Array:
+        """T_previous_current (4, 4) at constant velocity; identity while nothing was measured."""
+        return np.eye(4) if self._velocity is None else se3.exp(self._velocity)
+
+    def _measure(
+        self, reference: _View, left: Image, right: Image, expected: Array
+    ) -> tuple[StereoTracks, TwoViewEstimate | None]:
+        """Tracks and the motion they tell, near the expected T_reference_current or wherever they lead."""
+        tracks = self._follow(reference, left, right, expected)
+        estimate = self._estimate(tracks, expected)
+        if estimate is None or not jump(estimate.T_first_second, expected, self._config.plausibility):
+            return tracks, estimate
+        # Tracks that had to be found far from where they were looked for are few: look again where they are.
+        again = self._follow(reference, left, right, estimate.T_first_second)
+        second = self._estimate(again, estimate.T_first_second)
+        if second is None or second.inliers.sum() < estimate.inliers.sum():
+            return tracks, estimate
+        return again, second
 
     def _check(self, left: Image, right: Image) -> None:
         expected = (self._camera.height, self._camera.width)
@@ -155,7 +173,7 @@ class StereoOdometry:
 
     def _extrapolate(self, left: Image, right: Image, reason: str) -> Motion:
         """Constant velocity; measure from this pair on if it shows enough, else wait for the reference to come back."""
-        T_previous_current = se3.exp(self._velocity)
+        T_previous_current = self._expected_motion()
         deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * self._age
         covariance = np.diag(deviation**2)
         view = self._observe(left, right)

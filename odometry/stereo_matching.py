@@ -38,7 +38,7 @@ class StereoMatchingConfig:
     max_disparity_px: int = 128
     max_rows_px: float = 3.0
     uniqueness: float = 0.9
-    window_px: int = 15
+    window_px: int = 11
     return_px: float = 0.3
     refine_px: float = 4.0
 

@@ -36,7 +36,7 @@ class TrackingConfig:
     rows: int = 6
     spacing_px: int = 10
     quality: float = 2e-3
-    window_px: int = 15
+    window_px: int = 11
     levels: int = 3
     return_px: float = 0.5
 
