@@ -51,7 +51,7 @@ class FrameTable:
 
 
 def write_frames(path: Path, table: FrameTable) -> None:
-    """Write frames.csv: the columns FRAME_COLUMNS, then `<stage>_ms` for every stage, its blanks as underscores.
+    """Write frames.csv: FRAME_COLUMNS, then `<stage>_ms` for every stage, its blanks as underscores.
 
     Raises:
         OutputError: the file cannot be written.
@@ -69,8 +69,8 @@ def read_frames(path: Path) -> FrameTable:
     Raises:
         DataError: missing file, other columns, a cell that cannot be read.
     """
-    rows = _read(path, FRAME_COLUMNS)
-    stages = [name for name in (rows[0] if rows else ()) if name.endswith(_STAGE_SUFFIX)]
+    header, rows = _read(path, FRAME_COLUMNS)
+    stages = [name for name in header if name.endswith(_STAGE_SUFFIX)]
 
     def column(name: str, read: Callable[[str], object], kind: type) -> NDArray[Any]:
         return np.array([_cell(path, row, name, read) for row in rows], dtype=kind)
@@ -101,7 +101,7 @@ def read_loops(path: Path) -> tuple[LoopRow, ...]:
     Raises:
         DataError: missing file, other columns, a cell that cannot be read.
     """
-    return tuple(_loop(path, row) for row in _read(path, LOOP_COLUMNS))
+    return tuple(_loop(path, row) for row in _read(path, LOOP_COLUMNS)[1])
 
 
 def _loop(path: Path, row: dict[str, str]) -> LoopRow:
@@ -132,10 +132,14 @@ def _text(value: object) -> str:
         return ""
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
-    return repr(float(value)) if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return repr(float(value))
+    return " ".join(
+        str(value).splitlines()
+    )  # one line a row, for grep and for readers that stumble over breaks
 
 
-def _read(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+def _read(path: Path, columns: Sequence[str]) -> tuple[Sequence[str], list[dict[str, str]]]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file, restval="", strict=True)
@@ -147,7 +151,7 @@ def _read(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         raise DataError(
             f"{path}: expected the columns {', '.join(columns)}, found no {missing[0]}; run again"
         )
-    return rows
+    return header, rows
 
 
 def _cell(path: Path, row: dict[str, str], name: str, read: Callable[[str], object]) -> object:
