@@ -18,7 +18,7 @@ from slam.errors import OutputError
 from slam.record import DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
-from slam.report.reading import kept, rejected, value
+from slam.report.reading import kept, rejected, scaled
 from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
@@ -213,8 +213,7 @@ class RerunViewer:
             rr.TimeColumn("time", duration=seconds),
         ]
         for name in ("odometry", "online", "corrected"):
-            with_scale = "sim" in str(value(record.metrics, f"{name}.ate_alignment")).lower()
-            error = position_error(getattr(record, name), truth, with_scale)
+            error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
             self._recording.send_columns(f"plots/error/{name}", times, rr.Scalars.columns(scalars=error))
 
 
