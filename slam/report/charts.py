@@ -8,13 +8,14 @@ from slam.record import DriveRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.figures import INK, new_figure, style
-from slam.report.reading import kept, stage_times, travelled, value
+from slam.report.reading import kept, scaled, stage_times, travelled
 
 _ESTIMATES = (
     ("odometry", colours.ODOMETRY, "-"),
     ("online", colours.ONLINE, ":"),
     ("corrected", colours.CORRECTED, "-"),
 )
+_WIDTH = 5.6  # inches; of this width the writing can still be read on a phone
 _BAR = 0.32  # inches of height for each stage
 
 
@@ -23,12 +24,11 @@ def error_over_way(record: DriveRecord) -> Figure | None:
     truth = anchored_truth(record)
     if truth is None:
         return None
-    figure = new_figure(9.0, 3.2)
+    figure = new_figure(_WIDTH, 3.1)
     ax = figure.subplots()
     way = travelled(record)
     for name, colour, dashes in _ESTIMATES:
-        with_scale = "sim" in str(value(record.metrics, f"{name}.ate_alignment")).lower()
-        error = position_error(getattr(record, name), truth, with_scale)
+        error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
         ax.plot(way, error, dashes, color=colour, lw=1.6, label=name)
     _mark_loops(record, way, ax)
     _finish(ax, "way driven [m]", "position error [m]")
@@ -37,7 +37,7 @@ def error_over_way(record: DriveRecord) -> Figure | None:
 
 def inliers_per_frame(record: DriveRecord) -> Figure:
     """Draw how many tracks agreed with the motion in each frame, and where it had to be predicted."""
-    figure = new_figure(9.0, 2.6)
+    figure = new_figure(_WIDTH, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
     ax.plot(frames, record.inliers, color=colours.CORRECTED, lw=1.0, label="inlier tracks")
@@ -53,7 +53,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
     times = stage_times(record)[::-1]
     if not times:
         return None
-    figure = new_figure(9.0, 1.2 + _BAR * len(times))
+    figure = new_figure(_WIDTH, 1.2 + _BAR * len(times))
     ax = figure.subplots()
     rows = np.arange(len(times))
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
@@ -78,4 +78,4 @@ def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:
     if ylabel:
         ax.set_ylim(bottom=0)
     style(ax)
-    ax.figure.legend(loc="outside upper right", ncols=4, frameon=False, labelcolor=INK)
+    ax.figure.legend(loc="outside upper right", ncols=4, frameon=False, labelcolor=INK, columnspacing=1.0)

@@ -17,7 +17,7 @@ from slam.errors import OutputError
 from slam.record import Cloud, DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, similarity
-from slam.report.reading import kept, rejected, text, value
+from slam.report.reading import alignment, kept, rejected, scaled, text, value
 
 Array = NDArray[np.float64]
 
@@ -59,16 +59,32 @@ def before_after(record: DriveRecord) -> Figure:
     figure = _canvas(half[1] / half[0])
     for ax, panel in zip(figure.subplots(1, 2, sharex=True, sharey=True), panels, strict=True):
         _draw(ax, panel, record)
-        ax.set_aspect("equal", adjustable="box")
-        ax.set(
-            xlim=(centre[0] - half[0], centre[0] + half[0]), ylim=(centre[1] - half[1], centre[1] + half[1])
-        )
+        _frame(ax, centre, half)
     left, right = figure.axes
     left.set_ylabel("z [m], forward at the start")
     figure.suptitle(record.name, color=INK, parse_math=False, fontweight="bold", y=0.985, va="top")
     handles, labels = right.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False, labelcolor=INK)
     return figure
+
+
+def plan_view(record: DriveRecord, name: str) -> Figure:
+    """Draw one panel of `before_after` alone, of `odometry` or `corrected`, without legend."""
+    panels = _panels(record)
+    centre, half = _window(panels)
+    figure = new_figure(5.6, float(np.clip(5.6 * half[1] / half[0], 3.3, 7.0)) + 0.4)
+    ax = figure.subplots()
+    _draw(ax, next(panel for panel in panels if panel.name == name), record)
+    _frame(ax, centre, half)
+    ax.set_title("")
+    ax.set_ylabel("z [m]")
+    return figure
+
+
+def _frame(ax: Axes, centre: Array, half: Array) -> None:
+    ax.set_aspect("equal", adjustable="box")
+    (left, bottom), (right, top) = centre - half, centre + half
+    ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def _canvas(tallness: float) -> Figure:
@@ -111,7 +127,7 @@ def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel
     truth = anchored_truth(record)
     T = np.eye(4)
     if truth is not None and len(estimate):
-        T = similarity(estimate, truth, _with_scale(record, name))
+        T = similarity(estimate, truth, scaled(record.metrics, name))
     points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return _Panel(
@@ -124,16 +140,11 @@ def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel
     )
 
 
-def _with_scale(record: DriveRecord, name: str) -> bool:
-    return "sim" in str(value(record.metrics, f"{name}.ate_alignment")).lower()
-
-
 def _ate(record: DriveRecord, name: str) -> str:
     if record.ground_truth is None:
         return "no ground truth"
-    ate = value(record.metrics, f"{name}.ate_m")
-    alignment = value(record.metrics, f"{name}.ate_alignment") or "SE(3)"
-    return f"ATE {text(ate, 2, ' m')}, {alignment} alignment"
+    ate = text(value(record.metrics, f"{name}.ate_m"), 2, " m")
+    return f"ATE {ate}, {alignment(record.metrics, name)} alignment"
 
 
 def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:

@@ -29,6 +29,16 @@ def note(metrics: Mapping[str, object], key: str) -> str:
     return next((str(notes[name]) for name in names if notes.get(name)), "")
 
 
+def scaled(metrics: Mapping[str, object], name: str) -> bool:
+    """Whether the estimate of this name was aligned with a scale, as that of one camera is."""
+    return "sim" in str(value(metrics, f"{name}.ate_alignment")).lower()
+
+
+def alignment(metrics: Mapping[str, object], name: str) -> str:
+    """Name the alignment of an estimate's ATE as papers write it."""
+    return "Sim(3)" if scaled(metrics, name) else "SE(3)"
+
+
 def text(found: object | None, digits: int = 2, unit: str = "") -> str:
     """Write a value for people: numbers with so many digits after the point, None as a dash."""
     if found is None or (isinstance(found, float) and not math.isfinite(found)):

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_MOST_ROWS = 1000  # of a line that is logged again with every loop
+
 
 class Growing:
     """Rows (N, 3), metres, shown under one path and its parts.
@@ -39,11 +41,16 @@ class Growing:
         """Forget what was shown and show rows (M, 3) instead, thinned where they are many."""
         self.clear()
         if len(rows):
-            stride = len(rows) // MOST_ROWS + 1
+            stride = len(rows) // _MOST_ROWS + 1
             self._recording.log(
                 f"{self._path}/part_000", self._draw(np.concatenate([rows[::stride], rows[-1:]]))
             )
             self._parts, self._newest = 1, rows[-1:]
+
+    def conclude(self, rows: Array) -> None:
+        """Show rows (M, 3) at the end of the drive, all of them under the path itself."""
+        self.clear()
+        self._recording.log(self._path, self._draw(rows))
 
     def clear(self) -> None:
         """Show nothing any more."""
@@ -51,6 +58,3 @@ class Growing:
             self._recording.log(f"{self._path}/part_{part:03d}", rr.Clear(recursive=False))
         self._recording.log(self._path, rr.Clear(recursive=False))
         self._parts, self._newest = 0, np.empty((0, 3))
-
-
-MOST_ROWS = 1000  # of a line that is logged again with every loop

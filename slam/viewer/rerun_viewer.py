@@ -4,6 +4,7 @@ Entities: `world` (right, down, forward) with camera, tracks, trajectories, land
 the image pair of the latest accepted loop; `plots`. Timelines: `frame` and `time` (seconds since the first).
 """
 
+import logging
 from pathlib import Path
 from typing import Literal
 
@@ -17,12 +18,14 @@ from slam.errors import OutputError
 from slam.record import DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
-from slam.report.reading import kept, rejected, value
+from slam.report.reading import kept, rejected, scaled
 from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
 from slam.viewer.listener import listen
 from slam.viewer.viewer import ClosedLoop, Step
+
+_LOG = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Mode = Literal["record", "native", "web"]
@@ -60,7 +63,7 @@ class RerunViewer:
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
         self._positions = None if truth is None else truth[:, :3, 3]
         self._listener = None if mode == "record" else listen(web=mode == "web")
-        self._camera = camera
+        self._camera, self._path = camera, path
         self._connect(path)
         self._send_blueprint(self._positions)
         self._log_scenery()
@@ -105,9 +108,8 @@ class RerunViewer:
             return
         self._set_time(len(record.timestamps), float(record.timestamps[-1]))
         self._landmarks.clear()
-        for line, poses in ((self._odometry, record.odometry), (self._corrected, record.corrected)):
-            line.clear()
-            line.append(poses[:, :3, 3])
+        self._odometry.conclude(record.odometry[:, :3, 3])
+        self._corrected.conclude(record.corrected[:, :3, 3])
         self._loops = {True: _pairs(kept(record)), False: _pairs(rejected(record))}
         self._log_loops(record.corrected)
         self._recording.log("world/map_before", shapes.cloud(record.map_before, colours.ODOMETRY))
@@ -117,9 +119,19 @@ class RerunViewer:
             self._send_blueprint(record.corrected[:, :3, 3])
 
     def close(self) -> None:
-        """Write out what is pending; a web page's server ends with it, a window stays."""
+        """Write out what is pending; a web page's server ends with it, a window stays.
+
+        Raises:
+            OutputError: the file could not be written to the end.
+        """
         try:
             self._recording.flush(timeout_sec=_FLUSH_S)
+        except RuntimeError as error:
+            if self._listener is None:
+                raise OutputError(
+                    f"{self._path}: the recording is incomplete ({error}); make room"
+                ) from error
+            _LOG.warning("the viewer was closed before the run ended")
         finally:
             self._recording.disconnect()
             if self._listener is not None:
@@ -201,8 +213,7 @@ class RerunViewer:
             rr.TimeColumn("time", duration=seconds),
         ]
         for name in ("odometry", "online", "corrected"):
-            with_scale = "sim" in str(value(record.metrics, f"{name}.ate_alignment")).lower()
-            error = position_error(getattr(record, name), truth, with_scale)
+            error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
             self._recording.send_columns(f"plots/error/{name}", times, rr.Scalars.columns(scalars=error))
 
 
