@@ -2,19 +2,24 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
+from odometry.stereo_matching import match_rows
+from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import SharedFeatures
-from slam.loop_geometry import GeometryConfig, RelativePose, mutual_matches, relative_pose
+from slam.loop_geometry import GeometryConfig, RelativePose, relative_pose
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Disparity = Callable[[Image, Image, Array], Array]
+
+
+def _no_pixels() -> NDArray[np.float32]:
+    return np.empty((0, 2), np.float32)
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,11 @@ class LoopCloser:
         camera: StereoCamera,
         features: SharedFeatures,
         config: LoopCloserConfig | None = None,
-        disparity: Disparity | None = None,
+        disparity: Disparity = match_rows,
     ) -> None:
         self._camera, self._features = camera, features
         self._config = config or LoopCloserConfig()
-        self._disparity = disparity or _match_rows()
+        self._disparity = disparity
         self._known: dict[int, Landmarks] = {}
 
     def remember(self, index: int, left: Image, right: Image) -> Landmarks:
@@ -135,8 +140,16 @@ class LoopCloser:
         reason = self._doubt(forward, backward, now.pixels[pairs[:, 1]])
         if reason or forward is None:
             return Rejection(reason, len(pairs), 0 if forward is None else int(forward.inliers.sum()))
+        agreeing = pairs[forward.inliers]
         return LoopClosure(
-            query, match, forward.T_a_b, forward.covariance, int(forward.inliers.sum()), len(pairs)
+            query=query,
+            match=match,
+            T_match_query=forward.T_a_b,
+            covariance=forward.covariance,
+            inliers=len(agreeing),
+            matches=len(pairs),
+            pixels_query=now.pixels[agreeing[:, 1]],
+            pixels_match=then.pixels[agreeing[:, 0]],
         )
 
     def _recall(self, index: int) -> Landmarks:
@@ -171,8 +184,3 @@ class LoopCloser:
         cell = np.clip(4 * pixels / size, 0, 3).astype(np.int64)
         return len(np.unique(cell @ [1, 4]))
 
-
-def _match_rows() -> Disparity:
-    """Import the odometry's stereo matcher when it is first needed: it brings compiled code with it."""
-    matcher: Disparity = import_module("odometry.stereo_matching").match_rows
-    return matcher

@@ -14,7 +14,6 @@ from odometry import se3
 from odometry.camera import StereoCamera
 
 Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _MEDIAN_3 = 2.366  # median of chi-square, 3 degrees of freedom
@@ -65,25 +64,6 @@ class RelativePose:
     covariance: Array
     inliers: Mask
     noise: float
-
-
-def mutual_matches(a: Array, b: Array, ratio: float) -> Ids:
-    """Pair rows of a (N, D) and b (M, D), descriptors of unit length, that are each other's nearest: (K, 2).
-
-    The nearest one's distance is below `ratio` times the second nearest's (Lowe, IJCV 2004, section 7.1).
-    """
-    if len(a) < 2 or len(b) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    similarity = a @ b.T
-    forward, backward = similarity.argmax(axis=1), similarity.argmax(axis=0)
-    rows = np.arange(len(a))
-    best = similarity[rows, forward]
-    similarity[rows, forward] = -1.0
-    second = similarity.max(axis=1)
-    # |x - y|^2 = 2 - 2 x.y for unit vectors
-    distinct = 1.0 - best < ratio**2 * (1.0 - second)
-    good = np.flatnonzero(distinct & (backward[forward] == rows))
-    return np.stack([good, forward[good]], axis=1)
 
 
 def relative_pose(

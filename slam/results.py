@@ -1,5 +1,6 @@
 """From a finished drive to its record, and from the record to the files of a run."""
 
+import dataclasses
 import resource
 import sys
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from slam.ledger import Judge, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.place_metrics import place_metrics
 from slam.record import DriveRecord
-from slam.report.figures import save_before_after
+from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
@@ -102,8 +103,8 @@ def write_results(folder: Path, record: DriveRecord, config: RunConfig, finished
     write_loops(folder / "loops.csv", record.loops)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
-    save_before_after(record, folder / "before_after.png")
-    write_report(record, folder / "report.html")
+    save_png(before_after(record), folder / "before_after.png")
+    write_report(record, folder / "report.html", config=dataclasses.asdict(config))
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:

@@ -109,7 +109,8 @@ def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: 
     from slam.viewer.rerun_viewer import RerunViewer
 
     path = folder / "recording.rrd" if config.record else None
-    return RerunViewer(path, drive.camera, drive.ground_truth, options.view)
+    mode = "record" if options.view == "none" else options.view
+    return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
 
 
 def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console) -> Finished:
