@@ -32,6 +32,7 @@ class LoopClosure:
         covariance: (6, 6) of the right perturbation `T_match_query @ exp(xi)`, rotation first (rad, m).
         inliers: landmarks that agree with the motion.
         matches: landmarks whose descriptors matched; 0 where that is not known.
+        pixels_query, pixels_match: (K, 2) where the two left images show the agreeing landmarks.
     """
 
     query: int
@@ -40,6 +41,8 @@ class LoopClosure:
     covariance: Array
     inliers: int
     matches: int = 0
+    pixels_query: NDArray[np.float32] = field(default_factory=_no_pixels)
+    pixels_match: NDArray[np.float32] = field(default_factory=_no_pixels)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from slam.report.tables import summary
 from slam.results import Finished, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder
-from slam.system import Slam
+from slam.system import Processed, Slam
 from slam.viewer.viewer import NullViewer, Viewer
 from slam.watching import Watcher
 
@@ -83,6 +83,7 @@ def run_recorded(options: RunOptions, settings: dict[str, object], messages: Con
             viewer.finish(record)
         finally:
             viewer.close()
+        log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
         write_results(folder.path, record, config, finished)
         folder.commit()
     results.print(summary(record))
@@ -123,6 +124,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
         for frame in timed(prefetch(drive), slam.clock):
             processed = slam.process(frame)
+            note(processed)
             drive_log.add(processed, watcher.show(processed))
             progress(frame.index + 1, len(drive))
             if stop.made:
@@ -131,6 +133,16 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     late, optimized = slam.finish(config.robust)
     drive_log.attempts.extend(late)
     return Finished(slam, drive_log, optimized, stop.made, time.perf_counter() - start)
+
+
+def note(processed: Processed) -> None:
+    """Log what is out of the ordinary about a frame."""
+    if processed.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", processed.frame.index, processed.motion.reason)
+    for attempt in processed.attempts:
+        if attempt.reason:
+            verdict = "closed" if attempt.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", attempt.belief.query, attempt.belief.match, verdict, attempt.reason)
 
 
 def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
