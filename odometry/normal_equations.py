@@ -36,7 +36,9 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
     chi2, rows, offset = np.empty(n), np.empty((n, _STATES)), np.empty(n)
     residual, J, Jd = np.empty(6), np.zeros((6, _STATES)), np.zeros(6)
     for i in range(n):
-        _residuals(camera, rays[i], measured[i], inverse_depth[i], T_second_first, rectification, residual, J, Jd)
+        _residuals(
+            camera, rays[i], measured[i], inverse_depth[i], T_second_first, rectification, residual, J, Jd
+        )
         curvature = Jd @ Jd
         for k in range(_STATES):
             rows[i, k] = _dot(Jd, J[:, k]) / curvature

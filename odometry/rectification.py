@@ -75,7 +75,9 @@ class Rectification:
         """Disparity (N,), pixels, that a perfect pair would have shown at pixels (N, 2) of the left image."""
         return disparity + self.errors(pixels_left)[:, 0]
 
-    def learned(self, coefficients: Array, information: Array, config: RectificationConfig) -> "Rectification":
+    def learned(
+        self, coefficients: Array, information: Array, config: RectificationConfig
+    ) -> "Rectification":
         """The next estimate: coefficients (12,) and the information (12, 12) that one frame gave about them."""
         known = np.linalg.inv(self.covariance) + information / config.repeats
         covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(2 * TERMS)

@@ -207,12 +207,25 @@ class StereoOdometry:
 
 
 def _motion(
-    T: Array, covariance: Array, reason: str, tracks: StereoTracks | None = None, estimate: TwoViewEstimate | None = None
+    T: Array,
+    covariance: Array,
+    reason: str,
+    tracks: StereoTracks | None = None,
+    estimate: TwoViewEstimate | None = None,
 ) -> Motion:
     """The answer, with tracks where there was a measurement."""
     if tracks is None or estimate is None:
         nothing = np.zeros((0, 2))
-        return Motion(T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan"))
+        return Motion(
+            T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan")
+        )
     return Motion(
-        T, covariance, False, reason, tracks.first_left, tracks.second_left, estimate.inliers, estimate.residual_px
+        T,
+        covariance,
+        False,
+        reason,
+        tracks.first_left,
+        tracks.second_left,
+        estimate.inliers,
+        estimate.residual_px,
     )

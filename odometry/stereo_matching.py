@@ -37,7 +37,7 @@ class StereoMatchingConfig:
 
     max_disparity_px: int = 128
     max_rows_px: float = 3.0
-    uniqueness: float = 0.9
+    uniqueness: float = 0.8
     window_px: int = 11
     return_px: float = 0.3
     refine_px: float = 4.0
@@ -51,12 +51,16 @@ def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingC
     return pixels[:, 0] - match_right(left, right, pixels, config)[:, 0]
 
 
-def match_right(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
+def match_right(
+    left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None
+) -> Array:
     """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where there is no reliable match."""
     config = config or StereoMatchingConfig()
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     half_left, half_right = _half(left), _half(right)
-    shifts = _search((pixels - 0.5) / 2.0, half_left, half_right, config.max_disparity_px // 2, config.uniqueness)
+    shifts = _search(
+        (pixels - 0.5) / 2.0, half_left, half_right, config.max_disparity_px // 2, config.uniqueness
+    )
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
     known = np.isfinite(guess[:, 0]) & inside(pixels, left)
@@ -72,7 +76,9 @@ def refine_right(
     left, right = images
     tracker = TrackingConfig(window_px=config.window_px, levels=1)
     places, found = lucas_kanade((left, right), pixels, guess, tracker)
-    back, returned = lucas_kanade((right, left), places, pixels, TrackingConfig(window_px=config.window_px, levels=0))
+    back, returned = lucas_kanade(
+        (right, left), places, pixels, TrackingConfig(window_px=config.window_px, levels=0)
+    )
     good = found & returned & inside(places, right)
     good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
     good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
@@ -93,7 +99,10 @@ def _search(pixels, left, right, max_disparity, uniqueness):  # type: ignore[no-
     sums = np.empty(max_disparity + _BEHIND, dtype=np.int32)
     for i in range(len(pixels)):
         u, v = int(round(pixels[i, 0])), int(round(pixels[i, 1]))
-        if _RADIUS <= v < left.shape[0] - _RADIUS and _RADIUS + _BEHIND <= u < left.shape[1] - _RADIUS - _BEHIND:
+        if (
+            _RADIUS <= v < left.shape[0] - _RADIUS
+            and _RADIUS + _BEHIND <= u < left.shape[1] - _RADIUS - _BEHIND
+        ):
             reach = min(max_disparity, u - _RADIUS) + _BEHIND
             _differences(left, right, u, v, sums[:reach])
             shifts[i] = _unique_minimum(sums[:reach], uniqueness)

@@ -114,11 +114,17 @@ def _clear_around(strength: NDArray[np.float32], tracked: Array, spacing_px: int
 
 
 def _fill_cells(
-    pixels: Array, strength: NDArray[np.float32], tracked: Array, shape: tuple[int, ...], config: TrackingConfig
+    pixels: Array,
+    strength: NDArray[np.float32],
+    tracked: Array,
+    shape: tuple[int, ...],
+    config: TrackingConfig,
 ) -> NDArray[np.intp]:
     """Indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
     cells = config.columns * config.rows
-    capacity = -(-config.corners // cells) * 2  # sky and road leave cells empty: others may hold twice the share
+    capacity = (
+        -(-config.corners // cells) * 2
+    )  # sky and road leave cells empty: others may hold twice the share
     cell = _cell(pixels, shape, config)
     room = np.maximum(capacity - np.bincount(_cell(tracked, shape, config), minlength=cells), 0)
     order = np.lexsort((-strength, cell))

@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 # Quantiles of chi squared with five degrees of freedom: six measurements less one depth.
 _MEDIAN, _LIMIT = 4.351, 15.09
 _NEAREST = 0.3  # m; nothing is seen closer
+_DAMPING = (
+    1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
+)
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,10 @@ def estimate_motion(
     """Adjust motion, depths and rectification to the tracks, from a guess (4, 4) of T_first_second."""
     config = config or AdjustmentConfig()
     problem = _Problem(tracks, rectification, se3.inverse(T_guess))
-    sigma = np.inf
+    sigma = config.start_px
     for k in range(config.iterations):
         start = config.start_px * 0.5**k
-        step = problem.step(max(start, min(sigma, 4.0 * start), config.floor_px))
+        step = problem.step(max(start, min(sigma, config.start_px)))
         sigma = max(problem.noise(), config.floor_px)
         if start < sigma and np.abs(step).max() < config.converged:
             break
@@ -107,15 +110,27 @@ def ransac_motion(tracks: StereoTracks, rectification: Rectification) -> Array |
     """T_first_second (4, 4) that most tracks agree with, from minimal samples (P3P), or None. Always draws the same samples."""
     camera = rectification.camera
     disparity = tracks.first_left[:, 0] - tracks.first_right[:, 0]
-    points = camera.triangulate(tracks.first_left, np.maximum(rectification.correct(tracks.first_left, disparity), 0.5))
+    points = camera.triangulate(
+        tracks.first_left, np.maximum(rectification.correct(tracks.first_left, disparity), 0.5)
+    )
     try:
         found, w, t, _ = cv2.solvePnPRansac(
-            points, tracks.second_left, camera.K, None, iterationsCount=200, reprojectionError=2.0, flags=cv2.SOLVEPNP_AP3P
+            points,
+            tracks.second_left,
+            camera.K,
+            None,
+            iterationsCount=200,
+            reprojectionError=2.0,
+            flags=cv2.SOLVEPNP_AP3P,
         )
     except cv2.error:
         return None
     T_second_first = se3.pose(cv2.Rodrigues(w)[0], t.ravel()) if found else None
-    return None if T_second_first is None or not np.isfinite(T_second_first).all() else se3.inverse(T_second_first)
+    return (
+        None
+        if T_second_first is None or not np.isfinite(T_second_first).all()
+        else se3.inverse(T_second_first)
+    )
 
 
 class _Problem:
@@ -138,8 +153,10 @@ class _Problem:
         H, b = H / sigma**2, b / sigma**2
         H[6:, 6:] += self._prior_information
         b[6:] += self._prior_information @ (self._rectification - self._prior.coefficients)
-        change = -np.linalg.solve(H + 1e-9 * np.eye(len(H)), b)
-        self._inverse_depth = self._bounded(self._inverse_depth - self._depth_offset - self._depth_rows @ change)
+        change = -np.linalg.solve(H + _DAMPING * np.eye(len(H)), b)
+        self._inverse_depth = self._bounded(
+            self._inverse_depth - self._depth_offset - self._depth_rows @ change
+        )
         self._T_second_first = se3.exp(change[:6]) @ self._T_second_first
         self._rectification = self._rectification + change[6:]
         return change[:6]
@@ -150,14 +167,15 @@ class _Problem:
 
     def result(self, sigma: float) -> TwoViewEstimate:
         """What has been found, with its uncertainty at the noise level sigma, pixels."""
-        H, _ = self._linearise(sigma)
-        H = H / sigma**2 + 1e-9 * np.eye(18)
+        self._linearise(sigma)
+        inliers = self._chi2 < _LIMIT * sigma**2
+        # What is certain about an estimate is what all its inliers say: the weights only chose them.
+        H = self._information(inliers) / sigma**2 + _DAMPING * np.eye(len(self._prior_information) + 6)
         inverse = np.linalg.inv(H[:6, :6])
         gain = inverse @ H[:6, 6:]
         information = H[6:, 6:] - H[6:, :6] @ gain
         known = np.linalg.inv(self._prior_information + information)
         T_first_second = se3.inverse(self._T_second_first)
-        inliers = self._chi2 < _LIMIT * sigma**2
         # The step perturbs T_second_first on the left: exp(xi) T = (T^-1 exp(-xi))^-1, the right side of the inverse.
         covariance = inverse + gain @ known @ gain.T
         return TwoViewEstimate(
@@ -177,6 +195,14 @@ class _Problem:
             self._T_second_first, self._rectification, _LIMIT * sigma**2,
         )  # fmt: skip
         return H, b
+
+    def _information(self, points: NDArray[np.bool_]) -> Array:
+        """Hessian (18, 18) of some of the points, all with weight one, pixels squared."""
+        H, *_ = accumulate(
+            self._camera, self._rays[points], self._measured[points], self._inverse_depth[points],
+            self._T_second_first, self._rectification, np.inf,
+        )  # fmt: skip
+        return H
 
     def _bounded(self, inverse_depth: Array) -> Array:
         """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
