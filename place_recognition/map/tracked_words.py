@@ -24,11 +24,13 @@ class TrackConfig:
     Attributes:
         points: tracked at a time, nu in the paper.
         least_length: images a track must last to become a word, rho in the paper.
+        longest_share: quantile of the tracks' lengths that stands for the longest, c(t) in the paper.
         guided: when a feature continues a track.
     """
 
     points: int = 200
     least_length: int = 5
+    longest_share: float = 0.95
     guided: GuidedTrackingConfig = field(default_factory=GuidedTrackingConfig)
 
 
@@ -64,9 +66,15 @@ class FeatureTracks:
         return self._descriptors
 
     @property
-    def lengths(self) -> Indices:
-        """(N,) images that each track has lasted, the latest included."""
-        return self._lengths
+    def longest(self) -> int:
+        """Images that the longest track has lasted, the latest included, but for the few that outlast all others; 0 without.
+
+        The paper takes the very longest. A speck on the lens or a cloud straight ahead never leaves the view, and one
+        such track would keep the whole map from being searched.
+        """
+        if len(self._lengths) == 0:
+            return 0
+        return int(np.quantile(self._lengths, self.config.longest_share, method="lower"))
 
     def advance(self, image: NDArray[np.uint8], features: LocalFeatures) -> Words:
         """Follow the points into the next image (H, W) uint8 and return the words of the tracks that it ended."""

@@ -38,6 +38,8 @@ class TrackedWordsConfig:
         compared: strongest features of each image that this search compares.
         stored: strongest features of each image that are kept.
         least_way: way between a query and its match, metres; ignored while no way has been measured.
+        sure_inliers: with so many the votes may be likelier than `chance`: in a map of a hundred words even a perfect
+            revisit is not improbable enough, while images of different places share half as many at the very most.
         least_gap: images between a query and its match.
     """
 
@@ -49,6 +51,7 @@ class TrackedWordsConfig:
     compared: int = 200
     stored: int = 500
     least_way: float = 20.0
+    sure_inliers: int = 60
     least_gap: int = 10
 
 
@@ -97,8 +100,8 @@ class TrackedWords:
         location = int(np.searchsorted(self._ids, image_id))
         if location == len(self._ids) or self._ids[location] != image_id:
             raise ValueError(f"expected the id of an image that was observed, got {image_id}")
-        words, nearest = self._words.until(location), self._voted[location]
-        votes = count_covering(words.first[nearest], words.last[nearest], location)
+        words, hit = self._words.until(location), self._voted[location]
+        votes = count_covering(words.first[hit], words.last[hit], location)
         voted = np.flatnonzero(votes)
         return np.array(self._ids)[voted], votes[voted]
 
@@ -106,9 +109,9 @@ class TrackedWords:
         """The belief about the latest image."""
         horizon = self._horizon()
         words = self._words.until(horizon)
-        nearest = nearest_words(self._tracks.descriptors, words.descriptors) if len(words) else NOTHING
-        self._voted.append(nearest.astype(np.int64))
-        ballot = count_votes(nearest, words, horizon + 1)
+        hit = np.unique(nearest_words(self._tracks.descriptors, words.descriptors)) if len(words) else NOTHING
+        self._voted.append(hit)
+        ballot = count_votes(hit, words, horizon + 1)
         voted = ballot.best(math.log(self.config.chance))
         if voted is None:
             return Belief(self._ids[-1], None, 0.0, accepted=False)
@@ -120,8 +123,7 @@ class TrackedWords:
         Twice the longest track (the paper), a number of images, and a way if any has been measured.
         """
         latest, ways = len(self._ids) - 1, self._ways.rows
-        longest = int(self._tracks.lengths.max(initial=0))
-        horizon = latest - max(2 * longest, self.config.least_gap)
+        horizon = latest - max(2 * self._tracks.longest, self.config.least_gap)
         if np.isfinite(ways[-1]) and ways[-1] != ways[0]:
             horizon = min(horizon, int(np.searchsorted(ways, ways[-1] - self.config.least_way, side="right")) - 1)
         return max(horizon, -1)
@@ -132,15 +134,15 @@ class TrackedWords:
         query, match = self._images[len(self._ids) - 1], self._images[location]
         pairs = mutual_matches(query.descriptors, match.descriptors, self.config.ratio)
         agree = epipolar_inliers(query.pixels[pairs[:, 0]], match.pixels[pairs[:, 1]], self.config.verification)
-        proved = agree is not None
+        inliers = 0 if agree is None else int(np.count_nonzero(agree))
         unlikely = bool(ballot.log_density[voted] < math.log(self.config.chance))
         return Belief(
             query=self._ids[-1],
             match=self._ids[location],
             score=float(-ballot.log_density[voted] / math.log(10)),
-            accepted=unlikely and proved,
-            inliers=0 if agree is None else int(agree.sum()),
-            verified=proved,
+            accepted=agree is not None and (unlikely or inliers >= self.config.sure_inliers),
+            inliers=inliers,
+            verified=agree is not None,
         )
 
     def _refine(self, voted: int, horizon: int) -> int:
