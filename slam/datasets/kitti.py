@@ -9,16 +9,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
+from slam.datasets.images import read_grey, read_times
 from slam.datasets.kitti_files import StereoFiles, find_images, find_poses, find_sequence
 from slam.errors import DataError
-from slam.storage.text import read_numbers
 from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
@@ -68,7 +67,7 @@ class KittiDrive:
         return (self[index] for index in range(len(self)))
 
     def _image(self, path: Path) -> NDArray[np.uint8]:
-        image = _read_image(path)
+        image = read_grey(path)
         expected = (self.camera.height, self.camera.width)
         if image.shape != expected:
             raise DataError(
@@ -91,21 +90,14 @@ def open_kitti(root: Path, sequence: str | None = None) -> KittiDrive:
     folder = find_sequence(root, sequence)
     files = find_images(folder)
     P_left, P_right = _read_projections(folder / "calib.txt", files.cameras)
-    height, width = _read_image(files.left[0]).shape
+    height, width = read_grey(files.left[0]).shape
     return KittiDrive(
         name=folder.absolute().name,
         camera=_stereo_camera(P_left, P_right, (width, height)),
-        timestamps=_read_times(folder / "times.txt", files),
+        timestamps=read_times(folder / "times.txt", len(files.left)),
         ground_truth=_read_ground_truth(folder, files, P_left),
         files=files,
     )
-
-
-def _read_image(path: Path) -> NDArray[np.uint8]:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise DataError(f"{path}: expected a PNG image, found a file that cannot be read; copy it again")
-    return np.asarray(image, dtype=np.uint8)
 
 
 def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Array]:
@@ -122,6 +114,11 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
             f"{path}: expected lines such as 'P0: 12 numbers', found others; copy it again"
         ) from None
     P_left, P_right = (_projection(path, f"P{camera}", lines) for camera in cameras)
+    _check_pair(path, cameras, P_left, P_right)
+    return P_left, P_right
+
+
+def _check_pair(path: Path, cameras: tuple[int, int], P_left: Array, P_right: Array) -> None:
     if not np.allclose(P_left[:, :3], P_right[:, :3], rtol=1e-3):
         raise DataError(
             f"{path}: expected the same intrinsics in P{cameras[0]} and P{cameras[1]}; rectify the images"
@@ -131,7 +128,6 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
             f"{path}: expected P{cameras[1]} to the right of P{cameras[0]} (4th number smaller), found"
             f" {P_right[0, 3]:g} and {P_left[0, 3]:g}; swap the cameras or mend the sign"
         )
-    return P_left, P_right
 
 
 def _projection(path: Path, name: str, lines: dict[str, Array]) -> Array:
@@ -163,21 +159,6 @@ def _stereo_camera(P_left: Array, P_right: Array, size: tuple[int, int]) -> Ster
         width=size[0],
         height=size[1],
     )
-
-
-def _read_times(path: Path, files: StereoFiles) -> Array:
-    times = read_numbers(path, 1)[:, 0]
-    if len(times) != len(files.left):
-        raise DataError(
-            f"{path}: expected {len(files.left)} times, one for each image, found {len(times)};"
-            " copy the whole sequence again"
-        )
-    if (np.diff(times) <= 0).any():
-        at = int(np.argmax(np.diff(times) <= 0)) + 1
-        raise DataError(
-            f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; mend that line"
-        )
-    return times
 
 
 def _read_ground_truth(folder: Path, files: StereoFiles, P_left: Array) -> Array | None:

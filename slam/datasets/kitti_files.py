@@ -46,18 +46,21 @@ def find_sequence(root: Path, sequence: str | None) -> Path:
         raise DataError(f"{root}: expected a folder in KITTI odometry layout, found {found}; check the path")
     if _has_images(root) and sequence in (None, root.absolute().name):
         return root
-    found_folders = _sequences(root)
-    names = ", ".join(found_folders) or "none"
-    if not found_folders:
+    return _choose(root, _sequences(root), sequence)
+
+
+def _choose(root: Path, folders: dict[str, Path], sequence: str | None) -> Path:
+    names = ", ".join(folders)
+    if not folders:
         raise DataError(
-            f"{root}: expected sequences/XX/image_0/000000.png, found none; name the folder above sequences"
+            f"{root}: expected sequences/XX/image_0/000000.png, found none; name the folder above it"
         )
-    if sequence is None and len(found_folders) > 1:
+    if sequence is None and len(folders) > 1:
         raise DataError(f"{root}: expected one sequence, found {names}; choose one with --sequence")
-    name = sequence if sequence is not None else next(iter(found_folders))
-    if name not in found_folders:
+    name = next(iter(folders)) if sequence is None else sequence
+    if name not in folders:
         raise DataError(f"{root}: expected sequence {name}, found {names}; choose one with --sequence")
-    return found_folders[name]
+    return folders[name]
 
 
 def find_poses(sequence: Path) -> Path | None:

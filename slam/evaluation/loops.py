@@ -142,11 +142,15 @@ def count_loops(
         kept=len(kept),
         true=len(true),
         false=len(kept) - len(true),
-        precision=len(true) / len(kept) if kept else None,
-        recall=len(found) / len(revisits) if len(revisits) else None,
+        precision=_ratio(len(true), len(kept)),
+        recall=_ratio(len(found), len(revisits)),
         reasons=reasons,
     )
 
 
 def _is_true(row: LoopRow, truth: Array, rule: LoopRule | None) -> bool:
     return is_same_place(truth, row.query, row.match, rule) if row.truth is None else row.truth
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

@@ -160,6 +160,8 @@ def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
     """Mean errors over segments of 100 to 800 m, one of each length from every tenth frame; no alignment.
 
     A segment ends at the first frame whose way from the start is longer than its length, as in the devkit.
+    Its arithmetic of the rotation angle is not taken over (see `_angles`): on ground truth of seven digits it
+    reads 0.06 to 0.3 deg/100 m more for a good trajectory, which belongs said beside published figures.
 
     Returns:
         None where the drive has no segment of 100 m.
@@ -202,9 +204,11 @@ def _segments(way: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
 
 
 def _angles(T: Array) -> Array:
-    # From the trace, as the devkit does; clipped because rounding may leave the range of arccos.
-    cosines = (np.trace(T[:, :3, :3], axis1=1, axis2=2) - 1.0) / 2.0
-    return np.arccos(np.clip(cosines, -1.0, 1.0))
+    # The devkit takes arccos of the trace alone. At small angles that turns the rounding of seven-digit
+    # ground truth into 0.06 degrees; sine and cosine together do not.
+    R = T[:, :3, :3]
+    axis = [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]
+    return np.arctan2(np.linalg.norm(axis, axis=0), np.trace(R, axis1=1, axis2=2) - 1.0)
 
 
 def _rms(differences: Array) -> float:
