@@ -75,6 +75,7 @@ def read_tum(path: Path) -> tuple[Array, Array]:
 
 def _write_rows(path: Path, rows: Array) -> None:
     with atomic_writer(path) as file:
+        # repr is the shortest text of the same double; no blank at the end of a line, which evo refuses
         file.writelines(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
