@@ -1,1 +1,20 @@
 """How did the camera move? Visual odometry that knows nothing of places, maps or files."""
+
+from typing import TYPE_CHECKING, Any
+
+from odometry.camera import StereoCamera
+from odometry.motion import Motion
+
+if TYPE_CHECKING:
+    from odometry.stereo import StereoOdometry, StereoOdometryConfig
+
+__all__ = ["Motion", "StereoCamera", "StereoOdometry", "StereoOdometryConfig"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the odometry itself, and the compiler it needs, when it is first asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from odometry import stereo
+
+    return getattr(stereo, name)

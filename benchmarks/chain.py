@@ -1,0 +1,53 @@
+"""The whole chain on one drive: frames a second, where the time goes, and what the loops brought.
+
+    python benchmarks/chain.py ~/.cache/revisit/demo-0
+    python benchmarks/chain.py ~/kitti/dataset --sequence 05 --no-record
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from slam.run import RunOptions, run_recorded
+
+
+def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict[str, object]]:
+    """Metrics of one run into a folder that is thrown away."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        run_recorded(RunOptions(source, sequence, out), {"record": record}, Console(stderr=True), Console(stderr=True))
+        return json.loads((out / "metrics.json").read_text())
+
+
+def stage_table(metrics: dict[str, dict[str, object]]) -> Table:
+    """Milliseconds by stage, and each stage's share of the median frame."""
+    timing = metrics["timing_ms"]
+    total = timing["total"]["median"]
+    table = Table("stage", "median ms", "p99 ms", "share of the median", title="Where the time goes")
+    for stage, spent in timing.items():
+        share = spent["median"] / total
+        table.add_row(stage, f"{spent['median']:.1f}", f"{spent['p99']:.1f}", f"{share:.0%}")
+    return table
+
+
+def main() -> None:
+    """Run, then print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("source", type=Path, help="root of a drive in KITTI layout")
+    parser.add_argument("--sequence")
+    parser.add_argument("--no-record", action="store_true", help="without the recording")
+    arguments = parser.parse_args()
+    metrics = run_once(arguments.source, arguments.sequence, not arguments.no_record)
+    console = Console()
+    console.print(stage_table(metrics))
+    console.print(f"{metrics['frames']} frames, {metrics['frames_per_second']:.1f} frames a second in all")
+    console.print(f"ATE {metrics['odometry']['ate_m']} m by odometry, {metrics['corrected']['ate_m']} m corrected")
+    console.print(f"loops: {metrics['loops']}")
+
+
+if __name__ == "__main__":
+    main()

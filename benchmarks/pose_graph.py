@@ -1,0 +1,184 @@
+"""How fast and how right the pose graph is: `python benchmarks/pose_graph.py [FOLDER OF TEST DATA]`.
+
+Real part: LIBVISO2 odometry of KITTI with the loops that a bag of words proposed, most of them false, judged
+against ground truth (RobustSLAM graphs, lifted from the plane of the ground into space). The measured transform of
+every false loop in the files is zero; here it is a random small one, so that it gives nothing away.
+Synthetic part: a drive of KITTI 00's shape with drifting odometry and every true revisit, for the online times.
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from odometry import se3
+from slam.loop_closing import LoopClosure
+from slam.pose_graph import PoseGraph, PoseGraphConfig
+from slam.robust import BACK_ENDS
+
+Array = NDArray[np.float64]
+
+FLAT_SIGMAS = (1e-3, 1e-3, 0.02)  # pitch and roll, rad; height, m: what a planar graph says nothing about
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A graph's odometry and loops, with the truth about both."""
+
+    name: str
+    motions: list[tuple[Array, Array]]
+    loops: list[LoopClosure]
+    true: NDArray[np.bool_]
+    positions: Array
+
+
+def lifted(x: float, y: float, theta: float) -> Array:
+    """Pose (4, 4) in camera axes of one in the plane: forward x is z, leftward y is -x."""
+    return se3.pose(Rotation.from_rotvec([0.0, -theta, 0.0]).as_matrix(), np.array([-y, 0.0, x]))
+
+
+def lifted_covariance(information: Array) -> Array:
+    """Covariance (6, 6), rotation first, of the six numbers (upper triangle; x, y, theta) of a planar edge."""
+    flat = np.zeros((3, 3))
+    flat[np.triu_indices(3)] = information
+    flat = np.linalg.inv(flat + np.triu(flat, 1).T)
+    J = np.zeros((6, 3))
+    J[5, 0], J[3, 1], J[1, 2] = 1.0, -1.0, -1.0
+    pitch, roll, height = FLAT_SIGMAS
+    return J @ flat @ J.T + np.diag(np.square([pitch, 0.0, roll, 0.0, height, 0.0]))
+
+
+def true_pairs(path: Path) -> set[tuple[int, int]]:
+    """(match, query) of the loops that a GT_LC file lists as true."""
+    pairs = np.loadtxt(path, dtype=int, ndmin=2)
+    return {(int(pair.min()), int(pair.max())) for pair in pairs}
+
+
+def real_drive(folder: Path, sequence: str, alpha: str, seed: int = 0) -> Drive:
+    """One RobustSLAM graph with its false transforms drawn anew."""
+    rng = np.random.default_rng(seed)
+    stem = folder / "pose_graphs" / "kitti_real_loops" / f"kitti_{sequence}_alpha_{alpha}"
+    truth = true_pairs(Path(f"{stem}_GT_LC.txt"))
+    motions, loops, true = [], [], []
+    for line in Path(f"{stem}.g2o").read_text().splitlines():
+        words = line.split()
+        if not words or words[0] != "EDGE_SE2":
+            continue
+        i, j = int(words[1]), int(words[2])
+        numbers = np.array(words[3:], dtype=np.float64)
+        T, covariance = lifted(*numbers[:3]), lifted_covariance(numbers[3:])
+        if j == i + 1:
+            motions.append((T, covariance))
+            continue
+        good = (min(i, j), max(i, j)) in truth
+        T = T if i < j else se3.inverse(T)
+        if not good:
+            T = lifted(*rng.normal(0.0, [2.0, 0.5, 0.1]))
+        loops.append(LoopClosure(max(i, j), min(i, j), T, covariance, 30))
+        true.append(good)
+    poses = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
+    return Drive(f"{sequence} alpha {alpha}", motions, loops, np.array(true), poses[: len(motions) + 1, :, 3])
+
+
+def synthetic_drive(folder: Path, sequence: str = "00", every: int = 1) -> Drive:
+    """The ground-truth drive with biased, noisy odometry and all its revisits within 4 m, each measured well."""
+    rng = np.random.default_rng(0)
+    rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows
+    sigmas, bias = np.repeat([2e-4, 0.01], 3), np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])
+    steps = se3.inverse(poses[:-1]) @ poses[1:]
+    motions = [(T @ se3.exp(bias + rng.normal(0.0, sigmas)), np.diag(sigmas**2)) for T in steps]
+    sigmas = np.repeat([2e-3, 0.03], 3)
+    tree, loops = cKDTree(poses[:, :3, 3]), []
+    for query in range(0, len(poses), every):
+        near = [m for m in tree.query_ball_point(poses[query, :3, 3], 4.0) if m < query - 100]
+        if near:
+            match = min(near, key=lambda m: float(np.linalg.norm(poses[m, :3, 3] - poses[query, :3, 3])))
+            T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, sigmas))
+            loops.append(LoopClosure(query, match, T, np.diag(sigmas**2), 100))
+    return Drive(f"{sequence} synthetic", motions, loops, np.ones(len(loops), bool), poses[:, :3, 3])
+
+
+def ate(poses: Array, positions: Array) -> float:
+    """Root mean square position error after rigid alignment, metres."""
+    a, b = poses[:, :3, 3], positions
+    a, b = a - a.mean(0), b - b.mean(0)
+    rotation, _ = Rotation.align_vectors(b, a)
+    return float(np.sqrt(np.mean(np.sum((rotation.apply(a) - b) ** 2, axis=1))))
+
+
+def filled(drive: Drive, config: PoseGraphConfig, only_true: bool = False) -> PoseGraph:
+    """The drive's graph, without online estimates."""
+    graph = PoseGraph(config)
+    for T, covariance in drive.motions:
+        graph.add_odometry(T, covariance)
+    for loop, good in zip(drive.loops, drive.true, strict=True):
+        if good or not only_true:
+            graph.add_loop(loop)
+    return graph
+
+
+def judge(drive: Drive, config: PoseGraphConfig) -> None:
+    """Print what each back end makes of a drive."""
+    graph = filled(drive, config)
+    best = filled(drive, config, only_true=True).optimize("none")
+    residual = np.array([gate.residual for gate in graph.gates])
+    true, false = residual[drive.true] ** 2, residual[~drive.true] ** 2
+    passed = np.array([gate.passed for gate in graph.gates])
+    print(
+        f"{drive.name}: {drive.true.sum()} true, {(~drive.true).sum()} false; odometry "
+        f"{ate(graph.odometry_poses(), drive.positions):.2f} m, true loops only {ate(best.poses, drive.positions):.2f} m; "
+        f"gate chi2: true <= {true.max(initial=0):.1f}, false >= {np.sort(false)[:3].round(1)}; "
+        f"passed {passed[drive.true].sum()} true, {passed[~drive.true].sum()} false; "
+        f"true residuals at best: 99 % {np.percentile(best.residuals, 99) if best.residuals.size else 0:.1f}"
+    )
+    for name in BACK_ENDS:
+        result = graph.optimize(name)
+        print(
+            f"  {name:10} ATE {ate(result.poses, drive.positions):7.2f} m   kept {result.kept[drive.true].sum():4d} true "
+            f"{result.kept[~drive.true].sum():4d} false   {result.seconds:6.2f} s",
+            flush=True,
+        )
+
+
+def clock_online(drive: Drive, config: PoseGraphConfig) -> None:
+    """Print the time of adding a frame and asking for its pose, with and without a loop."""
+    graph, loops = PoseGraph(config), {loop.query: loop for loop in drive.loops}
+    frame_ms, loop_ms, error = [], [], []
+    for query, (T, covariance) in enumerate(drive.motions, start=1):
+        start = time.perf_counter()
+        graph.add_odometry(T, covariance)
+        if query in loops:
+            graph.add_loop(loops[query])
+        graph.latest()
+        (loop_ms if query in loops else frame_ms).append(1e3 * (time.perf_counter() - start))
+    error = ate(graph.poses(), drive.positions)
+    print(
+        f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose: median {np.median(frame_ms):.2f} p99 "
+        f"{np.percentile(frame_ms, 99):.1f} max {max(frame_ms):.0f}; at a loop: median {np.median(loop_ms):.1f} p99 "
+        f"{np.percentile(loop_ms, 99):.0f} max {max(loop_ms):.0f}; last online map {error:.2f} m, "
+        f"batch {ate(graph.optimize().poses, drive.positions):.2f} m",
+        flush=True,
+    )
+
+
+def main(folder: Path) -> None:
+    """Print both tables."""
+    config = PoseGraphConfig()
+    for sequence in ("00", "02", "05"):
+        for alpha in ("0.00", "0.15", "0.30"):
+            judge(real_drive(folder, sequence, alpha), config)
+    for sequence in ("07", "00"):
+        for every in (5, 1):
+            clock_online(synthetic_drive(folder, sequence, every), config)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else os.environ["REVISIT_TEST_DATA"]))

@@ -1,0 +1,130 @@
+"""Left-right association on rectified pairs.
+
+Two steps: a search along the row for the smallest sum of absolute differences, on images at half size; then
+Lucas and Kanade's tracker from there, at full size and in both axes, because the rows of real rectifications are
+off by a pixel and more. The tracker's answer has no preference for whole pixels, as a parabola through the sums
+has: a bias in disparity would be a bias in the way driven.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from odometry.tracking import TrackingConfig, inside, lucas_kanade
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_RADIUS = 4  # of the window of the search, pixels at half size
+_BEHIND = 1  # shifts below zero that are searched too, pixels at half size
+
+
+@dataclass(frozen=True)
+class StereoMatchingConfig:
+    """How points of the left image are found in the right one.
+
+    Attributes:
+        max_disparity_px: largest disparity searched, pixels.
+        max_rows_px: farthest from its row that a match may lie, pixels; rectification errors must fit.
+        uniqueness: the best sum of differences is at most this share of the best one elsewhere on the row.
+        window_px: side of the window of the refinement, pixels, odd.
+        return_px: farthest that matching back may end from where it began, pixels.
+        refine_px: farthest that the refinement may move the result of the search, pixels.
+    """
+
+    max_disparity_px: int = 128
+    max_rows_px: float = 3.0
+    uniqueness: float = 0.8
+    window_px: int = 11
+    return_px: float = 0.3
+    refine_px: float = 4.0
+
+
+def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
+    """Disparity (N,) u_left - u_right, pixels, of pixels (N, 2) of the left image; NaN where there is no reliable match.
+
+    The images are (H, W) uint8, rectified. Nothing is assumed about depth.
+    """
+    return pixels[:, 0] - match_right(left, right, pixels, config)[:, 0]
+
+
+def match_right(
+    left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None
+) -> Array:
+    """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where there is no reliable match."""
+    config = config or StereoMatchingConfig()
+    pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    half_left, half_right = _half(left), _half(right)
+    shifts = _search(
+        (pixels - 0.5) / 2.0, half_left, half_right, config.max_disparity_px // 2, config.uniqueness
+    )
+    guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
+    places = np.full_like(pixels, np.nan)
+    known = np.isfinite(guess[:, 0]) & inside(pixels, left)
+    places[known] = refine_right((left, right), pixels[known], guess[known], config)
+    return places
+
+
+def refine_right(
+    images: tuple[Image, Image], pixels: Array, guess: Array, config: StereoMatchingConfig | None = None
+) -> Array:
+    """Places (N, 2) in the right image, starting at a guess (N, 2); NaN where the match does not hold."""
+    config = config or StereoMatchingConfig()
+    left, right = images
+    tracker = TrackingConfig(window_px=config.window_px, levels=1)
+    places, found = lucas_kanade((left, right), pixels, guess, tracker)
+    back, returned = lucas_kanade(
+        (right, left), places, pixels, TrackingConfig(window_px=config.window_px, levels=0)
+    )
+    good = found & returned & inside(places, right)
+    good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
+    good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
+    good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_rows_px) & (places[:, 0] < pixels[:, 0] + 2.0)
+    return np.where(good[:, None], places, np.nan)
+
+
+def _half(image: Image) -> Image:
+    """Average of each two by two pixels."""
+    height, width = image.shape
+    return cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+
+
+@njit(cache=True)
+def _search(pixels, left, right, max_disparity, uniqueness):  # type: ignore[no-untyped-def]
+    """Shift (N,) left minus right of the best match of each pixel (N, 2), whole pixels; NaN where none is unique."""
+    shifts = np.full(len(pixels), np.nan)
+    sums = np.empty(max_disparity + _BEHIND, dtype=np.int32)
+    for i in range(len(pixels)):
+        u, v = int(round(pixels[i, 0])), int(round(pixels[i, 1]))
+        if (
+            _RADIUS <= v < left.shape[0] - _RADIUS
+            and _RADIUS + _BEHIND <= u < left.shape[1] - _RADIUS - _BEHIND
+        ):
+            reach = min(max_disparity, u - _RADIUS) + _BEHIND
+            _differences(left, right, u, v, sums[:reach])
+            shifts[i] = _unique_minimum(sums[:reach], uniqueness)
+    return shifts
+
+
+@njit(cache=True)
+def _differences(left, right, u, v, sums):  # type: ignore[no-untyped-def]
+    """Sums of absolute differences of the windows around (u, v) and (u - shift, v), shifts from -_BEHIND up."""
+    sums[:] = 0
+    for y in range(v - _RADIUS, v + _RADIUS + 1):
+        for x in range(u - _RADIUS, u + _RADIUS + 1):
+            value, start = np.int32(left[y, x]), x + _BEHIND
+            for k in range(len(sums)):  # innermost, so that neighbours in memory are compared at once
+                sums[k] += abs(value - np.int32(right[y, start - k]))
+
+
+@njit(cache=True)
+def _unique_minimum(sums, uniqueness):  # type: ignore[no-untyped-def]
+    """Shift with the smallest sum, NaN where another one, not beside it, does nearly as well."""
+    best = np.argmin(sums)
+    for k in range(len(sums)):
+        if abs(k - best) > 2 and sums[best] > uniqueness * sums[k]:
+            return np.nan
+    return float(best - _BEHIND)

@@ -1,0 +1,144 @@
+"""Corners, and following them from image to image.
+
+Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi, Good Features to Track, CVPR
+1994), spread evenly by a grid of buckets; they are followed with the pyramidal tracker (Bouguet, 2001) from a
+predicted place, and a track is believed when following it back ends where it began.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_HALF = 2  # corners are looked for in the image at half its size: a quarter of the time, less noise
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """How corners are chosen and followed.
+
+    Attributes:
+        corners: tracks to keep alive, all cells together.
+        columns, rows: cells of the grid that spreads them.
+        spacing_px: least distance of a new corner from any track, pixels.
+        quality: least corner strength as a share of the strongest in the image.
+        window_px: side of the window that is compared, pixels, odd.
+        levels: levels of the pyramid above the image itself; each doubles the reach.
+        return_px: farthest that tracking back may end from where it began, pixels.
+    """
+
+    corners: int = 450
+    columns: int = 16
+    rows: int = 6
+    spacing_px: int = 10
+    quality: float = 2e-3
+    window_px: int = 11
+    levels: int = 3
+    return_px: float = 0.5
+
+
+def detect(image: Image, tracked: Array, config: TrackingConfig) -> Array:
+    """Find new corners (M, 2), pixels, where a grid cell holds too few of the tracked points (N, 2)."""
+    strength = _corner_strength(image)
+    floor = max(config.quality * float(strength.max()), float(np.finfo(np.float32).eps))
+    _clear_around(strength, tracked, config.spacing_px)
+    size = 2 * (config.spacing_px // (2 * _HALF)) + 1
+    peaks = (strength == cv2.dilate(strength, np.ones((size, size), np.uint8))) & (strength > floor)
+    row, column = np.nonzero(peaks)
+    pixels = _HALF * np.stack([column, row], axis=1) + (_HALF - 1) / 2.0
+    return pixels[_fill_cells(pixels, strength[row, column], tracked, image.shape, config)]
+
+
+def follow(images: tuple[Image, Image], pixels: Array, guess: Array, config: TrackingConfig) -> Array:
+    """Follow pixels (N, 2) from the first image to the second, starting at a guess (N, 2).
+
+    Returns pixels (N, 2) in the second image, NaN where the track was lost.
+    """
+    first, second = images
+    ahead, found = lucas_kanade((first, second), pixels, guess, config)
+    # Back over one level only: it starts where it ought to end, so it needs no reach, and a track on
+    # the wrong thing does not come back to the point it left.
+    back, returned = lucas_kanade((second, first), ahead, pixels, TrackingConfig(config.window_px, levels=1))
+    close = np.linalg.norm(back - pixels, axis=1) < config.return_px
+    return np.where((found & returned & close & inside(ahead, second))[:, None], ahead, np.nan)
+
+
+def lucas_kanade(
+    images: tuple[Image, Image], pixels: Array, guess: Array, config: TrackingConfig
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Pyramidal Lucas-Kanade: places (N, 2) of pixels (N, 2) in the second image, and which were found (N,)."""
+    if len(pixels) == 0:
+        return np.zeros((0, 2)), np.zeros(0, dtype=bool)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        *images,
+        pixels.astype(np.float32).reshape(-1, 1, 2),
+        guess.astype(np.float32).reshape(-1, 1, 2),
+        winSize=(config.window_px, config.window_px),
+        maxLevel=config.levels,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    moved = moved.reshape(-1, 2).astype(np.float64)
+    return moved, (status.ravel() > 0) & np.isfinite(moved).all(axis=1)
+
+
+def inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bool_]:
+    """Which of the pixels (N, 2) lie in the image, a margin in pixels away from its edge."""
+    height, width = image.shape
+    return np.all((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin]), axis=1)
+
+
+def _corner_strength(image: Image) -> NDArray[np.float32]:
+    """Smaller eigenvalue of the gradient's structure tensor, on the image at half size."""
+    height, width = image.shape
+    half = cv2.resize(image, (width // _HALF, height // _HALF), interpolation=cv2.INTER_AREA)
+    strength = cv2.cornerMinEigenVal(half, 5)
+    border = 4
+    strength[:border] = strength[-border:] = 0.0
+    strength[:, :border] = strength[:, -border:] = 0.0
+    return strength
+
+
+def _clear_around(strength: NDArray[np.float32], tracked: Array, spacing_px: int) -> None:
+    """Forbid new corners near the tracked points (N, 2), in place."""
+    taken = np.zeros(strength.shape, np.uint8)
+    height, width = strength.shape
+    column, row = np.clip((tracked / _HALF).astype(np.int64), 0, [width - 1, height - 1]).T
+    taken[row, column] = 1
+    size = 2 * max(spacing_px // _HALF, 1) + 1
+    strength[cv2.dilate(taken, np.ones((size, size), np.uint8)) > 0] = 0.0
+
+
+def _fill_cells(
+    pixels: Array,
+    strength: NDArray[np.float32],
+    tracked: Array,
+    shape: tuple[int, ...],
+    config: TrackingConfig,
+) -> NDArray[np.intp]:
+    """Indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
+    cells = config.columns * config.rows
+    capacity = (
+        -(-config.corners // cells) * 2
+    )  # sky and road leave cells empty: others may hold twice the share
+    cell = _cell(pixels, shape, config)
+    room = np.maximum(capacity - np.bincount(_cell(tracked, shape, config), minlength=cells), 0)
+    order = np.lexsort((-strength, cell))
+    first = np.searchsorted(cell[order], np.arange(cells))
+    rank = np.arange(len(order)) - first[cell[order]]
+    chosen = order[rank < room[cell[order]]]
+    # The first of every cell come before the second of any: the budget cuts evenly.
+    chosen = chosen[np.argsort(rank[rank < room[cell[order]]], kind="stable")]
+    return chosen[: max(config.corners - len(tracked), 0)]
+
+
+def _cell(pixels: Array, shape: tuple[int, ...], config: TrackingConfig) -> NDArray[np.int64]:
+    """Index (N,) of the grid cell of each pixel (N, 2)."""
+    height, width = shape
+    column = np.clip(pixels[:, 0] * config.columns / width, 0, config.columns - 1).astype(np.int64)
+    row = np.clip(pixels[:, 1] * config.rows / height, 0, config.rows - 1).astype(np.int64)
+    return row * config.columns + column

@@ -1,0 +1,84 @@
+"""Votes of an image's descriptors for the locations of a map of words, and how unlikely they are by chance.
+
+Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln, xlog1py, xlogy
+
+from place_recognition.map.tracked_words import Words, count_covering
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+BLOCK = 4096  # words compared at a time: their products stay in the cache
+
+
+@dataclass(frozen=True)
+class Ballot:
+    """What one image's descriptors voted for.
+
+    Attributes:
+        votes: (L,) int64, votes of each location.
+        expected: (L,) votes expected if words were hit at random.
+        log_density: (L,) natural logarithm of the binomial probability of just these votes.
+    """
+
+    votes: Indices
+    expected: Array
+    log_density: Array
+
+    def best(self, log_threshold: float) -> int | None:
+        """The location with the most votes among those less likely than the threshold, or among all if there are none.
+
+        Only locations with more votes than expected count. Of equal ones the least likely, then the earliest.
+        """
+        above = np.flatnonzero(self.votes > self.expected)
+        if len(above) == 0:
+            return None
+        passing = above[self.log_density[above] < log_threshold]
+        candidates = passing if len(passing) else above
+        order = np.lexsort((self.log_density[candidates], -self.votes[candidates]))
+        return int(candidates[order[0]])
+
+
+def nearest_words(query: Floats, words: Floats) -> Indices:
+    """Index (N,) of the word (K, D) at the least Euclidean distance of each query descriptor (N, D); exact.
+
+    Needs at least one word. Of equally near words the first.
+    """
+    nearest = np.zeros(len(query), np.int64)
+    best = np.full(len(query), -np.inf, np.float32)
+    for begin in range(0, len(words), BLOCK):
+        block = words[begin : begin + BLOCK]
+        # |q - w|^2 is least where q.w - |w|^2 / 2 is greatest
+        closeness = query @ block.T
+        closeness -= 0.5 * np.einsum("ij,ij->i", block, block)
+        index = closeness.argmax(axis=1)
+        value = closeness[np.arange(len(query)), index]
+        better = value > best
+        nearest[better], best[better] = begin + index[better], value[better]
+    return nearest
+
+
+def count_votes(hit: Indices, words: Words, locations: int) -> Ballot:
+    """Let each word hit, given as distinct indices (N,), vote once for each location where it was seen.
+
+    Each location is hit with probability p = its words / all words (eq. 5); its votes are binomial (eq. 4). In the paper
+    a word votes as often as it is hit. But what makes many descriptors of an image hit one word, a repeated window or
+    the sky, is no chance of its own each time, and the binomial test would take them for independent.
+    """
+    votes = count_covering(words.first[hit], words.last[hit], locations)
+    share = count_covering(words.first, words.last, locations) / max(len(words), 1)
+    return Ballot(votes, len(hit) * share, log_binomial(votes, len(hit), share))
+
+
+def log_binomial(successes: Indices, trials: int, probability: Array) -> Array:
+    """Natural logarithm of C(n, x) p^x (1 - p)^(n - x), elementwise; -inf for what cannot happen."""
+    x = np.asarray(successes, dtype=np.float64)
+    choices = gammaln(trials + 1) - gammaln(x + 1) - gammaln(trials - x + 1)
+    return choices + xlogy(x, probability) + xlog1py(trials - x, -probability)

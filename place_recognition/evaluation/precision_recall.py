@@ -1,0 +1,118 @@
+"""Precision and recall of recognised places over all thresholds of the score.
+
+Precision = TP / (TP + FP), recall = TP / (queries that have a true match). One detection a query at most: the belief's
+match, if it was verified. A detection for a query without a true match is false, a query with neither counts for nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.recognizer import Belief
+
+Array = NDArray[np.float64]
+Truth = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """A curve and its summary.
+
+    Attributes:
+        thresholds: (K,) distinct scores, falling: all detections of this score or more are taken together.
+        precision, recall: (K,) at each threshold.
+        true_positives, false_positives: (K,) int64 detections at each threshold.
+        truth_rows: queries that have a true match.
+    """
+
+    thresholds: Array
+    precision: Array
+    recall: Array
+    true_positives: NDArray[np.int64]
+    false_positives: NDArray[np.int64]
+    truth_rows: int
+
+    @property
+    def recall_at_full_precision(self) -> float:
+        """R@P100: the greatest recall at which no detection is false; 0 if even the surest one is."""
+        clean = self._clean
+        return 0.0 if clean is None else float(self.recall[clean])
+
+    @property
+    def threshold_at_full_precision(self) -> float | None:
+        """The lowest score at which no detection is false; None if there is none."""
+        clean = self._clean
+        return None if clean is None else float(self.thresholds[clean])
+
+    @property
+    def average_precision(self) -> float:
+        """Precision at each threshold, weighted by the recall gained there."""
+        return float(np.sum(self.precision * np.diff(self.recall, prepend=0.0)))
+
+    @property
+    def _clean(self) -> int | None:
+        clean = np.flatnonzero(self.false_positives == 0)
+        return int(clean[-1]) if len(clean) else None
+
+
+def judge(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> NDArray[np.bool_]:
+    """Whether each belief's match (B,) is right; False without a match.
+
+    Args:
+        beliefs: whose query and match index the truth.
+        truth: (N, N), row = query, column = earlier image.
+        tolerance: columns that a match may be off to either side. 0 is the rule of the chapter's authors, whose
+            tolerance is in the matrix; 10 reproduces iBoW-LCD's published figures.
+    """
+    right = np.zeros(len(beliefs), np.bool_)
+    for i, belief in enumerate(beliefs):
+        _check_query(belief, len(truth))
+        if belief.match is not None:
+            first = max(belief.match - tolerance, 0)
+            right[i] = truth[belief.query, first : belief.match + tolerance + 1].any()
+    return right
+
+
+def precision_recall(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> PrecisionRecall:
+    """Curve over all thresholds of the score.
+
+    Args:
+        beliefs: one a query; those without a match, or whose verification failed, are no detections at any threshold.
+        truth: (N, N), row = query, column = earlier image; rows of queries without belief count as missed.
+        tolerance: see `judge`.
+    """
+    right = judge(beliefs, truth, tolerance)
+    detected = np.array([b.match is not None and b.verified for b in beliefs], np.bool_)
+    scores = np.array([b.score for b in beliefs], np.float64)[detected]
+    right = right[detected]
+    # Equal scores cannot be told apart by any threshold: they come in together.
+    thresholds = np.unique(scores)[::-1]
+    return _curve(scores, right, thresholds, int(truth.any(axis=1).sum()))
+
+
+def accepted_counts(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> tuple[int, int]:
+    """True and false ones among the beliefs that the recogniser itself accepted."""
+    right = judge(beliefs, truth, tolerance)
+    accepted = np.array([b.accepted for b in beliefs], np.bool_)
+    return int((accepted & right).sum()), int((accepted & ~right).sum())
+
+
+def _curve(scores: Array, right: NDArray[np.bool_], thresholds: Array, truth_rows: int) -> PrecisionRecall:
+    order = np.argsort(-scores, kind="stable")
+    until = np.searchsorted(-scores[order], -thresholds, side="right")
+    hits = np.concatenate([[0], np.cumsum(right[order])]).astype(np.int64)[until]
+    return PrecisionRecall(
+        thresholds=thresholds,
+        precision=hits / np.maximum(until, 1),
+        recall=hits / max(truth_rows, 1),
+        true_positives=hits,
+        false_positives=(until - hits).astype(np.int64),
+        truth_rows=truth_rows,
+    )
+
+
+def _check_query(belief: Belief, images: int) -> None:
+    if not 0 <= belief.query < images or (belief.match is not None and not 0 <= belief.match < belief.query):
+        raise ValueError(f"expected query and earlier match below {images}, got {belief.query} and {belief.match}")

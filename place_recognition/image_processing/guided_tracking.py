@@ -1,0 +1,92 @@
+"""Following points from image to image: optical flow says where to look, the detected feature there says where it is.
+
+Guided feature selection of Tsintotas, Bampis, Gasteratos, 'Probabilistic Appearance-Based Place Recognition Through
+Bag of Tracked Words', RA-L 4(2) 2019, section III-A: a track always sits on a detected feature, so it cannot drift.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from place_recognition.image_processing.features import LocalFeatures
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class GuidedTrackingConfig:
+    """When a feature continues a track.
+
+    Attributes:
+        pixel_distance: from where the flow points to the detected feature, less than so many pixels.
+        descriptor_distance: between the track's last descriptor and the feature's, less than this.
+        window: side of the flow's window, pixels.
+        levels: times the image is halved for the flow; each doubles the motion that can be followed.
+        round_trip: error of the flow there and back, at most, pixels.
+    """
+
+    pixel_distance: float = 5.0
+    descriptor_distance: float = 0.6
+    window: int = 21
+    levels: int = 3
+    round_trip: float = 3.0
+
+
+def optical_flow(
+    previous: NDArray[np.uint8], image: NDArray[np.uint8], pixels: Floats, config: GuidedTrackingConfig
+) -> Floats:
+    """Where points (N, 2) of the previous image went, pixels (N, 2); NaN for those lost.
+
+    Images (H, W) uint8 of different sizes have nothing in common: all points are lost.
+    """
+    if len(pixels) == 0 or previous.shape != image.shape:
+        return np.full_like(pixels, np.nan)
+    size = (config.window, config.window)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(previous, image, pixels, None, winSize=size, maxLevel=config.levels)
+    # The way back starts from the answer, so two levels do; a full pyramid costs five times as much.
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(
+        image, previous, moved, pixels.copy(), winSize=size, maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    error = np.linalg.norm(back - pixels, axis=1)
+    kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (error <= config.round_trip)
+    moved[~kept] = np.nan
+    return moved
+
+
+def select_guided(
+    positions: Floats, descriptors: Floats, features: LocalFeatures, config: GuidedTrackingConfig
+) -> NDArray[np.int64]:
+    """Feature (N,) that continues each track, -1 for none; no feature continues two.
+
+    Args:
+        positions: (N, 2) pixels where the flow points, NaN for lost tracks.
+        descriptors: (N, D) last descriptor of each track.
+        features: those of the new image.
+        config: the limits.
+    """
+    limits = (config.pixel_distance, config.descriptor_distance)
+    return _select(positions, descriptors, features.pixels, features.descriptors, limits)
+
+
+@njit(cache=True)
+def _select(
+    positions: Floats, descriptors: Floats, pixels: Floats, candidates: Floats, limits: tuple[float, float]
+) -> NDArray[np.int64]:
+    chosen = np.full(len(positions), -1, np.int64)
+    free = np.ones(len(pixels), np.bool_)
+    for track in range(len(positions)):
+        nearest, least = -1, limits[0] ** 2
+        for k in range(len(pixels)):
+            dx, dy = pixels[k, 0] - positions[track, 0], pixels[k, 1] - positions[track, 1]
+            distance = dx * dx + dy * dy  # NaN is never less
+            if free[k] and distance < least:
+                nearest, least = k, distance
+        if nearest >= 0:
+            difference = descriptors[track] - candidates[nearest]
+            if np.sum(difference * difference) < limits[1] ** 2:
+                chosen[track] = nearest
+                free[nearest] = False
+    return chosen

@@ -1,0 +1,36 @@
+"""Arrays that grow by rows without being copied each time."""
+
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class GrowingArray(Generic[Scalar]):
+    """Rows of one shape; the storage doubles when it is full, so that a row costs constant time on average."""
+
+    def __init__(self, dtype: type[Scalar]) -> None:
+        self._storage: NDArray[Scalar] = np.empty((0, 0), dtype)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def rows(self) -> NDArray[Scalar]:
+        """View (N, ...) of all rows so far, (0, 0) before the first; it stays as it is when more are added."""
+        return self._storage[: self._count]
+
+    def extend(self, rows: NDArray[Scalar]) -> None:
+        """Append rows (K, ...); the first ones settle the shape."""
+        needed = self._count + len(rows)
+        if needed > len(self._storage):
+            shape = (max(needed, 2 * len(self._storage)), *rows.shape[1:])
+            larger = np.empty(shape, self._storage.dtype)
+            if self._count:
+                larger[: self._count] = self.rows
+            self._storage = larger
+        self._storage[self._count : needed] = rows
+        self._count = needed

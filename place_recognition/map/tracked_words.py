@@ -1,0 +1,147 @@
+"""The map of the bag of tracked words: what was seen for long enough becomes a word, and knows where it was seen.
+
+Tsintotas, Bampis, Gasteratos, 'Probabilistic Appearance-Based Place Recognition Through Bag of Tracked Words',
+RA-L 4(2) 2019, sections III-A and III-B. A location is one image, counted from 0.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
+from place_recognition.map.growing import GrowingArray
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TrackConfig:
+    """How features become words.
+
+    Attributes:
+        points: tracked at a time, nu in the paper.
+        least_length: images a track must last to become a word, rho in the paper.
+        longest_share: quantile of the tracks' lengths that stands for the longest, c(t) in the paper.
+        guided: when a feature continues a track.
+    """
+
+    points: int = 200
+    least_length: int = 5
+    longest_share: float = 0.95
+    guided: GuidedTrackingConfig = field(default_factory=GuidedTrackingConfig)
+
+
+@dataclass(frozen=True)
+class Words:
+    """Words with the images they were seen in.
+
+    Attributes:
+        descriptors: (K, D) float32, mean of the descriptors of a track; shorter than unit length.
+        first, last: (K,) int64, first and last location of the track.
+    """
+
+    descriptors: Floats
+    first: Indices
+    last: Indices
+
+    def __len__(self) -> int:
+        return len(self.descriptors)
+
+
+class FeatureTracks:
+    """The points being followed now."""
+
+    def __init__(self, config: TrackConfig) -> None:
+        self.config = config
+        self._image: NDArray[np.uint8] | None = None
+        self._location = -1
+        self._start_over()
+
+    @property
+    def descriptors(self) -> Floats:
+        """(N, D) descriptors that the tracks have in the latest image: what the map is asked about."""
+        return self._descriptors
+
+    @property
+    def longest(self) -> int:
+        """Images that the longest track has lasted, the latest included, but for the few that outlast all others; 0 without.
+
+        The paper takes the very longest. A speck on the lens or a cloud straight ahead never leaves the view, and one
+        such track would keep the whole map from being searched.
+        """
+        if len(self._lengths) == 0:
+            return 0
+        return int(np.quantile(self._lengths, self.config.longest_share, method="lower"))
+
+    def advance(self, image: NDArray[np.uint8], features: LocalFeatures) -> Words:
+        """Follow the points into the next image (H, W) uint8 and return the words of the tracks that it ended."""
+        chosen = np.empty(0, np.int64)
+        if self._image is not None:
+            positions = optical_flow(self._image, image, self._pixels, self.config.guided)
+            chosen = select_guided(positions, self._descriptors, features, self.config.guided)
+        ended = self._ended(chosen < 0)
+        self._location += 1
+        self._image = image.copy()
+        self._continue(chosen, features)
+        self._refill(features, chosen)
+        return ended
+
+    def _start_over(self) -> None:
+        self._pixels = np.empty((0, 2), np.float32)
+        self._descriptors = self._sums = np.empty((0, 0), np.float32)
+        self._lengths = np.empty(0, np.int64)
+
+    def _ended(self, lost: NDArray[np.bool_]) -> Words:
+        """Words of the lost tracks that lasted long enough; they were last seen at the location so far."""
+        word = lost & (self._lengths >= self.config.least_length)
+        lengths = self._lengths[word]
+        last = np.full(len(lengths), self._location, np.int64)
+        return Words(self._sums[word] / lengths[:, None].astype(np.float32), last - lengths + 1, last)
+
+    def _continue(self, chosen: Indices, features: LocalFeatures) -> None:
+        going, feature = np.flatnonzero(chosen >= 0), chosen[chosen >= 0]
+        self._pixels, self._descriptors = features.pixels[feature], features.descriptors[feature]
+        sums = self._sums[going] if len(going) else np.empty((0, features.descriptors.shape[1]), np.float32)
+        self._sums = sums + self._descriptors
+        self._lengths = self._lengths[going] + 1
+
+    def _refill(self, features: LocalFeatures, chosen: Indices) -> None:
+        """Start tracks at the strongest features that continue none."""
+        unused = np.setdiff1d(np.arange(len(features)), chosen)[: max(self.config.points - len(self._lengths), 0)]
+        self._pixels = np.concatenate([self._pixels, features.pixels[unused]])
+        self._descriptors = np.concatenate([self._descriptors, features.descriptors[unused]])
+        self._sums = np.concatenate([self._sums, features.descriptors[unused]])
+        self._lengths = np.concatenate([self._lengths, np.ones(len(unused), np.int64)])
+
+
+class WordMap:
+    """All words so far, in the order in which their tracks ended, and the index from each word to its locations."""
+
+    def __init__(self) -> None:
+        self._descriptors: GrowingArray[np.float32] = GrowingArray(np.float32)
+        self._spans: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def __len__(self) -> int:
+        return len(self._spans)
+
+    def add(self, words: Words) -> None:
+        """Add words that ended no earlier than those before them."""
+        if len(words):
+            self._descriptors.extend(words.descriptors)
+            self._spans.extend(np.stack([words.first, words.last], axis=1))
+
+    def until(self, location: int) -> Words:
+        """Words last seen at a location or before: a view of the first ones, as they are ordered by their end."""
+        spans = self._spans.rows.reshape(-1, 2)
+        count = int(np.searchsorted(spans[:, 1], location, side="right"))
+        return Words(self._descriptors.rows[:count], spans[:count, 0], spans[:count, 1])
+
+
+def count_covering(first: Indices, last: Indices, locations: int) -> Indices:
+    """Spans (K,) to (K,), both ends included, that cover each of so many locations: (locations,) int64."""
+    begins = np.bincount(first, minlength=locations + 1)
+    ends = np.bincount(last + 1, minlength=locations + 1)
+    return np.cumsum(begins - ends)[:locations]

@@ -1,0 +1,158 @@
+"""The command line: `revisit --help` tells what there is. Only this file prints.
+
+Everything heavy is imported inside the commands, so that help answers at once.
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from slam.errors import ConfigError, RevisitError
+
+app = typer.Typer(
+    name="revisit",
+    help="Visual SLAM that closes loops: from the images of a recorded drive to a corrected trajectory and map.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+evaluate_app = typer.Typer(no_args_is_help=True)
+app.add_typer(evaluate_app, name="evaluate", help="Measure results against ground truth.")
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show_default=True)]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
+
+
+@app.command()
+def demo(
+    out: Out = Path("runs/demo"),
+    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = 0,
+) -> None:
+    """Simulate a drive of two laps, run the whole chain on it, and write a report. Needs no download.
+
+    The drive is rendered once and kept in the cache; the run in the output folder is made anew each time.
+    """
+    from slam.demo import run_demo
+
+    interrupted = run_demo(out, seed, Console(stderr=True), Console())
+    raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+@app.command()
+def simulate(
+    shape: Annotated[str, typer.Argument(help="circle, figure-eight, blocks, or the path of a KITTI pose file.")],
+    out: Out,
+    laps: Annotated[int, typer.Option(min=1, help="Laps to drive.")] = 2,
+    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = 360.0,
+    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = 0,
+    width: Annotated[int, typer.Option(help="Image width, pixels.")] = 1241,
+    height: Annotated[int, typer.Option(help="Image height, pixels.")] = 376,
+    lateral_offset: Annotated[float, typer.Option(help="Sideways shift of later laps, metres.")] = 0.0,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Drive later laps the opposite way.")] = False,
+    relight: Annotated[bool, typer.Option("--relight", help="Drive later laps in other light.")] = False,
+    alike: Annotated[bool, typer.Option("--alike", help="Make streets alike (perceptual aliasing).")] = False,
+    rectification_error: Annotated[float, typer.Option(help="Error of the rectification, pixels.")] = 0.0,
+    depth: Annotated[bool, typer.Option("--depth", help="Write the true depth of each image too.")] = False,
+) -> None:
+    """Render a drive through a procedural town: KITTI layout, stereo, exact ground truth.
+
+    Example: revisit simulate circle --laps 2 --length 360 --out data/circle
+    """
+    from slam.progress import progress_bar
+    from slam.simulation import DriveSpec
+    from slam.simulation import simulate as render
+
+    spec = DriveSpec(
+        shape=shape,
+        laps=laps,
+        length=length,
+        seed=seed,
+        width=width,
+        height=height,
+        lateral_offset=lateral_offset,
+        reverse=reverse,
+        relight=relight,
+        alike=alike,
+        rectification_error=rectification_error,
+        depth=depth,
+    )
+    with progress_bar(Console(stderr=True), "Rendering") as progress:
+        folder = render(spec, out, progress)
+    Console().print(f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR")
+
+
+@app.command()
+def run(
+    source: Annotated[Path, typer.Argument(help="Root of a recorded drive in KITTI odometry layout.")],
+    out: Out,
+    sequence: Annotated[str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")] = None,
+    paradigm: Annotated[str | None, typer.Option(help="Place recogniser: tracked-words.")] = None,
+    robust: Annotated[str | None, typer.Option(help="Back end: none, huber, dcs, gnc.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
+    view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
+    no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Run the whole chain on a recorded stereo drive: odometry, places, loops, pose graph, map, report.
+
+    Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
+    """
+    from slam.run import RunOptions, run_recorded
+
+    options = RunOptions(source, sequence, out, view, overwrite, config)
+    chosen = {"paradigm": paradigm, "robust": robust, "seed": seed, "record": False if no_record else None}
+    settings = {name: value for name, value in chosen.items() if value is not None}
+    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+@evaluate_app.command("trajectory")
+def evaluate_trajectory(
+    estimate: Annotated[Path, typer.Argument(help="Estimated poses, KITTI (12 numbers a line) or TUM.")],
+    truth: Annotated[Path, typer.Argument(help="True poses, likewise.")],
+    mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """ATE after alignment, and t_rel, r_rel by the KITTI rule."""
+    from slam.evaluation.command import compare_files
+
+    Console().print(compare_files(estimate, truth, mono, json))
+
+
+@app.command()
+def doctor() -> None:
+    """Check Python, the wheels and the system libraries; say what is missing and what to type."""
+    from slam.doctor import check_machine
+
+    checks = check_machine()
+    for check in checks:
+        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
+        Console().print(f"{mark:>8}  {check.name} {check.found}{check.problem}", highlight=False)
+        if check.remedy:
+            Console().print(f"          type: {check.remedy}", markup=False, highlight=False)
+    raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
+
+
+def main() -> None:
+    """Run the command line; known errors become one line on standard error and an exit code."""
+    sys.exit(_exit_code(app))
+
+
+def _exit_code(command: Callable[[], None]) -> int:
+    try:
+        command()
+    except RevisitError as error:
+        print(f"revisit: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except SystemExit as exit_:
+        return exit_.code if isinstance(exit_.code, int) else EXIT_FAILED
+    return 0

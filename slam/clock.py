@@ -1,0 +1,27 @@
+"""Where the time goes, stage by stage."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class StageClock:
+    """Adds up the time of named stages within one frame."""
+
+    def __init__(self) -> None:
+        self._milliseconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count the time of the enclosed block towards a stage; a stage may be entered several times a frame."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            spent = 1000.0 * (time.perf_counter() - start)
+            self._milliseconds[name] = self._milliseconds.get(name, 0.0) + spent
+
+    def lap(self) -> dict[str, float]:
+        """Milliseconds of each stage since the last lap; starts the next one."""
+        spent, self._milliseconds = self._milliseconds, {}
+        return spent

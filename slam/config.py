@@ -1,0 +1,94 @@
+"""One configuration for a run: the parts' own, composed; every default works.
+
+Written beside the results as `config.toml` and read back from it.
+"""
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import tomli_w
+
+from odometry.stereo import StereoOdometryConfig
+from place_recognition.image_processing.surf import SurfConfig
+from place_recognition.paradigms.tracked_words import TrackedWordsConfig
+from slam.errors import ConfigError
+from slam.keyframes import KeyFrameConfig
+from slam.loop_closing import LoopCloserConfig
+from slam.mapping.landmarks import LandmarkMapConfig
+from slam.pose_graph import PoseGraphConfig
+from slam.robust import DEFAULT
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that decides the result of a run.
+
+    Attributes:
+        paradigm: place recogniser, by name.
+        robust: back end of the final optimisation, by name.
+        seed: of every random generator.
+        record: write `recording.rrd`.
+    """
+
+    paradigm: str = "tracked-words"
+    robust: str = DEFAULT
+    seed: int = 0
+    record: bool = True
+    odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
+    features: SurfConfig = field(default_factory=SurfConfig)
+    tracked_words: TrackedWordsConfig = field(default_factory=TrackedWordsConfig)
+    loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
+    pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    key_frames: KeyFrameConfig = field(default_factory=KeyFrameConfig)
+    landmarks: LandmarkMapConfig = field(default_factory=LandmarkMapConfig)
+
+
+def to_toml(config: RunConfig) -> str:
+    """Configuration as TOML text; what is None is left out."""
+    return tomli_w.dumps(_without_none(dataclasses.asdict(config)))
+
+
+def read_config(path: Path) -> RunConfig:
+    """Configuration from a TOML file; what it does not name keeps its default.
+
+    Raises:
+        ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
+    """
+    try:
+        values = tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: expected a TOML file, {error}") from error
+    return _from_values(RunConfig, values, str(path))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value
+
+
+def _from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
+    hints = get_type_hints(kind)
+    unknown = sorted(set(values) - set(hints))
+    if unknown:
+        raise ConfigError(f"{where}: unknown setting {unknown[0]!r}; known here: {', '.join(sorted(hints))}")
+    settings = {name: _checked(hints[name], value, f"{where}: {name}") for name, value in values.items()}
+    try:
+        return kind(**settings)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def _checked(kind: Any, value: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(kind) and isinstance(value, dict):
+        return _from_values(kind, value, where)  # type: ignore[arg-type]
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+        raise ConfigError(f"{where}: expected {kind.__name__}, found {value!r}")
+    return value

@@ -1,0 +1,120 @@
+"""Grey images from files, and recordings that are nothing but images: one camera, no calibration."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.kitti_files import find_images, find_sequence
+from slam.errors import DataError
+from slam.storage.text import read_numbers
+
+Array = NDArray[np.float64]
+
+SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"))
+
+
+@dataclass(frozen=True)
+class ImageSequence:
+    """Images of one camera in the order in which they were taken; each is read when asked for.
+
+    Attributes:
+        name: of the folder, or of the KITTI sequence.
+        files: N paths, in order.
+        timestamps: (N,) seconds, increasing.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    timestamps: Array
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        """Read image (H, W) uint8, grey.
+
+        Raises:
+            IndexError: no such image.
+            DataError: the image cannot be read.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
+        return read_grey(self.files[index])
+
+
+def open_images(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
+    """Open the left images of a KITTI drive, which need no calibration here, or a folder of images.
+
+    Args:
+        source: folder that holds images, taken in the natural order of their names (2.jpg before 10.jpg), or
+            a folder in KITTI odometry layout.
+        sequence: name of the KITTI sequence; None where there is only one.
+        fps: images in a second, where there is no `times.txt`.
+
+    Raises:
+        DataError: no images, or no times and no `fps`.
+    """
+    files = _images_in(source)
+    if files:
+        return ImageSequence(source.absolute().name, files, _times(source / "times.txt", len(files), fps))
+    folder = find_sequence(source, sequence)
+    files = find_images(folder).left
+    return ImageSequence(folder.absolute().name, files, _times(folder / "times.txt", len(files), fps))
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """Read an image (H, W) uint8; colour becomes grey.
+
+    Raises:
+        DataError: the file is missing or damaged.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def read_times(path: Path, count: int) -> Array:
+    """Read `count` increasing times, seconds, one a line.
+
+    Raises:
+        DataError: missing file, another count, no numbers, not increasing.
+    """
+    times = read_numbers(path, 1)[:, 0]
+    if len(times) != count:
+        raise DataError(
+            f"{path}: expected {count} times, one for each image, found {len(times)};"
+            " copy the whole recording again"
+        )
+    if (np.diff(times) <= 0).any():
+        at = int(np.argmax(np.diff(times) <= 0)) + 1
+        raise DataError(
+            f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; mend that line"
+        )
+    return times
+
+
+def _times(path: Path, count: int, fps: float | None) -> Array:
+    if path.is_file():
+        return read_times(path, count)
+    if fps is None or not fps > 0:
+        raise DataError(
+            f"{path}: expected the times of {count} images, found none; give images a second with --fps"
+        )
+    return np.arange(count) / fps
+
+
+def _images_in(folder: Path) -> tuple[Path, ...]:
+    if not folder.is_dir():
+        return ()
+    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.name[0] != "."]
+    return tuple(sorted(files, key=_natural))
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    parts = re.findall(r"(\d+)|(\D+)", path.name)
+    return [(0, int(digits), "") if digits else (1, 0, word) for digits, word in parts], path.name

@@ -1,0 +1,30 @@
+"""Reading ahead: the next images are decoded while the current ones are worked on."""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from slam.datasets.dataset import Dataset, Frame
+
+
+def prefetch(dataset: Dataset, ahead: int = 4) -> Iterator[Frame]:
+    """Frames of the drive in order, read by one background thread.
+
+    Args:
+        dataset: the drive.
+        ahead: frames that wait in memory at most.
+
+    Raises:
+        DataError: where the frame is reached that cannot be read; the frames before it are given.
+    """
+    executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
+    waiting: deque[Future[Frame]] = deque()
+    try:
+        for index in range(len(dataset)):
+            waiting.append(executor.submit(dataset.__getitem__, index))
+            if len(waiting) >= ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:  # also where the consumer stops early: nothing is read any more
+        executor.shutdown(cancel_futures=True)

@@ -1,0 +1,33 @@
+"""The first run of a newcomer: a simulated drive through the whole chain, with no download."""
+
+import os
+from pathlib import Path
+
+from rich.console import Console
+
+from slam.progress import progress_bar
+from slam.simulation import DriveSpec, simulate
+
+DEMO_LENGTH, DEMO_LAPS = 360.0, 2  # metres of one lap; long enough for odometry's own drift to show
+
+
+def cache_folder() -> Path:
+    """Where rendered drives are kept: `$XDG_CACHE_HOME/revisit`, by default `~/.cache/revisit`."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "revisit"
+
+
+def demo_drive(seed: int, messages: Console) -> Path:
+    """Render the demo's drive, or find it in the cache. Returns its root in KITTI layout."""
+    spec = DriveSpec(shape="circle", laps=DEMO_LAPS, length=DEMO_LENGTH, seed=seed)
+    with progress_bar(messages, "Rendering the town") as progress:
+        return simulate(spec, cache_folder() / f"demo-{seed}", progress)
+
+
+def run_demo(out: Path, seed: int, messages: Console, results: Console) -> bool:
+    """Simulate, run and report into `out`. Returns whether the run was interrupted."""
+    from slam.run import RunOptions, run_recorded
+
+    source = demo_drive(seed, messages)
+    options = RunOptions(source, None, out, overwrite=True)
+    return run_recorded(options, {"seed": seed}, messages, results)

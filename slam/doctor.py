@@ -1,0 +1,108 @@
+"""Is this machine ready? Checks Python, the wheels and the system libraries, and says what to type.
+
+Standard library only, so that it also runs where an installation is broken. `python -m slam.doctor --install`
+installs missing system libraries where it may.
+"""
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+
+MINIMUM_PYTHON = (3, 11)
+
+# What Open3D's shared object asks the system for (`ldd libOpen3D.so`), and Debian's packages that have it.
+SYSTEM_LIBRARIES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libudev.so.1": "libudev1",
+    "libidn2.so.0": "libidn2-0",
+    "libstdc++.so.6": "libstdc++6",
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing looked at.
+
+    Attributes:
+        name: what was looked at.
+        found: what was there; empty if nothing.
+        problem: what is wrong; empty if nothing.
+        remedy: what to type.
+    """
+
+    name: str
+    found: str
+    problem: str = ""
+    remedy: str = ""
+
+
+def check_machine() -> list[Check]:
+    """Look at everything the product needs, in the order in which it would be mended."""
+    return [_check_python(), *_check_wheels(), *_check_libraries()]
+
+
+def _check_python() -> Check:
+    found = ".".join(map(str, sys.version_info[:3]))
+    if sys.version_info >= MINIMUM_PYTHON:
+        return Check("python", found)
+    return Check("python", found, "older than 3.11", "make PYTHON=python3.11")
+
+
+def _check_wheels() -> Iterator[Check]:
+    try:
+        requirements = metadata.requires("revisit-slam") or []
+    except metadata.PackageNotFoundError:
+        yield Check("revisit-slam", "", "not installed", "python -m pip install revisit-slam")
+        return
+    for requirement in (line for line in requirements if "extra ==" not in line):
+        name = requirement.split(">")[0].split("=")[0].strip()
+        try:
+            yield Check(name, metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Check(name, "", "not installed", f"python -m pip install '{requirement}'")
+
+
+def _check_libraries() -> Iterator[Check]:
+    for library, package in SYSTEM_LIBRARIES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError as error:
+            yield Check(library, "", f"cannot be loaded: {error}", _apt_line([package]))
+        else:
+            yield Check(library, "present")
+
+
+def _apt_line(packages: list[str]) -> str:
+    sudo = "" if os.geteuid() == 0 else "sudo "
+    return f"{sudo}apt-get install --yes --no-install-recommends {' '.join(packages)}"
+
+
+def missing_packages() -> list[str]:
+    """Debian packages that hold the system libraries which cannot be loaded."""
+    return [SYSTEM_LIBRARIES[check.name] for check in _check_libraries() if check.problem]
+
+
+def install_libraries() -> int:
+    """Install missing system libraries where we may; otherwise say the exact line. Returns an exit code."""
+    packages = missing_packages()
+    if not packages:
+        return 0
+    if os.geteuid() != 0 or shutil.which("apt-get") is None:
+        print(f"Open3D needs system libraries that are missing here. Type:\n  {_apt_line(packages)}", file=sys.stderr)
+        return 1
+    subprocess.run(["apt-get", "update", "-qq"], check=False)
+    quiet = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    done = subprocess.run([*_apt_line(packages).split(), "-qq"], env=quiet, check=False)
+    return 1 if done.returncode or missing_packages() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(install_libraries() if "--install" in sys.argv else any(check.problem for check in check_machine()))

@@ -1,0 +1,43 @@
+"""Which frames are worth remembering: those from where the world looks different."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KeyFrameConfig:
+    """When a frame becomes a key frame.
+
+    Attributes:
+        min_distance_m: moved this far since the last key frame, metres, or
+        min_angle_deg: turned this much, degrees.
+    """
+
+    min_distance_m: float = 1.0
+    min_angle_deg: float = 10.0
+
+
+class KeyFrameSelector:
+    """Accepts the first frame and every frame that moved or turned enough since the last one accepted."""
+
+    def __init__(self, config: KeyFrameConfig | None = None) -> None:
+        self.config = config or KeyFrameConfig()
+        self._last: Array | None = None
+
+    def accepts(self, T_world_camera: Array) -> bool:
+        """Decide about a frame with pose (4, 4), metres; where the answer is yes it is the new reference."""
+        if self._last is not None and not self._is_far(se3.inverse(self._last) @ T_world_camera):
+            return False
+        self._last = T_world_camera.copy()
+        return True
+
+    def _is_far(self, T_last_camera: Array) -> bool:
+        moved = float(np.linalg.norm(T_last_camera[:3, 3]))
+        turned = float(np.degrees(se3.angle(T_last_camera)))
+        return moved >= self.config.min_distance_m or turned >= self.config.min_angle_deg

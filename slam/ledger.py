@@ -1,0 +1,62 @@
+"""The ledger: what became of each belief, in one row, with the reason in plain words."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+from place_recognition.recognizer import Belief
+from slam.loop_closing import LoopClosure, Rejection
+from slam.record import LoopRow
+from slam.robust import Optimized
+from slam.system import LoopAttempt
+
+Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
+
+
+def write_ledger(attempts: Iterable[LoopAttempt], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
+    """One row for each belief that has a match, by query.
+
+    Args:
+        attempts: in the order in which they were made.
+        optimized: the verdicts on the closures among them, in the same order.
+        judge: tells true revisits from false ones; None where there is no ground truth.
+    """
+    rows, closures = [], 0
+    for attempt in attempts:
+        if attempt.belief.match is None:
+            continue
+        row = _proposed(attempt.belief, attempt.belief.match, judge)
+        if isinstance(attempt.geometry, Rejection):
+            row = _refused(row, attempt.geometry)
+        elif isinstance(attempt.geometry, LoopClosure):
+            row = _judged(row, attempt.geometry, optimized, closures, judge)
+            closures += 1
+        rows.append(row)
+    return tuple(sorted(rows, key=lambda row: row.query))
+
+
+def _proposed(belief: Belief, match: int, judge: Judge) -> LoopRow:
+    reason = "accepted by the recogniser"
+    if not belief.verified:
+        reason = f"not accepted: {belief.inliers or 0} matches agree with one epipolar geometry, too few"
+    elif not belief.accepted:
+        reason = f"not accepted: score {belief.score:.1f} is below the recogniser's threshold"
+    truth = judge(belief.query, match, None)
+    return LoopRow(belief.query, match, belief.score, belief.accepted, truth=truth, reason=reason)
+
+
+def _refused(row: LoopRow, rejection: Rejection) -> LoopRow:
+    return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
+
+
+def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, judge: Judge) -> LoopRow:
+    return replace(
+        row,
+        matches=closure.matches,
+        inliers=closure.inliers,
+        verified=True,
+        in_graph=bool(optimized.kept[number]),
+        weight=float(optimized.weights[number]),
+        residual=float(optimized.residuals[number]),
+        truth=judge(closure.query, closure.match, closure),
+        reason=optimized.reasons[number],
+    )

@@ -1,0 +1,76 @@
+"""Clouds as binary PLY, which every point cloud viewer opens."""
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import DataError
+from slam.record import Cloud
+from slam.storage.atomic import replacing
+
+_HEADER = """ply
+format binary_little_endian 1.0
+element vertex {count}
+property double x
+property double y
+property double z
+property uchar red
+property uchar green
+property uchar blue
+end_header
+"""
+_VERTEX = np.dtype([("point", "<f8", 3), ("colour", "u1", 3)])
+
+
+def write_cloud(path: Path, cloud: Cloud) -> None:
+    """Write points (metres, world frame) with their grey as colour.
+
+    Open3D writes it. Where Open3D cannot be loaded (on a bare server its wheel misses libusb or libgomp) or
+    refuses (a cloud without points) the same bytes are written here: no run loses its map to that.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        if not _write_with_open3d(temporary, cloud):
+            _write_plain(temporary, cloud)
+
+
+def read_cloud(path: Path) -> Cloud:
+    """Read points (metres) and their brightness, the mean of red, green and blue.
+
+    Raises:
+        DataError: missing file, or no point cloud.
+    """
+    import open3d
+
+    if not path.is_file():
+        raise DataError(f"{path}: expected a PLY file, found none; check the path")
+    if not path.read_bytes().startswith(b"ply"):
+        raise DataError(f"{path}: expected a PLY file, found other bytes; export the map again")
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.io.read_point_cloud(path)
+    points, colours = np.asarray(cloud.points), np.asarray(cloud.colors)
+    if len(colours) != len(points):
+        raise DataError(
+            f"{path}: expected a colour for each point, found {len(colours)}; export the map again"
+        )
+    return Cloud(points.copy(), np.rint(255.0 * colours.reshape(-1, 3).mean(axis=1)).astype(np.uint8))
+
+
+def _write_with_open3d(path: Path, cloud: Cloud) -> bool:
+    if len(cloud.points) == 0:
+        return False
+    try:
+        import open3d
+    except (ImportError, OSError):
+        return False
+    out = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points))
+    out.colors = open3d.utility.Vector3dVector(np.repeat(cloud.grey[:, None] / 255.0, 3, axis=1))
+    return bool(open3d.io.write_point_cloud(path, out))
+
+
+def _write_plain(path: Path, cloud: Cloud) -> None:
+    vertices = np.empty(len(cloud.points), dtype=_VERTEX)
+    vertices["point"], vertices["colour"] = cloud.points, cloud.grey[:, None]
+    path.write_bytes(_HEADER.format(count=len(vertices)).encode() + vertices.tobytes())

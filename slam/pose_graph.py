@@ -1,0 +1,203 @@
+"""The pose graph: every frame a node, odometry its chain, loops its shortcuts.
+
+Online with iSAM2 (Kaess et al., IJRR 2012), and at the end a robust batch that judges every loop again.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from slam import pose_graph_solver as solver
+from slam import robust as robust_ends
+from slam.errors import GraphError
+from slam.loop_closing import LoopClosure
+from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.robust import LoopGate, Optimized
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseGraphConfig:
+    """What the graph believes about odometry and loops."""
+
+    odometry_inflation: float = 4.0  # factor on odometry's stated covariance, which forgets lasting errors
+    drift: DriftBudget = field(default_factory=DriftBudget)  # how wrong odometry may be over a distance
+    gate_chi2: float = 34.0  # 99.999 % of 6 dof: a loop further from odometry than this is none
+    inlier_chi2: float = 22.5  # 99.9 % of 6 dof: a loop further from the optimised map than this is false
+    online_width: float = 4.0  # Huber width of a loop online, sigmas
+    relinearize_threshold: float = 0.1  # change of a pose that has it linearised again, rad or m
+    relinearize_skip: int = 10  # updates between looks at that threshold
+    settle_updates: int = 1  # further updates right after a loop
+
+
+class PoseGraph:
+    """Frames with their odometry and loops; frame 0 stays at the identity.
+
+    All poses are T_world_camera in metres; covariances (6, 6) belong to right perturbations, rotation first.
+    """
+
+    def __init__(self, config: PoseGraphConfig | None = None) -> None:
+        self.config = config or PoseGraphConfig()
+        self._chain = OdometryChain(self.config.drift)
+        self._motions = gtsam.NonlinearFactorGraph()
+        self._motions.add(solver.anchor(np.eye(4)))
+        self._edges: list[tuple[Array, Array]] = []
+        self._loops: list[LoopClosure] = []
+        self._gates: list[LoopGate] = []
+        self._isam = _incremental(self.config)
+        self._waiting = _Waiting()
+        self._waiting.graph.add(solver.anchor(np.eye(4)))
+        self._waiting.values.insert(0, gtsam.Pose3())
+        self._newest = np.eye(4)
+
+    def __len__(self) -> int:
+        return len(self._chain)
+
+    @property
+    def loops(self) -> tuple[LoopClosure, ...]:
+        """All loops in the order added, gated out or not: the batch may reconsider them."""
+        return tuple(self._loops)
+
+    @property
+    def gates(self) -> tuple[LoopGate, ...]:
+        """The gate's verdict on each of `loops`."""
+        return tuple(self._gates)
+
+    @property
+    def odometry(self) -> tuple[tuple[Array, Array], ...]:
+        """(N - 1) motions T_previous_current (4, 4) with their stated covariances (6, 6)."""
+        return tuple(self._edges)
+
+    def add_odometry(self, T_previous_current: Array, covariance: Array) -> None:
+        """Add the next frame by its motion (4, 4), metres, and covariance (6, 6).
+
+        Raises:
+            GraphError: the covariance is not finite and positive definite.
+        """
+        inflated = self.config.odometry_inflation * _checked(covariance, f"motion to frame {len(self)}")
+        factor = solver.motion_factor(len(self), T_previous_current, inflated)
+        self._newest = self._newest @ T_previous_current
+        self._waiting.values.insert(len(self), gtsam.Pose3(self._newest))
+        self._waiting.graph.add(factor)
+        self._motions.add(factor)
+        self._edges.append((T_previous_current, covariance))
+        self._chain.append(T_previous_current, inflated)
+
+    def add_loop(self, closure: LoopClosure) -> LoopGate:
+        """Judge a loop against odometry's drift; one that passes enters the online estimate.
+
+        Raises:
+            GraphError: a frame is not in the graph, or the covariance is not positive definite.
+        """
+        self._check(closure)
+        gate = self._gate(closure)
+        self._loops.append(closure)
+        self._gates.append(gate)
+        if gate.passed:
+            self._waiting.graph.add(solver.loop_factor(closure, "huber", self.config.online_width))
+            self._waiting.loops += 1
+        return gate
+
+    def latest(self) -> Array:
+        """T_world_camera (4, 4) of the newest frame by all that is known now."""
+        self._update()
+        return self._newest
+
+    def poses(self) -> Array:
+        """T_world_camera (N, 4, 4) of all frames by all that is known now."""
+        self._update()
+        return solver.to_poses(self._isam.calculateEstimate())
+
+    def odometry_poses(self) -> Array:
+        """T_world_camera (N, 4, 4) by odometry alone."""
+        return self._chain.poses
+
+    def optimize(self, robust: str = robust_ends.DEFAULT) -> Optimized:
+        """Optimise everything at once under a robust back end of `slam.robust.BACK_ENDS`.
+
+        Raises:
+            ConfigError: the name is not known.
+        """
+        judge = robust_ends.back_end(robust)
+        start = time.perf_counter()
+        limits = robust_ends.Limits(self.config.gate_chi2, self.config.inlier_chi2)
+        problem = self._problem()
+        outcome = judge(problem, limits)
+        kept = outcome.weights >= 0.5
+        return Optimized(
+            poses=outcome.poses,
+            weights=outcome.weights,
+            residuals=np.sqrt(problem.chi2(outcome.poses)),
+            kept=kept,
+            reasons=robust_ends.reasons(problem, outcome, limits),
+            error_initial=problem.error(kept, problem.odometry),
+            error_final=problem.error(kept, outcome.poses),
+            seconds=time.perf_counter() - start,
+        )
+
+    def _problem(self) -> solver.GraphProblem:
+        gate = np.array([gate.residual**2 for gate in self._gates])
+        return solver.GraphProblem(self._chain.poses, self._motions, self._loops, gate)
+
+    def _check(self, closure: LoopClosure) -> None:
+        if not 0 <= closure.match < closure.query < len(self):
+            raise GraphError(
+                f"loop {closure.query} -> {closure.match}: expected an earlier frame and a later one among "
+                f"the {len(self)} in the graph; add the odometry of both frames first"
+            )
+        _checked(closure.covariance, f"loop {closure.query} -> {closure.match}")
+
+    def _gate(self, closure: LoopClosure) -> LoopGate:
+        between = self._chain.between(closure.match, closure.query)
+        difference = se3.inverse(closure.T_match_query) @ between.T_first_second
+        error = se3.log(difference)
+        residual = float(np.sqrt(error @ np.linalg.solve(between.covariance + closure.covariance, error)))
+        passed = residual**2 <= self.config.gate_chi2
+        verdict = "drift explains" if passed else "drift does not explain"
+        distance, angle = np.linalg.norm(difference[:3, 3]), np.degrees(se3.angle(difference))
+        reason = (
+            f"{verdict} {distance:.1f} m and {angle:.1f} deg over {between.way:.0f} m of way: "
+            f"{residual:.1f} sigma (limit {np.sqrt(self.config.gate_chi2):.1f})"
+        )
+        return LoopGate(passed, residual, reason)
+
+    def _update(self) -> None:
+        """Hand to iSAM2 what has been added since the last time."""
+        waiting = self._waiting
+        if waiting.graph.size() == 0:
+            return
+        self._isam.update(waiting.graph, waiting.values)
+        for _ in range(self.config.settle_updates if waiting.loops else 0):
+            self._isam.update()
+        self._waiting = _Waiting()
+        self._newest = self._isam.calculateEstimatePose3(len(self) - 1).matrix()
+
+
+class _Waiting:
+    """Factors and first guesses that iSAM2 has not seen yet."""
+
+    def __init__(self) -> None:
+        self.graph = gtsam.NonlinearFactorGraph()
+        self.values = gtsam.Values()
+        self.loops = 0
+
+
+def _incremental(config: PoseGraphConfig) -> gtsam.ISAM2:
+    params = gtsam.ISAM2Params()
+    params.setRelinearizeThreshold(config.relinearize_threshold)
+    params.relinearizeSkip = config.relinearize_skip
+    params.enablePartialRelinearizationCheck = True  # stops at quiet cliques: a third less time
+    return gtsam.ISAM2(params)
+
+
+def _checked(covariance: Array, name: str) -> Array:
+    """Pass a covariance (6, 6) on if it is one."""
+    good = np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()
+    if not good or np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise GraphError(f"{name}: expected a finite, positive definite covariance (6, 6), got {covariance}")
+    return covariance

@@ -1,0 +1,185 @@
+"""From a finished drive to its record, and from the record to the files of a run."""
+
+import dataclasses
+import resource
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import RunConfig, to_toml
+from slam.datasets.dataset import Dataset
+from slam.drive_log import DriveLog
+from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop
+from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
+from slam.ledger import Judge, write_ledger
+from slam.loop_closing import LoopClosure
+from slam.place_metrics import place_metrics
+from slam.record import DriveRecord
+from slam.report.figures import before_after, save_png
+from slam.report.page import write_report
+from slam.robust import Optimized
+from slam.storage.atomic import atomic_writer
+from slam.storage.g2o import chain_graph, write_g2o
+from slam.storage.metrics import write_metrics
+from slam.storage.tables import write_frames, write_loops
+from slam.storage.trajectory import write_kitti, write_tum
+from slam.system import Slam
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A drive that has ended.
+
+    Attributes:
+        slam: the system, with its graph and landmarks.
+        drive_log: what it said of each frame.
+        optimized: the final trajectory and the verdicts on the loops.
+        interrupted: stopped by the user.
+        wall_seconds: from the first frame to the end of the final optimisation.
+    """
+
+    slam: Slam
+    drive_log: DriveLog
+    optimized: Optimized
+    interrupted: bool
+    wall_seconds: float
+
+
+def make_record(
+    drive: Dataset, config: RunConfig, finished: Finished, provenance: dict[str, object]
+) -> DriveRecord:
+    """Gather everything known about the drive, compared with ground truth where there is one."""
+    log, optimized = finished.drive_log, finished.optimized
+    table, landmarks = log.table(), finished.slam.parts.landmarks
+    truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
+    odometry = np.array(log.odometry)
+    record = DriveRecord(
+        name=drive.name,
+        timestamps=table.timestamps,
+        odometry=odometry,
+        online=np.array(log.online),
+        corrected=optimized.poses,
+        ground_truth=truth,
+        predicted=table.predicted,
+        inliers=table.inliers,
+        loops=write_ledger(log.attempts, optimized, judge_by(truth)),
+        stage_ms=dict(table.stage_ms),
+        map_before=landmarks.cloud(odometry),
+        map_after=landmarks.cloud(optimized.poses),
+        metrics={},
+    )
+    record.metrics.update(provenance | _measured(record, config, finished))
+    return record
+
+
+def judge_by(truth: Array | None) -> Judge:
+    """Tell true revisits from false ones by ground truth (N, 4, 4), or not at all."""
+
+    def judge(query: int, match: int, closure: LoopClosure | None) -> bool | None:
+        if truth is None:
+            return None
+        if closure is None:
+            return is_same_place(truth, query, match)
+        return is_true_loop(truth, query, match, closure.T_match_query)
+
+    return judge
+
+
+def write_results(folder: Path, record: DriveRecord, config: RunConfig, finished: Finished) -> None:
+    """Write every file of a run into a folder."""
+    write_metrics(folder / "metrics.json", record.metrics)
+    with atomic_writer(folder / "config.toml") as file:
+        file.write(to_toml(config))
+    for name in ("odometry", "online", "corrected"):
+        poses = getattr(record, name)
+        write_kitti(folder / f"trajectory_{name}.txt", poses)
+        write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
+    write_frames(folder / "frames.csv", finished.drive_log.table())
+    write_loops(folder / "loops.csv", record.loops)
+    _write_graphs(folder, record, finished)
+    _write_maps(folder, record)
+    save_png(before_after(record), folder / "before_after.png")
+    write_report(record, folder / "report.html", config=dataclasses.asdict(config))
+
+
+def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
+    graph, kept = finished.slam.parts.graph, finished.optimized.kept
+    closed = [loop for loop, keep in zip(graph.loops, kept, strict=True) if keep]
+    write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
+    write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, graph.odometry, closed))
+
+
+def _write_maps(folder: Path, record: DriveRecord) -> None:
+    from slam.mapping.ply import write_cloud
+
+    write_cloud(folder / "map_before.ply", record.map_before)
+    write_cloud(folder / "map_after.ply", record.map_after)
+
+
+def _measured(record: DriveRecord, config: RunConfig, finished: Finished) -> dict[str, object]:
+    errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
+    loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
+    places, place_notes = place_metrics(finished.drive_log.attempts, record.ground_truth, config.paradigm)
+    notes = place_notes | _notes("loops", loops)
+    for name, error in errors.items():
+        notes |= _notes(name, error)
+    return {
+        "seed": config.seed,
+        "frames": len(record.timestamps),
+        "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
+        **{name: error.as_metrics() for name, error in errors.items()},
+        "loops": loops.as_metrics(),
+        "places": places,
+        "graph": _graph_metrics(record, finished.optimized),
+        "timing_ms": _timing(record.stage_ms),
+        "frames_per_second": len(record.timestamps) / finished.wall_seconds,
+        "wall_seconds": finished.wall_seconds,
+        "peak_memory_mb": _peak_memory_mb(),
+        "interrupted": finished.interrupted,
+        "notes": notes,
+    }
+
+
+def _errors(estimate: Array, truth: Array | None) -> TrajectoryErrors:
+    return unknown_errors("there is no ground truth") if truth is None else trajectory_errors(estimate, truth)
+
+
+def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
+    return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
+
+
+def _graph_metrics(record: DriveRecord, optimized: Optimized) -> dict[str, object]:
+    judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
+    known = record.ground_truth is not None
+    return {
+        "poses": len(optimized.poses),
+        "odometry_edges": len(optimized.poses) - 1,
+        "loop_edges": len(optimized.kept),
+        "loops_kept": int(optimized.kept.sum()),
+        "true_kept": sum(judged) if known else None,
+        "false_kept": len(judged) - sum(judged) if known else None,
+        "ate_initial_m": _errors(record.odometry, record.ground_truth).ate_m,
+        "ate_m": _errors(record.corrected, record.ground_truth).ate_m,
+        "error_initial": optimized.error_initial,
+        "error_final": optimized.error_final,
+        "seconds": optimized.seconds,
+    }
+
+
+def _timing(stage_ms: dict[str, Array]) -> dict[str, dict[str, float]]:
+    total = np.sum(list(stage_ms.values()), axis=0)
+    return {
+        stage: {"median": float(np.median(spent)), "p99": float(np.percentile(spent, 99))}
+        for stage, spent in {"total": total, **stage_ms}.items()
+    }
+
+
+def _peak_memory_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+

@@ -1,0 +1,181 @@
+"""One recorded drive from its images to its results: the system, the clock, the viewer and the files."""
+
+import logging
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+
+from rich.console import Console
+
+from slam.clock import StageClock
+from slam.config import RunConfig, read_config
+from slam.datasets.dataset import Dataset, Frame
+from slam.datasets.open import open_drive
+from slam.datasets.prefetch import prefetch
+from slam.drive_log import DriveLog
+from slam.errors import ConfigError, DataError
+from slam.parts import build_parts
+from slam.progress import progress_bar
+from slam.report.tables import summary
+from slam.results import Finished, make_record, write_results
+from slam.stopping import stop_on_interrupt
+from slam.storage.run_folder import RunFolder
+from slam.system import Processed, Slam
+from slam.viewer.viewer import NullViewer, Viewer
+from slam.watching import Watcher
+
+log = logging.getLogger("revisit")
+
+VIEWS = ("none", "native", "web")
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Where a run reads and writes.
+
+    Attributes:
+        source: root of the recorded drive.
+        sequence: which of its sequences; None where there is only one.
+        out: folder for the results.
+        view: how to watch: none, native or web.
+        overwrite: replace an earlier run.
+        config: settings file, or None for the defaults.
+    """
+
+    source: Path
+    sequence: str | None
+    out: Path
+    view: str = "none"
+    overwrite: bool = False
+    config: Path | None = None
+
+
+def run_recorded(options: RunOptions, settings: dict[str, object], messages: Console, results: Console) -> bool:
+    """Run the chain on a recorded drive and write every result into `options.out`.
+
+    Args:
+        options: where to read and write.
+        settings: what the command line changes in the configuration, field to value.
+        messages: for progress and warnings.
+        results: for the summary.
+
+    Returns:
+        Whether the run was interrupted from the keyboard; its results so far are written all the same.
+
+    Raises:
+        RevisitError: the drive, the settings or the output folder cannot be used; earlier results stay untouched.
+    """
+    config = configure(options, settings)
+    drive = open_drive(options.source, options.sequence)
+    if not drive.has_right:
+        raise DataError(f"{options.source}: expected left and right images, found left ones only; stereo is needed")
+    with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):
+        viewer = open_viewer(options, config, drive, folder.path)
+        try:
+            finished = drive_through(drive, config, viewer, messages)
+            record = make_record(drive, config, finished, provenance(options, drive))
+            viewer.finish(record)
+        finally:
+            viewer.close()
+        log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
+        write_results(folder.path, record, config, finished)
+        folder.commit()
+    results.print(summary(record))
+    results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
+    return finished.interrupted
+
+
+def configure(options: RunOptions, settings: dict[str, object]) -> RunConfig:
+    """Settings of the file, then of the command line, over the defaults.
+
+    Raises:
+        ConfigError: one of them cannot work.
+    """
+    if options.view not in VIEWS:
+        raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
+    base = read_config(options.config) if options.config else RunConfig()
+    return replace(base, **settings)  # type: ignore[arg-type]
+
+
+def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:
+    """Open what shows or records the run."""
+    if options.view == "none" and not config.record:
+        return NullViewer()
+    from slam.viewer.rerun_viewer import RerunViewer
+
+    path = folder / "recording.rrd" if config.record else None
+    mode = "record" if options.view == "none" else options.view
+    return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
+
+
+def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console) -> Finished:
+    """Take the frames one by one; what is known when the drive ends, or when the user stops it."""
+    import cv2
+
+    cv2.setRNGSeed(config.seed)
+    slam = Slam(build_parts(drive.camera, config))
+    watcher, drive_log, start = Watcher(slam, viewer, drive), DriveLog(), time.perf_counter()
+    with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
+        for frame in timed(prefetch(drive), slam.clock):
+            processed = slam.process(frame)
+            note(processed)
+            drive_log.add(processed, watcher.show(processed))
+            progress(frame.index + 1, len(drive))
+            if stop.made:
+                messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
+                break
+    late, optimized = slam.finish(config.robust)
+    drive_log.attempts.extend(late)
+    return Finished(slam, drive_log, optimized, stop.made, time.perf_counter() - start)
+
+
+def note(processed: Processed) -> None:
+    """Log what is out of the ordinary about a frame."""
+    if processed.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", processed.frame.index, processed.motion.reason)
+    for attempt in processed.attempts:
+        if attempt.reason:
+            verdict = "closed" if attempt.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", attempt.belief.query, attempt.belief.match, verdict, attempt.reason)
+
+
+def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
+    """Pass frames on, counting the wait for each as the stage `read`."""
+    while True:
+        with clock.stage("read"):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def provenance(options: RunOptions, drive: Dataset) -> dict[str, object]:
+    """Where the numbers come from: source, command and versions."""
+    names = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
+    versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in names}
+    return {
+        "source": str(options.source),
+        "sequence": drive.name,
+        "command": shlex.join(["revisit", *sys.argv[1:]]),
+        "versions": versions,
+    }
+
+
+@contextmanager
+def run_log(path: Path) -> Iterator[None]:
+    """Send the log to a file while the block runs."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        handler.close()

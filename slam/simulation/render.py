@@ -1,0 +1,186 @@
+"""Light images and depth of the town as the camera sees it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from slam.simulation.materials import Materials
+from slam.simulation.mesh import Mesh
+from slam.simulation.rasterizer import SAMPLES, rasterize, rasterize_from_sun
+from slam.simulation.shading import shade
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+_SHADOW_CELL = 0.09  # metres
+
+
+@dataclass(frozen=True)
+class Daylight:
+    """One weather: where the sun stands and how strong it is.
+
+    Attributes:
+        to_sun: (3,) unit vector, town frame.
+        sun, ambient, haze: light of the sun, of the sky, and of far air.
+        panorama: the sky and all that is infinitely far.
+    """
+
+    to_sun: Array
+    sun: float
+    ambient: float
+    haze: float
+    panorama: Image
+
+    @property
+    def vector(self) -> Array:
+        """The (6,) vector that the shader takes."""
+        return np.array([*self.to_sun, self.sun, self.ambient, self.haze])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Triangles ready to be drawn, in clusters with bounding spheres.
+
+    Attributes:
+        corners: (T, 3, 3) float32 metres; attributes: (T, 12) float32: gradients of u and v with offsets, normal, tint.
+        material: (T,) int32; ranges: (R, 2) first and past-last triangle of each cluster.
+        centres, radii: (R, 3) and (R,) metres, bounding spheres.
+    """
+
+    corners: NDArray[np.float32]
+    attributes: NDArray[np.float32]
+    material: NDArray[np.int32]
+    ranges: NDArray[np.int64]
+    centres: Array
+    radii: Array
+
+
+def build_scene(meshes: list[Mesh]) -> Scene:
+    """Prepare meshes, each one cluster."""
+    meshes = [mesh for mesh in meshes if len(mesh)]
+    ends = np.cumsum([0] + [len(mesh) for mesh in meshes])
+    corners = np.concatenate([mesh.corners for mesh in meshes])
+    spheres = [_sphere(mesh.corners.reshape(-1, 3)) for mesh in meshes]
+    return Scene(
+        np.ascontiguousarray(corners, dtype=np.float32),
+        np.concatenate([_attributes(mesh) for mesh in meshes]).astype(np.float32),
+        np.concatenate([mesh.material for mesh in meshes]),
+        np.stack([ends[:-1], ends[1:]], axis=1),
+        np.array([centre for centre, _ in spheres]),
+        np.array([radius for _, radius in spheres]),
+    )
+
+
+def _sphere(points: Array) -> tuple[Array, float]:
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
+
+def _attributes(mesh: Mesh) -> Array:
+    """Texture gradients, offsets, normals and tints (T, 12): u = g . p + u0 in the plane of each triangle."""
+    a = mesh.corners[:, 0]
+    e1, e2 = mesh.corners[:, 1] - a, mesh.corners[:, 2] - a
+    normal = np.cross(e1, e2)
+    area = np.maximum((normal**2).sum(axis=1, keepdims=True), 1e-18)
+    # Dual basis of the two edges within the plane.
+    d1, d2 = np.cross(e2, normal) / area, np.cross(normal, e1) / area
+    out = np.zeros((len(mesh), 12))
+    for k, first in ((0, 0), (1, 4)):
+        u = mesh.uv[:, :, k]
+        gradient = d1 * (u[:, 1] - u[:, 0])[:, None] + d2 * (u[:, 2] - u[:, 0])[:, None]
+        out[:, first : first + 3] = gradient
+        out[:, first + 3] = u[:, 0] - (gradient * a).sum(axis=1)
+    out[:, 8:11] = normal / np.sqrt(area)
+    out[:, 11] = mesh.tint
+    return out
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """Heights towards the sun: axes (3, 3) rows right, up, to the sun; place (3,) first cell and cell size; the map."""
+
+    axes: Array
+    place: Array
+    heights: Image
+
+
+def cast_shadow(scene: Scene, to_sun: Array, near: Array, reach: float) -> Shadow:
+    """Shadow map of a scene for what lies within `reach` metres of positions `near` (N, 2)."""
+    right = np.cross([0.0, 0.0, 1.0], to_sun)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(to_sun, right), to_sun])
+    place = np.column_stack([near, np.zeros(len(near))]) @ axes[:2].T
+    low, high = place.min(axis=0) - reach, place.max(axis=0) + reach
+    shape = np.ceil((high - low) / _SHADOW_CELL).astype(int)[::-1]
+    heights = np.full(tuple(shape), -np.inf, dtype=np.float32)
+    rasterize_from_sun(scene.corners, axes, low, _SHADOW_CELL, heights)
+    return Shadow(axes, np.array([*low, _SHADOW_CELL]), heights)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Everything fixed while a stretch of the way is drawn."""
+
+    scene: Scene
+    shadow: Shadow
+    light: Daylight
+    materials: Materials
+
+
+def render(stage: Stage, moving: list[Mesh], camera: StereoCamera, T_town_camera: Array) -> tuple[Image, Image]:
+    """Light (H, W), about 0 to 1, and depth (H, W), metres along the axis, infinite for the sky, of one camera.
+
+    T_town_camera: (4, 4) of this very camera; `camera` gives intrinsics and size. moving: meshes of this moment.
+    """
+    scene = _with_moving(stage.scene, moving)
+    R, centre = T_town_camera[:3, :3], T_town_camera[:3, 3]
+    P = camera.K @ np.hstack([R.T, -(R.T @ centre)[:, None]])
+    shape = (camera.height, camera.width, SAMPLES)
+    inverse_depth, ids = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    rasterize(scene.corners, _visible(scene, P, centre), P, inverse_depth, ids)
+    light = np.empty(shape[:2], np.float32)
+    atlas, shadow = stage.materials.atlas, stage.shadow
+    shade(
+        inverse_depth,
+        ids,
+        (R @ np.linalg.inv(camera.K), centre, 1.0 / camera.fx),
+        (scene.attributes, scene.material, stage.materials.table),
+        (atlas.texels, atlas.gloss, atlas.table),
+        (shadow.axes, shadow.place, shadow.heights),
+        stage.light.vector,
+        stage.light.panorama,
+        light,
+    )
+    # The nearest sample of a pixel is its depth: a mean across an edge would lie on neither side.
+    nearest = inverse_depth.max(axis=2)
+    with np.errstate(divide="ignore"):
+        return light, 1.0 / nearest
+
+
+def _with_moving(scene: Scene, moving: list[Mesh]) -> Scene:
+    if not moving:
+        return scene
+    extra = build_scene(moving)
+    return Scene(
+        np.concatenate([scene.corners, extra.corners]),
+        np.concatenate([scene.attributes, extra.attributes]),
+        np.concatenate([scene.material, extra.material]),
+        np.concatenate([scene.ranges, extra.ranges + len(scene.material)]),
+        np.concatenate([scene.centres, extra.centres]),
+        np.concatenate([scene.radii, extra.radii]),
+    )
+
+
+def _visible(scene: Scene, P: Array, centre: Array) -> NDArray[np.int64]:
+    """Clusters in front of the camera whose sphere may reach into the view, nearest first."""
+    forward = P[2, :3]
+    ahead = scene.centres @ forward + P[2, 3] > -scene.radii
+    # The view's side planes contain the camera; their normals come from pixel columns and rows.
+    width, height = 2 * P[0, :3] @ forward, 2 * P[1, :3] @ forward
+    planes = np.stack([P[0, :3], width * forward - P[0, :3], P[1, :3], height * forward - P[1, :3]])
+    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    inside = ((scene.centres - centre) @ planes.T > -scene.radii[:, None] - 0.5).all(axis=1)
+    keep = np.flatnonzero(ahead & inside)
+    distance = np.linalg.norm(scene.centres[keep] - centre, axis=1) - scene.radii[keep]
+    return scene.ranges[keep[np.argsort(distance, kind="stable")]]

@@ -1,0 +1,212 @@
+"""The whole town around a drive: what stands where. The way itself stays free of everything but asphalt."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.simulation import furniture, vegetation, vehicles
+from slam.simulation.buildings import build_house, draw_house
+from slam.simulation.mesh import Mesh
+from slam.simulation.routes import Drive, base_way
+from slam.simulation.spec import DriveSpec
+from slam.simulation.street import PAVEMENT_END, ROAD_HALF, Streets, ground, lay_streets
+
+Array = NDArray[np.float64]
+
+_ALIKE_PERIOD = 5  # plots after which an `alike` town repeats itself
+_CAR_SIDE = 1.35  # metres kept free on both sides of the way
+
+
+@dataclass(frozen=True)
+class Part:
+    """One placed copy of a mesh: turned by yaw (radians), shifted to `at` (3,) metres, scaled and tinted."""
+
+    mesh: Mesh
+    yaw: float = 0.0
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    tint: float = 1.0
+
+    def placed(self) -> Mesh:
+        """The triangles in the town frame."""
+        return self.mesh.moved(self.yaw, np.array(self.at), self.scale).tinted(self.tint)
+
+
+@dataclass
+class _Plots:
+    """Square metres already built on, so that no two things stand in each other."""
+
+    taken: set[tuple[int, int]] = field(default_factory=set)
+
+    def take(self, points: Array) -> bool:
+        """Claim the square metres of points (N, 2); False, claiming nothing, if one is taken."""
+        cells = {(int(x), int(y)) for x, y in np.floor(points)}
+        if cells & self.taken:
+            return False
+        self.taken |= cells
+        return True
+
+
+@dataclass(frozen=True)
+class _Site:
+    """A place beside the street: a frame whose x runs along the fence and whose y leads away from the street."""
+
+    origin: Array
+    yaw: float
+
+    def at(self, x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
+        """Town position of (x, y) of this frame."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return float(self.origin[0] + c * x - s * y), float(self.origin[1] + s * x + c * y), z
+
+    def grid(self, low: tuple[float, float], high: tuple[float, float]) -> Array:
+        """Points (N, 2) about every 0.9 m over a rectangle of this frame, its border among them."""
+        axes = [np.linspace(a, b, int((b - a) / 0.9) + 2) for a, b in zip(low, high, strict=True)]
+        x, y = (g.ravel() for g in np.meshgrid(*axes))
+        return np.array([self.at(a, b)[:2] for a, b in zip(x, y, strict=True)])
+
+
+class TownBuilder:
+    """Walks along all streets and fills both sides, plot by plot."""
+
+    def __init__(self, spec: DriveSpec, drive: Drive) -> None:
+        """Lay the streets of a drive and plant the nursery."""
+        self.spec = spec
+        self.streets: Streets = lay_streets(base_way(spec), drive)
+        self.plots = _Plots()
+        rng = spec.rng(3)
+        self.grove, self.cars = vegetation.grove(rng), vehicles.fleet(rng)
+        self.bushes = [vegetation.bush(rng) for _ in range(3)]
+        self.hedges = [vegetation.hedge(rng) for _ in range(2)]
+        self.small = [furniture.lamp_post(), *(furniture.sign(rng) for _ in range(5)), vehicles.bin_and_box(rng)]
+        self.parts: list[Part] = []
+
+    def build(self) -> list[Part]:
+        """All parts of the town, the same for the same spec."""
+        self.parts = [Part(mesh) for mesh in ground(self.streets, self.spec.rng(4))]
+        for side in (1, -1):
+            self._plots_along(side)
+        for side in (1, -1):
+            self._kerbside(side)
+        self._background()
+        return self.parts
+
+    def _site(self, row: int, side: int, lateral: float) -> _Site:
+        """Frame beside a street row, `lateral` metres from its middle on the left (1) or right (-1)."""
+        h = self.streets.headings[row]
+        out = side * np.array([-np.sin(h), np.cos(h)])
+        return _Site(self.streets.points[row] + lateral * out, float(h + (0.0 if side > 0 else np.pi)))
+
+    def _plots_along(self, side: int) -> None:
+        """Plot after plot along one side: town houses wall to wall, cottages in gardens, or a park."""
+        row, number = 2, 0
+        while row < len(self.streets.points) - 8:
+            seed = (5, number % _ALIKE_PERIOD) if self.spec.alike else (5, side + 1, number)
+            rng = self.spec.rng(*seed)
+            kind = rng.choice(["urban", "cottage", "cottage", "park"])
+            width = float(rng.uniform(9, 17))
+            rows = max(4, round(width / 2 + (0.5 if kind == "urban" else 2.0)))
+            if self.streets.joined[row : row + rows].all():
+                middle = row + rows // 2
+                {"urban": self._urban, "cottage": self._cottage, "park": self._park}[str(kind)](middle, side, width, rng)
+            row, number = row + rows, number + 1
+
+    def _house(self, site: _Site, width: float, urban: bool, rng: np.random.Generator) -> bool:
+        """A house whose front is centred on a site, if there is room."""
+        house = draw_house(rng, width, urban)
+        low, high = (-width / 2, -1.3), (width / 2, house.depth)
+        inner = site.grid((-width / 2 + 0.6, 0.0), (width / 2 - 0.6, house.depth))
+        if not self.streets.clear(site.grid(low, high), _CAR_SIDE + 1.2) or not self.plots.take(inner):
+            return False
+        self.parts.append(Part(build_house(house, rng, urban), site.yaw, site.at(-width / 2, 0.0)))
+        return True
+
+    def _urban(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
+        self._house(self._site(row, side, PAVEMENT_END + rng.uniform(0.3, 1.2)), width + 1.5, True, rng)
+
+    def _cottage(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
+        """A house behind a fence or hedge, with trees and bushes before it."""
+        setback = float(rng.uniform(3.0, 7.5))
+        self._house(self._site(row, side, PAVEMENT_END + setback), 0.75 * width, False, rng)
+        site = self._site(row, side, PAVEMENT_END + 0.15)
+        self._border(site, width, rng)
+        for _ in range(rng.integers(1, 4)):
+            x, y = rng.uniform(-width / 2, width / 2), rng.uniform(0.8, max(1.0, setback - 0.8))
+            self._plant(site.at(x, y, 0.1), self.bushes, rng)
+        if rng.random() < 0.7:
+            tall = self.grove[:2] + self.grove[4:]
+            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.2, 3.0), 0.1), tall, rng)
+
+    def _park(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
+        """Trees on grass, bushes below them."""
+        site = self._site(row, side, PAVEMENT_END + 0.3)
+        if rng.random() < 0.4:
+            self._border(site, width, rng)
+        for _ in range(5):
+            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.0, 16.0), 0.1), self.grove, rng)
+        for _ in range(4):
+            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(0.8, 8.0), 0.1), self.bushes, rng)
+
+    def _border(self, site: _Site, width: float, rng: np.random.Generator) -> None:
+        """Fence, railing, wall or hedge along the pavement."""
+        kind = rng.integers(0, 5)
+        length = width + 3.0
+        points = site.grid((-length / 2, -0.3), (length / 2, 0.3))
+        if not self.streets.clear(points, _CAR_SIDE):
+            return
+        if kind == 0:
+            for x in np.arange(-length / 2, length / 2 - 3.9, 4.0):
+                self.parts.append(Part(self.hedges[int(rng.integers(2))], site.yaw, site.at(x, 0.3, 0.1)))
+        else:
+            mesh = furniture.border(int(kind), length, rng)
+            self.parts.append(Part(mesh, site.yaw, site.at(-length / 2, 0.0, 0.1)))
+
+    def _plant(self, at: tuple[float, float, float], choice: list[Mesh], rng: np.random.Generator) -> None:
+        """One tree or bush, if its trunk stands free of houses and its crown clear of the way."""
+        mesh = choice[int(rng.integers(len(choice)))]
+        yaw, scale, tint = rng.uniform(0, 2 * np.pi), float(rng.uniform(0.8, 1.2)), float(rng.uniform(0.6, 1.25))
+        place = np.array([at[:2]])
+        if self.streets.clear(place, 4.0) and self.plots.take(place):
+            self.parts.append(Part(mesh, float(yaw), at, scale, tint))
+
+    def _kerbside(self, side: int) -> None:
+        """Street trees, lamps, signs, bins and parked cars between the plots and the carriageway."""
+        number = 0
+        for row in range(3, len(self.streets.points) - 3, 3):
+            seed = (6, number % (3 * _ALIKE_PERIOD)) if self.spec.alike else (6, side + 1, number)
+            rng, number = self.spec.rng(*seed), number + 1
+            if not self.streets.joined[row]:
+                continue
+            if rng.random() < 0.4:
+                self._park_car(self._site(row, side, ROAD_HALF + rng.uniform(-0.2, 0.4)), rng)
+            thing = rng.random()
+            post = self._site(row, side, ROAD_HALF + 1.75)
+            if thing < 0.25:
+                self._plant(post.at(0.0, 0.0, 0.12), self.grove[:2] + self.grove[-2:], rng)
+            elif thing < 0.65:
+                self._put(self.small[int(rng.integers(len(self.small)))], post.at(rng.uniform(-1, 1), 0, 0.12), post.yaw)
+
+    def _park_car(self, site: _Site, rng: np.random.Generator) -> None:
+        yaw = site.yaw + rng.normal(0, 0.02) + np.pi * rng.integers(0, 2)
+        outline = site.grid((-2.3, -0.9), (2.3, 0.9))
+        if self.streets.clear(outline, _CAR_SIDE) and self.plots.take(outline):
+            mesh = self.cars[int(rng.integers(len(self.cars)))]
+            self.parts.append(Part(mesh, float(yaw), site.at(0.0, 0.0, 0.02)))
+
+    def _put(self, mesh: Mesh, at: tuple[float, float, float], yaw: float) -> None:
+        place = np.array([at[:2]])
+        if self.streets.clear(place, _CAR_SIDE + 0.4) and self.plots.take(place):
+            self.parts.append(Part(mesh, yaw, at))
+
+    def _background(self) -> None:
+        """Second rows of houses and trees, seen through the gaps."""
+        rng = self.spec.rng(8)
+        for row in range(4, len(self.streets.points) - 4, 5):
+            side = 1 if rng.random() < 0.5 else -1
+            site = self._site(row, side, float(rng.uniform(26, 60)))
+            if rng.random() < 0.5:
+                self._house(site, float(rng.uniform(9, 16)), bool(rng.random() < 0.4), rng)
+            else:
+                for _ in range(3):
+                    self._plant(site.at(*rng.normal(0, 4, 2)), self.grove[1:6], rng)

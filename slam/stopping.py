@@ -1,0 +1,30 @@
+"""Stopping at the keyboard without losing what has been found."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class StopRequest:
+    """Whether the user has asked to stop."""
+
+    def __init__(self) -> None:
+        self.made = False
+
+    def make(self, number: int, frame: FrameType | None) -> None:
+        """Handle the signal; a second one interrupts at once."""
+        if self.made:
+            raise KeyboardInterrupt
+        self.made = True
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[StopRequest]:
+    """Turn the first Ctrl-C within the block into a request that the loop can honour between two frames."""
+    request = StopRequest()
+    before = signal.signal(signal.SIGINT, request.make)
+    try:
+        yield request
+    finally:
+        signal.signal(signal.SIGINT, before)

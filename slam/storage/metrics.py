@@ -1,0 +1,67 @@
+"""`metrics.json`: what was measured, as numbers or as null with a reason."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import DataError
+from slam.storage.atomic import atomic_writer
+
+SCHEMA = 1
+
+# The order of the file; other keys follow in the order given, the notes come last.
+_FIRST = ("schema", "source", "sequence", "command", "versions", "seed", "frames", "path_length_m")
+_THEN = ("odometry", "online", "corrected", "loops", "places", "graph", "timing_ms")
+
+
+def write_metrics(path: Path, metrics: Mapping[str, object]) -> None:
+    """Write metrics.json: SI units, null for what could not be computed.
+
+    Args:
+        path: the file.
+        metrics: nested; "notes" maps the dotted name of a null ("odometry.t_rel_percent") to its reason. NaN
+            and infinity become null and get a note; numpy numbers and arrays become plain ones.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    found: dict[str, str] = {}
+    plain = {key: _plain(value, key, found) for key, value in metrics.items() if key != "notes"}
+    given = metrics.get("notes", {})
+    notes = found | (dict(given) if isinstance(given, Mapping) else {})
+    order = [key for key in _FIRST + _THEN if key in plain or key == "schema"]
+    ordered = {key: plain.get(key, SCHEMA) for key in order} | plain | {"notes": notes}
+    with atomic_writer(path) as file:
+        json.dump(ordered, file, indent=2, ensure_ascii=False, allow_nan=False)
+        file.write("\n")
+
+
+def read_metrics(path: Path) -> dict[str, object]:
+    """Read metrics.json as nested dictionaries.
+
+    Raises:
+        DataError: missing or not a JSON object.
+    """
+    try:
+        metrics = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: expected the metrics of a run, found {error}; run again") from None
+    if not isinstance(metrics, dict):
+        raise DataError(f"{path}: expected a JSON object, found a {type(metrics).__name__}; run again")
+    return metrics
+
+
+def _plain(value: object, name: str, notes: dict[str, str]) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{name}.{key}", notes) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{name}.{index}", notes) for index, item in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        notes[name] = f"the computation gave {value}"
+        return None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,131 @@
+"""The folder of one run: complete when it appears, and never at the cost of the run before it."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+from uuid import uuid4
+
+from slam.errors import OutputError
+
+_STAGING = ".unfinished-"
+_EARLIER = ".earlier-"
+
+# Whatever the commands write. Only these go when a run is overwritten; other files were put there by somebody
+# else.
+_RESULTS = """
+metrics.json config.toml run.log report.html recording.rrd frames.csv loops.csv before_after.png
+trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
+trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
+pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply
+matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
+"""
+RESULTS = frozenset(_RESULTS.split())
+
+
+@dataclass
+class RunFolder:
+    """Where results wait until the run is complete.
+
+    Results are written into `path`, a hidden folder inside `final`, and moved up by `commit`. Inside, not
+    beside: `final` may be a mounted volume that can neither be renamed nor have siblings. Used as a context
+    manager; a run that leaves the block without commit leaves `final` as it was. A caller that catches
+    KeyboardInterrupt inside the block can still commit what there is.
+
+    Attributes:
+        final: the folder that the user named.
+        path: the folder to write into until commit; afterwards the same as `final`.
+    """
+
+    final: Path
+    path: Path
+    _created: bool
+
+    @classmethod
+    def create(cls, path: Path, overwrite: bool) -> Self:
+        """Prepare `path` for the results of one run.
+
+        Raises:
+            OutputError: `path` is a file, cannot be written, or holds anything while overwrite is False.
+        """
+        if path.exists() and not path.is_dir():
+            raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
+        created = not path.exists()
+        held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        if held and not overwrite:
+            what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
+            raise OutputError(
+                f"{path}: expected a new or empty folder, found {what};"
+                " choose another folder or give --overwrite"
+            )
+        staging = path / f"{_STAGING}{uuid4().hex[:8]}"
+        try:
+            staging.mkdir(parents=True)
+        except OSError as error:
+            raise OutputError(
+                f"{path}: cannot be written, {error.strerror}; choose another folder"
+            ) from error
+        return cls(path, staging, created)
+
+    def commit(self) -> None:
+        """Move the results into place; the earlier run's go. Others stay, unless a result has their name.
+
+        Where a move fails everything moves back.
+
+        Raises:
+            OutputError: the results cannot be moved.
+        """
+        if self.path == self.final:
+            return
+        earlier = self.final / f"{_EARLIER}{uuid4().hex[:8]}"
+        try:
+            earlier.mkdir()
+            _move_all(self._moves(earlier))
+        except OSError as error:
+            raise OutputError(
+                f"{self.final}: cannot be replaced, {error.strerror}; close what uses it"
+            ) from error
+        shutil.rmtree(earlier, ignore_errors=True)
+        self._discard()
+        self.path = self.final
+
+    def _moves(self, earlier: Path) -> list[tuple[Path, Path]]:
+        new = sorted(self.path.iterdir())
+        names = RESULTS | {item.name for item in new}
+        old = sorted(item for item in self.final.iterdir() if item.name in names)
+        return [(item, earlier / item.name) for item in old] + [
+            (item, self.final / item.name) for item in new
+        ]
+
+    def _discard(self) -> None:
+        shutil.rmtree(self.path, ignore_errors=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.path == self.final:
+            return
+        self._discard()
+        if self._created and not any(self.final.iterdir()):
+            self.final.rmdir()
+
+
+def _move_all(moves: list[tuple[Path, Path]]) -> None:
+    done: list[tuple[Path, Path]] = []
+    try:
+        for source, target in moves:
+            source.rename(target)
+            done.append((source, target))
+    except BaseException:  # an interruption here must not leave half of each run
+        for source, target in reversed(done):
+            target.rename(source)
+        raise
+
+
+def _is_ours(item: Path) -> bool:
+    # What a killed run left behind is no reason to refuse the next one.
+    return item.name.startswith((_STAGING, _EARLIER))

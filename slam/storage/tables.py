@@ -1,0 +1,170 @@
+"""The two tables of a run: `frames.csv`, a line for each frame, and `loops.csv`, the ledger of every belief.
+
+Unknown values (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
+"""
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import DataError
+from slam.record import LoopRow
+from slam.storage.atomic import atomic_writer
+
+Array = NDArray[np.float64]
+
+LOOP_COLUMNS = tuple(field.name for field in fields(LoopRow))
+FRAME_COLUMNS = ("frame", "timestamp", "status", "reason", "inliers", "tracks", "residual")
+_STAGE_SUFFIX = "_ms"
+
+
+@dataclass(frozen=True)
+class FrameTable:
+    """How each frame's motion was found and how long every stage took.
+
+    Attributes:
+        timestamps: (N,) seconds.
+        predicted: (N,) bool, motion extrapolated instead of measured.
+        reasons: N, why it was predicted; empty when measured.
+        inliers: (N,) int, tracks that agree with the motion.
+        tracks: (N,) int, all tracks.
+        residual_px: (N,) root mean square reprojection error of the inliers, pixels; NaN when predicted.
+        stage_ms: milliseconds of each stage, stage name to (N,); NaN where a stage did not run.
+    """
+
+    timestamps: Array
+    predicted: NDArray[np.bool_]
+    reasons: tuple[str, ...]
+    inliers: NDArray[np.int64]
+    tracks: NDArray[np.int64]
+    residual_px: Array
+    stage_ms: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+
+def write_frames(path: Path, table: FrameTable) -> None:
+    """Write frames.csv: FRAME_COLUMNS, then `<stage>_ms` for every stage, its blanks as underscores.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    status = ["predicted" if predicted else "measured" for predicted in table.predicted]
+    columns = [table.timestamps, status, table.reasons, table.inliers, table.tracks, table.residual_px]
+    columns += table.stage_ms.values()
+    header = FRAME_COLUMNS + tuple(stage.replace(" ", "_") + _STAGE_SUFFIX for stage in table.stage_ms)
+    _write(path, header, zip(range(len(table)), *map(_listed, columns), strict=True))
+
+
+def read_frames(path: Path) -> FrameTable:
+    """Read frames.csv.
+
+    Raises:
+        DataError: missing file, other columns, a cell that cannot be read.
+    """
+    header, rows = _read(path, FRAME_COLUMNS)
+    stages = [name for name in header if name.endswith(_STAGE_SUFFIX)]
+
+    def column(name: str, read: Callable[[str], object], kind: type) -> NDArray[Any]:
+        return np.array([_cell(path, row, name, read) for row in rows], dtype=kind)
+
+    return FrameTable(
+        timestamps=column("timestamp", _float, float),
+        predicted=column("status", lambda cell: {"predicted": True, "measured": False}[cell], bool),
+        reasons=tuple(row["reason"] for row in rows),
+        inliers=column("inliers", int, np.int64),
+        tracks=column("tracks", int, np.int64),
+        residual_px=column("residual", _float, float),
+        stage_ms={name.removesuffix(_STAGE_SUFFIX): column(name, _float, float) for name in stages},
+    )
+
+
+def write_loops(path: Path, loops: Iterable[LoopRow]) -> None:
+    """Write loops.csv, one line for each row of the ledger.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write(path, LOOP_COLUMNS, map(astuple, loops))
+
+
+def read_loops(path: Path) -> tuple[LoopRow, ...]:
+    """Read loops.csv.
+
+    Raises:
+        DataError: missing file, other columns, a cell that cannot be read.
+    """
+    return tuple(_loop(path, row) for row in _read(path, LOOP_COLUMNS)[1])
+
+
+def _loop(path: Path, row: dict[str, str]) -> LoopRow:
+    readers: dict[object, Callable[[str], object]] = {
+        int: int,
+        float: _float,
+        bool: _bool,
+        bool | None: lambda cell: _bool(cell) if cell else None,
+        str: str,
+    }
+    cells = {field.name: _cell(path, row, field.name, readers[field.type]) for field in fields(LoopRow)}
+    return LoopRow(**cells)  # type: ignore[arg-type]
+
+
+def _listed(column: object) -> list[object]:
+    return column.tolist() if isinstance(column, np.ndarray) else list(column)  # type: ignore[call-overload]
+
+
+def _write(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    with atomic_writer(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([_text(value) for value in row] for row in rows)
+
+
+def _text(value: object) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return repr(float(value))
+    return " ".join(
+        str(value).splitlines()
+    )  # one line a row, for grep and for readers that stumble over breaks
+
+
+def _read(path: Path, columns: Sequence[str]) -> tuple[Sequence[str], list[dict[str, str]]]:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, restval="", strict=True)
+            rows, header = list(reader), reader.fieldnames or ()
+    except (OSError, ValueError, csv.Error) as error:
+        raise DataError(f"{path}: expected a table of a run, found {error}; run again") from None
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise DataError(
+            f"{path}: expected the columns {', '.join(columns)}, found no {missing[0]}; run again"
+        )
+    return header, rows
+
+
+def _cell(path: Path, row: dict[str, str], name: str, read: Callable[[str], object]) -> object:
+    try:
+        return read(row[name])
+    except (KeyError, ValueError):
+        where = next(iter(row.values()))
+        raise DataError(f"{path}, row {where}: cannot read {name} = {row[name]!r}; run again") from None
+
+
+def _float(cell: str) -> float:
+    return float(cell) if cell else math.nan
+
+
+def _bool(cell: str) -> bool:
+    return {"true": True, "false": False}[cell]

@@ -1,0 +1,54 @@
+"""Text files of numbers, read with complaints that name the file and the line."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import DataError
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a UTF-8 text file, without line ends.
+
+    Raises:
+        DataError: the file is missing, a folder, not readable or not text.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise DataError(f"{path}: expected this file, found none; check the path or copy it there") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: expected a text file, found other bytes; copy it again") from None
+    except OSError as error:
+        raise DataError(f"{path}: expected a readable file, found {error.strerror}; check it") from None
+
+
+def read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
+    """Read a table (N, columns) of finite numbers separated by blanks; empty lines and # lines are skipped.
+
+    Raises:
+        DataError: no line, a line with another count, a word that is no number, NaN or infinity.
+    """
+    rows = [
+        _numbers(path, number, line, columns)
+        for number, line in enumerate(read_lines(path), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows:
+        raise DataError(f"{path}: expected lines of {columns} numbers, found an empty file; copy it again")
+    return np.array(rows)
+
+
+def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
+    words = line.split()
+    expected = f"{path}, line {number}: expected {columns} finite number{'s' if columns > 1 else ''}"
+    if len(words) != columns:
+        raise DataError(f"{expected}, found {len(words)}; copy the file again")
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise DataError(f"{expected}, found {line.strip()[:60]!r}; copy the file again") from None
+    if not np.isfinite(values).all():
+        raise DataError(f"{expected}, found {line.strip()[:60]!r}; mend that line")
+    return values

@@ -1,0 +1,89 @@
+"""Trajectories in the two formats that every tool reads: KITTI poses and TUM.
+
+Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by
+row.
+TUM: `timestamp tx ty tz qx qy qz qw`. Numbers are written with as many digits as bring back the same double.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from slam.errors import DataError
+from slam.storage.atomic import atomic_writer
+from slam.storage.text import read_numbers
+
+Array = NDArray[np.float64]
+
+MAX_ROTATION_ERROR = 1e-2  # of R R^T - 1: files rounded to three digits pass, other matrices do not
+
+
+def write_kitti(path: Path, poses: Array) -> None:
+    """Write T_world_camera (N, 4, 4), metres, as KITTI poses.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_rows(path, poses[:, :3, :].reshape(-1, 12))
+
+
+def read_kitti(path: Path) -> Array:
+    """Read T_world_camera (N, 4, 4), metres, from KITTI poses, exactly as they stand in the file.
+
+    Raises:
+        DataError: missing file, a line without 12 finite numbers, a rotation that is none.
+    """
+    rows = read_numbers(path, 12).reshape(-1, 3, 4)
+    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
+    poses[:, :3] = rows
+    _check_rotations(path, poses[:, :3, :3])
+    return poses
+
+
+def write_tum(path: Path, timestamps: Array, poses: Array) -> None:
+    """Write T_world_camera (N, 4, 4), metres, at timestamps (N,), seconds, as TUM.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    _write_rows(path, np.column_stack([timestamps, poses[:, :3, 3], quaternions]))
+
+
+def read_tum(path: Path) -> tuple[Array, Array]:
+    """Read timestamps (N,), seconds, and T_world_camera (N, 4, 4), metres, from a TUM file.
+
+    Quaternions are normalised.
+
+    Raises:
+        DataError: missing file, a line without 8 finite numbers, a quaternion of length zero.
+    """
+    rows = read_numbers(path, 8)
+    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    if (lengths < 1e-6).any():
+        raise DataError(
+            f"{path}, pose {int(np.argmin(lengths))}: expected a unit quaternion, found zeros;"
+            " write the file again"
+        )
+    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
+    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    poses[:, :3, 3] = rows[:, 1:4]
+    return rows[:, 0], poses
+
+
+def _write_rows(path: Path, rows: Array) -> None:
+    with atomic_writer(path) as file:
+        file.writelines(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+def _check_rotations(path: Path, rotations: Array) -> None:
+    errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = (errors > MAX_ROTATION_ERROR) | (np.linalg.det(rotations) < 0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise DataError(
+            f"{path}, pose {at}: expected a rotation matrix, found one that is off by {errors[at]:.3g}"
+            " or mirrored; are these KITTI poses?"
+        )

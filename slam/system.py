@@ -1,0 +1,168 @@
+"""The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry proves, the graph corrects."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.motion import Motion
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.recognizer import Belief, PlaceRecognizer
+from slam.clock import StageClock
+from slam.datasets.dataset import Frame
+from slam.keyframes import KeyFrameSelector
+from slam.loop_closing import Landmarks, LoopCloser, LoopClosure, Rejection
+from slam.mapping.landmarks import LandmarkMap
+from slam.pose_graph import PoseGraph
+from slam.robust import LoopGate, Optimized
+
+Array = NDArray[np.float64]
+
+
+class Odometry(Protocol):
+    """Answers how the camera moved since the previous image."""
+
+    def track(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Motion:
+        """Motion from the previous pair of images (H, W) uint8 to this one; always finite."""
+        ...
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The interchangeable parts of the system."""
+
+    odometry: Odometry
+    features: SharedFeatures
+    recognizer: PlaceRecognizer
+    loop_closer: LoopCloser
+    graph: PoseGraph
+    key_frames: KeyFrameSelector
+    landmarks: LandmarkMap
+
+
+@dataclass(frozen=True)
+class LoopAttempt:
+    """What became of one belief.
+
+    Attributes:
+        belief: what the recogniser thought.
+        geometry: the relative pose, or why there is none; None for a belief that was not accepted.
+        gate: what the graph said of the closure; None where there was no closure.
+    """
+
+    belief: Belief
+    geometry: LoopClosure | Rejection | None
+    gate: LoopGate | None
+
+    @property
+    def reason(self) -> str:
+        """The verdict so far, in plain words; empty for a belief that was not accepted."""
+        if self.gate is not None:
+            return self.gate.reason
+        return self.geometry.reason if isinstance(self.geometry, Rejection) else ""
+
+    @property
+    def closed(self) -> bool:
+        """Whether the loop entered the graph."""
+        return self.gate is not None and self.gate.passed
+
+
+@dataclass(frozen=True)
+class Processed:
+    """What the system knows the moment a frame has been processed.
+
+    Attributes:
+        frame: the images.
+        motion: since the previous frame.
+        T_world_camera_odometry: (4, 4) by odometry alone, metres.
+        T_world_camera: (4, 4) online estimate, loops so far included.
+        landmarks: what was seen with depth, in the camera's frame.
+        is_key_frame: whether the landmarks joined the map.
+        attempts: the beliefs that became ready, and what came of them.
+        stage_ms: milliseconds by stage.
+    """
+
+    frame: Frame
+    motion: Motion
+    T_world_camera_odometry: Array
+    T_world_camera: Array
+    landmarks: Landmarks
+    is_key_frame: bool
+    attempts: tuple[LoopAttempt, ...]
+    stage_ms: dict[str, float]
+
+
+class Slam:
+    """Takes frames one by one; knows no files, no ground truth and no viewer."""
+
+    def __init__(self, parts: Parts) -> None:
+        self.parts = parts
+        self.clock = StageClock()
+        self._T_world_odometry = np.eye(4)
+        self._travelled = 0.0
+        self._frames = 0
+
+    def process(self, frame: Frame) -> Processed:
+        """Process the next frame of a stereo drive; `frame.index` counts from 0 without gaps."""
+        motion = self._move(frame)
+        landmarks = self._look(frame)
+        beliefs = self._recognise(frame)
+        attempts = tuple(self._close(belief) for belief in beliefs)
+        is_key_frame = self._map(frame.index, landmarks)
+        with self.clock.stage("pose graph"):
+            T_world_camera = self.parts.graph.latest()
+        return Processed(
+            frame,
+            motion,
+            self._T_world_odometry,
+            T_world_camera,
+            landmarks,
+            is_key_frame,
+            attempts,
+            self.clock.lap(),
+        )
+
+    def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], Optimized]:
+        """End the drive: answer the beliefs still open, then optimise everything with the named robust back end."""
+        attempts = tuple(self._close(belief) for belief in self.parts.recognizer.finish())
+        return attempts, self.parts.graph.optimize(robust)
+
+    def _move(self, frame: Frame) -> Motion:
+        assert frame.right is not None  # the run has refused drives without right images
+        with self.clock.stage("odometry"):
+            motion = self.parts.odometry.track(frame.left, frame.right)
+        if self._frames:
+            self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
+            self._travelled += float(np.linalg.norm(motion.T_previous_current[:3, 3]))
+            with self.clock.stage("pose graph"):
+                self.parts.graph.add_odometry(motion.T_previous_current, motion.covariance)
+        self._frames += 1
+        return motion
+
+    def _look(self, frame: Frame) -> Landmarks:
+        assert frame.right is not None
+        with self.clock.stage("features"):
+            self.parts.features.of(frame.index, frame.left)
+        with self.clock.stage("landmarks"):
+            return self.parts.loop_closer.remember(frame.index, frame.left, frame.right)
+
+    def _recognise(self, frame: Frame) -> list[Belief]:
+        with self.clock.stage("place recognition"):
+            return self.parts.recognizer.observe(frame.index, frame.left, self._travelled)
+
+    def _close(self, belief: Belief) -> LoopAttempt:
+        if belief.match is None or not belief.accepted:
+            return LoopAttempt(belief, None, None)
+        with self.clock.stage("loop closing"):
+            geometry = self.parts.loop_closer.close(belief.query, belief.match)
+        if isinstance(geometry, Rejection):
+            return LoopAttempt(belief, geometry, None)
+        with self.clock.stage("pose graph"):
+            return LoopAttempt(belief, geometry, self.parts.graph.add_loop(geometry))
+
+    def _map(self, index: int, landmarks: Landmarks) -> bool:
+        is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)
+        if is_key_frame:
+            self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)
+        return is_key_frame

@@ -1,0 +1,81 @@
+"""Between the system and a viewer: what of a frame is worth showing."""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from slam.datasets.dataset import Dataset
+from slam.loop_closing import LoopClosure
+from slam.system import LoopAttempt, Processed, Slam
+from slam.viewer.viewer import ClosedLoop, Step, Viewer
+
+Array = NDArray[np.float64]
+
+_PAIR_EVERY = 10  # frames between two image pairs shown: the earlier image has to be read again
+_NO_PIXELS = np.empty((0, 2))
+
+
+class Watcher:
+    """Shows each processed frame, and what became of the loops proposed with it, in a viewer."""
+
+    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset) -> None:
+        self._slam, self._viewer, self._drive = slam, viewer, drive
+        self._last_pair = -_PAIR_EVERY
+
+    def show(self, processed: Processed) -> dict[str, float]:
+        """Show a frame. Returns the milliseconds it took, as the stage `viewer`."""
+        start = time.perf_counter()
+        self._viewer.step(_step(processed))
+        for attempt in processed.attempts:
+            if attempt.geometry is not None:
+                self._show_loop(attempt, processed)
+        return {"viewer": 1000.0 * (time.perf_counter() - start)}
+
+    def _show_loop(self, attempt: LoopAttempt, processed: Processed) -> None:
+        with_pair = processed.frame.index - self._last_pair >= _PAIR_EVERY
+        if with_pair:
+            self._last_pair = processed.frame.index
+        poses = self._slam.parts.graph.poses() if with_pair else np.empty((0, 4, 4))
+        self._viewer.loop(self._closed(attempt, processed, with_pair), poses)
+
+    def _closed(self, attempt: LoopAttempt, processed: Processed, with_pair: bool) -> ClosedLoop:
+        geometry, belief = attempt.geometry, attempt.belief
+        assert belief.match is not None
+        proved = isinstance(geometry, LoopClosure)
+        return ClosedLoop(
+            query=belief.query,
+            match=belief.match,
+            image_query=processed.frame.left if with_pair and belief.query == processed.frame.index else None,
+            image_match=self._drive[belief.match].left if with_pair else None,
+            pixels_query=geometry.pixels_query if proved else _NO_PIXELS,
+            pixels_match=geometry.pixels_match if proved else _NO_PIXELS,
+            accepted=attempt.closed,
+            reason=attempt.reason,
+        )
+
+
+def _step(processed: Processed) -> Step:
+    belief = processed.attempts[-1].belief if processed.attempts else None
+    return Step(
+        index=processed.frame.index,
+        timestamp=processed.frame.timestamp,
+        image=processed.frame.left,
+        T_world_camera_odometry=processed.T_world_camera_odometry,
+        T_world_camera=processed.T_world_camera,
+        pixels_previous=processed.motion.pixels_previous,
+        pixels_current=processed.motion.pixels_current,
+        inliers=processed.motion.inliers,
+        predicted=processed.motion.predicted,
+        landmarks_world=_landmarks_world(processed),
+        stage_ms=processed.stage_ms,
+        score=belief.score if belief else 0.0,
+        accepted=belief.accepted if belief else False,
+    )
+
+
+def _landmarks_world(processed: Processed) -> Array | None:
+    if not processed.is_key_frame:
+        return None
+    return se3.transform(processed.T_world_camera, processed.landmarks.points)

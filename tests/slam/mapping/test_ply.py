@@ -1,0 +1,78 @@
+"""Clouds survive their files, with Open3D and without."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slam.errors import DataError, OutputError
+from slam.mapping.ply import read_cloud, write_cloud
+from slam.record import Cloud
+
+
+def cloud_of(seed: int, count: int) -> Cloud:
+    rng = np.random.default_rng(seed)
+    return Cloud(rng.normal(scale=100.0, size=(count, 3)), rng.integers(0, 256, count, dtype=np.uint8))
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("ply") / "map.ply"
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), count=st.integers(0, 50))
+def test_a_cloud_comes_back_to_the_bit(file: Path, seed: int, count: int) -> None:
+    cloud = cloud_of(seed, count)
+    write_cloud(file, cloud)
+    read = read_cloud(file)
+    np.testing.assert_array_equal(read.points, cloud.points)
+    np.testing.assert_array_equal(read.grey, cloud.grey)
+
+
+def test_every_brightness_comes_back(file: Path) -> None:
+    grey = np.arange(256).astype(np.uint8)
+    write_cloud(file, Cloud(np.zeros((256, 3)), grey))
+    np.testing.assert_array_equal(read_cloud(file).grey, grey)
+
+
+def test_without_open3d_the_same_cloud_is_written(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud = cloud_of(0, 100)
+    write_cloud(file, cloud)
+    with_open3d = file.read_bytes().replace(b"comment Created by Open3D\n", b"")
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "open3d", None)
+        write_cloud(file, cloud)
+    assert file.read_bytes() == with_open3d
+
+
+def test_the_file_is_binary_and_nothing_else_is_left(tmp_path: Path) -> None:
+    write_cloud(tmp_path / "map.ply", cloud_of(0, 10))
+    assert (tmp_path / "map.ply").read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
+    assert [item.name for item in tmp_path.iterdir()] == ["map.ply"]
+
+
+def test_writing_into_a_missing_folder_is_the_users_to_mend(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"nowhere/map.ply: cannot be written"):
+        write_cloud(tmp_path / "nowhere" / "map.ply", cloud_of(0, 10))
+
+
+def test_a_missing_cloud_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"map.ply: expected a PLY file, found none"):
+        read_cloud(tmp_path / "map.ply")
+
+
+def test_another_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "map.ply").write_text("solid cube")
+    with pytest.raises(DataError, match=r"map.ply: expected a PLY file, found other bytes"):
+        read_cloud(tmp_path / "map.ply")
+
+
+def test_a_cloud_without_colours_is_named(tmp_path: Path) -> None:
+    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "map.ply").write_text(header + "end_header\n1 2 3\n")
+    with pytest.raises(DataError, match=r"map.ply: expected a colour for each point"):
+        read_cloud(tmp_path / "map.ply")

@@ -1,0 +1,50 @@
+"""A configuration survives its file, and a wrong one is named."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from slam.config import RunConfig, read_config, to_toml
+from slam.errors import ConfigError
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    return path
+
+
+def test_what_is_written_is_read_back(tmp_path: Path):
+    config = replace(RunConfig(), seed=7, robust="none", record=False)
+    assert read_config(written(tmp_path, to_toml(config))) == config
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path):
+    assert read_config(written(tmp_path, "")) == RunConfig()
+
+
+def test_one_nested_setting_changes_only_itself(tmp_path: Path):
+    config = read_config(written(tmp_path, "[key_frames]\nmin_distance_m = 3\n"))
+    assert config.key_frames.min_distance_m == 3.0
+    assert replace(config, key_frames=RunConfig().key_frames) == RunConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("paradigms = 'x'", r"settings\.toml: unknown setting 'paradigms'; known here: .*paradigm"),
+        ("seed = 'one'", r"settings\.toml: seed: expected int, found 'one'"),
+        ("seed = true", r"settings\.toml: seed: expected int, found True"),
+        ("[key_frames]\nfar = 1", r"key_frames: unknown setting 'far'"),
+        ("seed = = 1", r"settings\.toml: expected a TOML file"),
+    ],
+)
+def test_a_wrong_file_is_named_with_the_setting(tmp_path: Path, text: str, message: str):
+    with pytest.raises(ConfigError, match=message):
+        read_config(written(tmp_path, text))
+
+
+def test_a_missing_file_is_named(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"nothing\.toml: expected a TOML file"):
+        read_config(tmp_path / "nothing.toml")

@@ -1,0 +1,30 @@
+"""The doctor names what is missing and the line that mends it."""
+
+import pytest
+
+from slam import doctor
+
+
+def test_a_machine_that_runs_the_tests_is_well():
+    assert [check for check in doctor.check_machine() if check.problem] == []
+
+
+def test_a_missing_library_is_named_with_its_package(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "SYSTEM_LIBRARIES", {"libnowhere.so.9": "libnowhere9"})
+    (check,) = (check for check in doctor.check_machine() if check.problem)
+    assert check.name == "libnowhere.so.9"
+    assert check.remedy.endswith("apt-get install --yes --no-install-recommends libnowhere9")
+
+
+def test_who_may_not_install_is_told_what_to_type(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(doctor, "SYSTEM_LIBRARIES", {"libnowhere.so.9": "libnowhere9"})
+    monkeypatch.setattr(doctor.os, "geteuid", lambda: 1000)
+    assert doctor.install_libraries() == 1
+    assert "sudo apt-get install --yes --no-install-recommends libnowhere9" in capsys.readouterr().err
+
+
+def test_nothing_is_installed_where_nothing_is_missing(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor.subprocess, "run", lambda *_args, **_kwargs: pytest.fail("ran a command"))
+    assert doctor.install_libraries() == 0
