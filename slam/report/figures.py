@@ -4,6 +4,7 @@ import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -72,7 +73,7 @@ def plan_view(record: DriveRecord, name: str) -> Figure:
     """Draw one panel of `before_after` alone, of `odometry` or `corrected`, without legend."""
     panels = _panels(record)
     centre, half = _window(panels)
-    figure = new_figure(5.6, float(np.clip(5.6 * half[1] / half[0], 3.3, 7.0)) + 0.4)
+    figure = new_figure(5.6, float(np.clip(4.9 * half[1] / half[0], 3.3, 6.6)) + 0.5)
     ax = figure.subplots()
     _draw(ax, next(panel for panel in panels if panel.name == name), record)
     _frame(ax, centre, half)
@@ -219,9 +220,12 @@ def save_png(figure: Figure, path: Path) -> None:
 def png(figure: Figure) -> bytes:
     """Render a figure as PNG on white, without the date and version that matplotlib would add."""
     buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", message="Glyph"
-        )  # names in scripts that the font lacks become boxes
-        figure.savefig(buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
+    render(figure, buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def render(figure: Figure, buffer: IO[Any], **how: Any) -> None:
+    """Write a figure to a buffer as `Figure.savefig` does; letters the font lacks become boxes."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure.savefig(buffer, **how)

@@ -24,7 +24,7 @@ ImageSource = Callable[[int], NDArray[np.uint8] | None]
 """The left image (H, W) uint8 of a frame, or None where it is not at hand."""
 
 _TEMPLATES = Path(__file__).with_name("templates")
-_PAIRS = 4  # loops shown with their images
+_PAIRS = 3  # loops shown with their images
 _PAIR_WIDTH = 620  # pixels
 
 
@@ -250,12 +250,12 @@ def _ledger_cells(row: LoopRow) -> list[Cell]:
         _number(row.weight, 2),
         _number(row.residual, 2),
     ]
-    return [*numbers, Cell(text(truth), "" if truth else "no ground truth", truth or "")]
+    return [*numbers, Cell(text(truth), order=truth or "")]
 
 
 def _number(found: float, digits: int) -> Cell:
     if not math.isfinite(found):
-        return Cell(text(None), "never entered the graph")
+        return Cell(text(None))
     return Cell(f"{found:.{digits}f}", order=found)
 
 

@@ -8,7 +8,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from slam.report import colours
-from slam.report.figures import INK
+from slam.report.figures import INK, render
 
 # The style sheet gives these variables one value for light pages and one for dark.
 _THEMED = {
@@ -33,7 +33,7 @@ def inline_svg(figure: Figure, name: str, title: str) -> Markup:
     """
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(buffer, format="svg", dpi=120, transparent=True, metadata=_NOTHING)
+        render(figure, buffer, format="svg", dpi=120, transparent=True, metadata=_NOTHING)
     drawn = buffer.getvalue()
     drawn = drawn[drawn.index("<svg") :]
     drawn = re.sub(r"<metadata>.*?</metadata>", "", drawn, flags=re.DOTALL)

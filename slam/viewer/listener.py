@@ -9,6 +9,7 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -52,6 +53,8 @@ def listen(web: bool) -> Listener:
     Raises:
         OutputError: rerun's program is missing, ended at once (no display, for instance) or stays silent.
     """
+    if not web:
+        _require_display()
     port, page_port = free_port(), free_port()
     process = subprocess.Popen(
         _command(web, port, page_port), env=_private(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -94,13 +97,21 @@ def _private() -> dict[str, str]:
     return {**os.environ, "CI": "true", "RERUN_APP_ONLY": "true"}
 
 
+def _require_display() -> None:
+    # without one the viewer opens its port before it fails, so waiting for the port does not tell
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OutputError(
+            "rerun: expected a display for its window, found no DISPLAY; use --view web or --view none"
+        )
+
+
 def _wait(process: subprocess.Popen[bytes], ports: list[int]) -> None:
     deadline = time.monotonic() + _PATIENCE_S
     while ports:
         if process.poll() is not None:
             raise OutputError(
                 f"rerun: expected a viewer, but it ended at once with code {process.returncode} "
-                "(no display?); use --view web or --view none"
+                "(no graphics?); use --view web or --view none"
             )
         if time.monotonic() > deadline:
             process.terminate()

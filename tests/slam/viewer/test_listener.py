@@ -1,0 +1,51 @@
+import ipaddress
+import sys
+from pathlib import Path
+
+import pytest
+
+from slam.errors import OutputError
+from slam.viewer import listener
+
+LISTENING = "0A"
+
+
+def bound_addresses(ports):
+    """Return the addresses on which this machine listens on any of the ports."""
+    found = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            _, local, _, state = line.split()[:4]
+            address, port = local.split(":")
+            if state == LISTENING and int(port, 16) in ports:
+                found.add(
+                    str(ipaddress.ip_address(bytes.fromhex(address)[::-1])) if len(address) == 8 else address
+                )
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to list who listens")
+def test_the_web_viewer_listens_on_this_machine_alone_and_stops_with_the_run():
+    served = listener.listen(web=True)
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page)}
+    assert bound_addresses(ports) == {"127.0.0.1"}
+    served.stop()
+    assert bound_addresses(ports) == set()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_a_window_without_a_display_is_an_error_with_a_remedy(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(OutputError, match=r"no DISPLAY; use --view web"):
+        listener.listen(web=False)
+
+
+def test_the_viewer_is_told_to_report_to_nobody():
+    assert listener._private()["CI"] == "true"
+
+
+def test_memory_is_limited():
+    command = listener._command(True, 1, 2)
+    assert command[command.index("--memory-limit") + 1] == "2GB"
+    assert command[command.index("--server-memory-limit") + 1] == "512MB"

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from odometry.camera import StereoCamera
+from slam.errors import OutputError
+from slam.viewer.rerun_viewer import RerunViewer
+from slam.viewer.viewer import ClosedLoop, NullViewer, Step
+
+from ..report import fabricate
+
+chunk = pytest.importorskip("rerun.chunk", reason="this rerun cannot read recordings back")
+
+CAMERA = StereoCamera(120.0, 120.0, 79.5, 29.5, 0.5, 160, 60)
+FRAMES = 160
+ALWAYS = {
+    "/world", "/world/camera", "/world/camera/image", "/world/camera/image/tracks", "/world/odometry",
+    "/world/corrected", "/world/landmarks", "/world/map_before", "/world/map_after", "/world/loops/accepted",
+    "/world/loops/rejected", "/loop/query", "/loop/match", "/plots/inliers", "/plots/score",
+}  # fmt: skip
+
+
+def step(record, index, rng):
+    pixels = rng.uniform([0, 0], [160, 60], (50, 2))
+    return Step(
+        index, float(record.timestamps[index]), rng.integers(0, 255, (60, 160)).astype(np.uint8),
+        record.odometry[index], record.online[index], pixels, pixels + 1.0, rng.random(50) < 0.8, False,
+        rng.normal(size=(40, 3)) if index % 5 == 0 else None, {"read": 1.5, "verify / prove": float("nan")},
+        0.5 if index else float("-inf"), index % 7 == 0,
+    )  # fmt: skip
+
+
+def drive(viewer, record, seed=1):
+    rng = np.random.default_rng(seed)
+    rows = {row.query: row for row in record.loops if row.accepted}
+    for index in range(len(record.timestamps)):
+        viewer.step(step(record, index, rng))
+        if index in rows:
+            image, pixels = np.full((60, 160), 90, np.uint8), rng.uniform(0, 60, (12, 2))
+            row = rows[index]
+            closed = ClosedLoop(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
+            viewer.loop(closed, record.online[: index + 1])
+    viewer.finish(record)
+    viewer.close()
+
+
+def recorded(tmp_path, record, truth):
+    path = tmp_path / "recording.rrd"
+    drive(RerunViewer(path, CAMERA, truth), record)
+    return list(chunk.RrdReader(path).stream())
+
+
+@pytest.fixture(scope="module")
+def chunks(tmp_path_factory):
+    record = fabricate.record(FRAMES)
+    return recorded(tmp_path_factory.mktemp("rrd"), record, record.ground_truth)
+
+
+def rows(chunks, path):
+    return sum(piece.num_rows for piece in chunks if piece.entity_path == path)
+
+
+def test_the_recording_reads_back_with_all_its_entities(chunks):
+    stages = {"/plots/stages/read", "/plots/error/corrected", "/world/ground_truth"}
+    assert {piece.entity_path for piece in chunks} >= ALWAYS | stages
+
+
+def test_the_camera_has_one_pose_for_each_frame(chunks):
+    assert rows(chunks, "/world/camera") == FRAMES
+
+
+def test_the_timelines_are_frame_and_time(chunks):
+    names = {name for piece in chunks for name in piece.timeline_names}
+    assert names == {"frame", "time"}
+
+
+def test_errors_are_known_for_each_frame(chunks):
+    assert rows(chunks, "/plots/error/odometry") == FRAMES + 1  # and how the curve looks
+
+
+def test_without_ground_truth_nothing_is_said_of_it(tmp_path):
+    record = fabricate.without_truth(fabricate.record(30))
+    paths = {piece.entity_path for piece in recorded(tmp_path, record, None)}
+    assert "/world/ground_truth" not in paths
+    assert "/world/odometry" in paths
+
+
+def test_a_drive_twice_as_long_makes_a_file_about_twice_as_large(tmp_path):
+    sizes = []
+    for frames in (150, 300):
+        record = fabricate.without_loops(fabricate.record(frames))
+        path = tmp_path / f"{frames}.rrd"
+        drive(RerunViewer(path, CAMERA, record.ground_truth), record)
+        sizes.append(path.stat().st_size)
+    assert sizes[1] < 2.3 * sizes[0]
+
+
+def test_a_recording_that_cannot_be_written_names_the_file(tmp_path):
+    with pytest.raises(OutputError, match=r"nowhere/r\.rrd: cannot write the recording"):
+        RerunViewer(tmp_path / "nowhere" / "r.rrd", CAMERA)
+
+
+def test_the_null_viewer_does_nothing():
+    record = fabricate.record(20)
+    before = record.online.copy()
+    drive(NullViewer(), record)
+    np.testing.assert_array_equal(record.online, before)
