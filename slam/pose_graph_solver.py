@@ -86,11 +86,11 @@ class GraphProblem:
 
     def least_squares(self, use: Mask, start: Array) -> Array:
         """Poses (N, 4, 4) that fit the chain and the loops in use, by Levenberg-Marquardt from start."""
-        return self._levenberg(self._graph(use), start)
+        return self._levenberg(self._graph(use), start) if use.any() else self.odometry
 
     def kernel(self, name: str, width: float, start: Array, use: Mask) -> Array:
         """Poses (N, 4, 4) under a robust kernel on the loops in use."""
-        return self._levenberg(self._graph(use, name, width), start)
+        return self._levenberg(self._graph(use, name, width), start) if use.any() else self.odometry
 
     def graduated(self, limit: float, start: Array, use: Mask) -> Array:
         """Weights (L,) of GTSAM's GNC, all but the loops known to be inliers; 0 for loops not in use."""

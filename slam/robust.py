@@ -42,11 +42,11 @@ class LoopProblem(Protocol):
         ...
 
     def least_squares(self, use: Mask, start: Array) -> Array:
-        """Poses (N, 4, 4) that fit the chain and the loops in use (L,), found from start (N, 4, 4)."""
+        """Poses (N, 4, 4) that fit chain and loops in use (L,), found from start; `odometry` if none is."""
         ...
 
     def kernel(self, name: str, width: float, start: Array, use: Mask) -> Array:
-        """Poses (N, 4, 4) under a robust kernel, `huber` (width in sigmas) or `dcs` (width a chi-square)."""
+        """Solve under a robust kernel: `huber` (width in sigmas) or `dcs` (width a chi-square)."""
         ...
 
     def graduated(self, limit: float, start: Array, use: Mask) -> Array:
@@ -176,9 +176,8 @@ def repaired(problem: LoopProblem, kept: Mask, limits: Limits) -> Outcome:
 
 
 def _solved(problem: LoopProblem, kept: Mask, start: Array) -> Outcome:
-    """Least squares on the kept loops; odometry, to the bit, where nothing is kept."""
-    poses = problem.least_squares(kept, start) if kept.any() else problem.odometry
-    return Outcome(poses, kept.astype(np.float64))
+    """Least squares on the kept loops."""
+    return Outcome(problem.least_squares(kept, start), kept.astype(np.float64))
 
 
 def reasons(problem: LoopProblem, outcome: Outcome, limits: Limits) -> tuple[str, ...]:
