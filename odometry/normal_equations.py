@@ -119,7 +119,7 @@ def _subtract_rectification(rectification, x, y, residual, J, first):
 
 @njit(cache=True)
 def _motion_rows(camera, x, y, nearness, J):
-    """Set derivatives by the motion; in the second camera the point is at (x, y), `nearness` its inverse depth."""
+    """Set the derivatives by the motion of a point at (x, y) and inverse depth `nearness`, second camera."""
     fx, fy, _, _, baseline = camera
     dx = (-x * y, 1.0 + x * x, -y, nearness, 0.0, -x * nearness)
     dy = (-1.0 - y * y, x * y, x, 0.0, nearness, -y * nearness)

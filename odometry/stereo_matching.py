@@ -58,10 +58,9 @@ def match_right(
     """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where no match is reliable."""
     config = config or StereoMatchingConfig()
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    half_left, half_right = _half(left), _half(right)
-    shifts = _search(
-        (pixels - 0.5) / 2.0, half_left, half_right, config.max_disparity_px // 2, config.uniqueness
-    )
+    mirrored = np.ascontiguousarray(_half(right)[:, ::-1])
+    reach = config.max_disparity_px // 2
+    shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness)
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
     known = np.isfinite(guess[:, 0]) & inside(pixels, left)
@@ -87,36 +86,42 @@ def refine_right(
     return np.where(good[:, None], places, np.nan)
 
 
-def _half(image: Image) -> Image:
-    """Average of each two by two pixels."""
+def _half(image: Image) -> NDArray[np.float32]:
+    """Average each two by two pixels."""
     height, width = image.shape
-    return cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    half = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    return half.astype(np.float32)
 
 
 @njit(cache=True)
-def _search(pixels, left, right, max_disparity, uniqueness):  # type: ignore[no-untyped-def]
+def _search(pixels, left, mirrored, max_disparity, uniqueness):  # type: ignore[no-untyped-def]
     """Shift (N,), left less right, of the best match of pixels (N, 2), whole pixels; NaN where not unique."""
     shifts = np.full(len(pixels), np.nan)
-    sums = np.empty(max_disparity + _BEHIND, dtype=np.int32)
+    sums = np.empty(max_disparity + _BEHIND, dtype=np.float32)
     edge = _RADIUS + _BEHIND
     for i in range(len(pixels)):
         u, v = round(pixels[i, 0]), round(pixels[i, 1])
         if edge <= v < left.shape[0] - edge and edge <= u < left.shape[1] - edge:
             reach = min(max_disparity, u - _RADIUS) + _BEHIND
-            _differences(left, right, u, v, sums[:reach])
+            _differences(left, mirrored, u, v, sums[:reach])
             shifts[i] = _unique_minimum(sums[:reach], uniqueness)
     return shifts
 
 
 @njit(cache=True)
-def _differences(left, right, u, v, sums):  # type: ignore[no-untyped-def]
-    """Sum the absolute differences of windows around (u, v) and (u - shift, v), shifts from -_BEHIND up."""
+def _differences(left, mirrored, u, v, sums):  # type: ignore[no-untyped-def]
+    """Sum the absolute differences of windows around (u, v) and (u - shift, v), shifts from -_BEHIND up.
+
+    Single precision is exact for these sums. The right image is mirrored so that the innermost loop runs
+    forward in memory, many shifts at once.
+    """
     sums[:] = 0
+    last = left.shape[1] - 1
     for y in range(v - _RADIUS, v + _RADIUS + 1):
         for x in range(u - _RADIUS, u + _RADIUS + 1):
-            value, start = np.int32(left[y, x]), x + _BEHIND
-            for k in range(len(sums)):  # innermost, so that neighbours in memory are compared at once
-                sums[k] += abs(value - np.int32(right[y, start - k]))
+            value, row = left[y, x], mirrored[y, last - x - _BEHIND :]
+            for k in range(len(sums)):
+                sums[k] += abs(value - row[k])
 
 
 @njit(cache=True)

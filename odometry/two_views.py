@@ -165,7 +165,7 @@ class _Problem:
         return change[:6]
 
     def noise(self) -> float:
-        """Standard deviation of a measurement, pixels, by the median of the squared residuals."""
+        """Measure the standard deviation of a measurement, pixels, by the median of the squared residuals."""
         return float(np.sqrt(np.median(self._chi2) / _MEDIAN))
 
     def result(self, sigma: float) -> TwoViewEstimate:
