@@ -4,11 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slam.evaluation.trajectory import distances_along
 from slam.record import DriveRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.figures import INK, new_figure, style
-from slam.report.reading import kept, scaled, stage_times, travelled
+from slam.report.reading import kept, scaled, stage_times
 
 _ESTIMATES = (
     ("odometry", colours.ODOMETRY, "-"),
@@ -26,7 +27,7 @@ def error_over_way(record: DriveRecord) -> Figure | None:
         return None
     figure = new_figure(_WIDTH, 3.1)
     ax = figure.subplots()
-    way = travelled(record)
+    way = distances_along(truth)
     for name, colour, dashes in _ESTIMATES:
         error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
         ax.plot(way, error, dashes, color=colour, lw=1.6, label=name)

@@ -13,16 +13,17 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from odometry.se3 import transform
 from slam.errors import OutputError
+from slam.evaluation.trajectory import Similarity
 from slam.record import Cloud, DriveRecord, LoopRow
 from slam.report import colours
-from slam.report.alignment import anchored_truth, similarity
+from slam.report.alignment import anchored_truth, fit
 from slam.report.reading import alignment, kept, rejected, scaled, text, value
 
 Array = NDArray[np.float64]
 
 INK = "#1a1a1a"
+_UNMOVED = Similarity(np.eye(3), np.zeros(3), 1.0)
 _DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
 _MARGIN = 0.07  # of the larger side, around the trajectories
 _SMALLEST = 4.0  # metres shown at least, for a robot that stood still
@@ -126,17 +127,17 @@ def _panels(record: DriveRecord) -> tuple[_Panel, _Panel]:
 def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
     truth = anchored_truth(record)
-    T = np.eye(4)
+    aligned = _UNMOVED
     if truth is not None and len(estimate):
-        T = similarity(estimate, truth, scaled(record.metrics, name))
+        aligned = fit(estimate, truth, scaled(record.metrics, name))
     points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return _Panel(
         title=f"{heading}\n{_ate(record, name)}",
         name=name,
         colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
-        positions=transform(T, estimate[:, :3, 3]),
-        landmarks=transform(T, points[:: len(points) // _DOTS + 1]),
+        positions=aligned.apply(estimate[:, :3, 3]),
+        landmarks=aligned.apply(points[:: len(points) // _DOTS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
     )
 

@@ -89,16 +89,17 @@ class RerunViewer:
         self._log_curves(step)
 
     def loop(self, closed: ClosedLoop, poses: Array) -> None:
-        """Show the fate of a proposed loop, and all loops so far on the trajectory that follows from it."""
+        """Show the fate of a proposed loop, and with poses the trajectory and all loops so far on it."""
         self._loops[closed.accepted].append((closed.query, closed.match))
-        self._log_loops(poses)
         level = "INFO" if closed.accepted else "WARN"
         words = (
             f"{'closed' if closed.accepted else 'rejected'} {closed.query} - {closed.match}: {closed.reason}"
         )
         self._recording.log("loop/log", rr.TextLog(words, level=level))
-        if closed.accepted:
+        if len(poses):
+            self._log_loops(poses)
             self._corrected.replace(poses[:, :3, 3])
+        if closed.accepted:
             self._log_matched("loop/query", closed.image_query, closed.pixels_query)
             self._log_matched("loop/match", closed.image_match, closed.pixels_match)
 
