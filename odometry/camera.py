@@ -21,6 +21,7 @@ class StereoCamera:
         cx, cy: principal point, pixels.
         baseline: distance from the left to the right camera, metres, positive.
         width, height: image size, pixels.
+
     """
 
     fx: float
@@ -54,7 +55,7 @@ class StereoCamera:
         return np.stack([u_left, u_left - self.fx * self.baseline / z, self.fy * y / z + self.cy], axis=1)
 
     def triangulate(self, pixels_left: Array, disparity: Array) -> Array:
-        """Points (N, 3), metres, left camera frame, of pixels (N, 2) in the left image with disparity (N,), pixels.
+        """Points (N, 3), metres, left camera frame, of left pixels (N, 2) with disparity (N,), pixels.
 
         Disparity is u_left - u_right. Where it is not positive the point comes back as NaN.
         """

@@ -13,13 +13,14 @@ class Motion:
     """The camera's motion between two consecutive images.
 
     Attributes:
-        T_previous_current: (4, 4) current camera in the previous camera's frame, metres; identity for the first image.
+        T_previous_current: (4, 4) current camera in the previous one's frame, metres; first image: identity.
         covariance: (6, 6) of the right perturbation `T_previous_current @ exp(xi)`, rotation first (rad, m).
         predicted: True where the images did not allow a measurement and the motion is an extrapolation.
         reason: why it was predicted; empty when measured.
         pixels_previous, pixels_current: (N, 2) tracked points in the left images, pixels.
         inliers: (N,) bool, the tracks that agree with the motion.
         residual_px: root mean square reprojection error of the inliers, pixels; NaN when predicted.
+
     """
 
     T_previous_current: Array

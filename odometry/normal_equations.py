@@ -1,7 +1,7 @@
 """The inner loop of the two-view adjustment, compiled: residuals, derivatives, depth eliminated, sums.
 
-Unknowns, in this order: the motion as a left perturbation `exp(xi) @ T_second_first` (6, rotation first), then
-the rectification error (12). Everything is in pixels.
+Unknowns, in this order: the motion as a left perturbation `exp(xi) @ T_second_first` (6, rotation first),
+then the rectification error (12). Everything is in pixels.
 """
 
 # numba compiles these from plain loops; the types are those of the only call.
@@ -25,11 +25,12 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
         inverse_depth: (N,) 1/m.
         T_second_first: (4, 4) first camera in the second one's frame, metres.
         rectification: (12,) pixels.
-        scale: squared residual of a point, pixels squared, at which its weight is a quarter (Geman and McClure).
+        scale: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure).
 
     Returns:
-        H (18, 18) and b (18,), `H @ change = -b`; squared residuals (N,) with each depth at its best, pixels squared;
-        and for the depths: `inverse_depth -= offset (N,) + rows (N, 18) @ change`.
+        H (18, 18) and b (18,), `H @ change = -b`; squared residuals (N,), pixels squared, each with
+        its depth at its best; and for the depths: `inverse_depth -= offset (N,) + rows (N, 18) @ change`.
+
     """
     n = len(rays)
     H, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
@@ -79,7 +80,7 @@ def _add(H, b, J, residual, weight):
 
 @njit(cache=True)
 def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual, J, Jd):
-    """Residuals (6,), measured minus predicted, with their derivatives J (6, 18) and Jd (6,) by the inverse depth."""
+    """Residuals (6,), measured minus predicted; derivatives J (6, 18), and Jd (6,) by the inverse depth."""
     fx, fy, cx, cy, baseline = camera
     J[:] = 0.0
     # First right image: the ray is known, the disparity is the inverse depth.
@@ -107,7 +108,7 @@ def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual,
 
 @njit(cache=True)
 def _subtract_rectification(rectification, x, y, residual, J, first):
-    """Take the error field at the ray (x, y, 1) out of two residuals from `first` on, and set its derivatives."""
+    """Take the error field at the ray (x, y, 1) out of residuals `first` and next; set its derivatives."""
     terms = (1.0, x, y, x * x, x * y, y * y)
     for k in range(_TERMS):
         residual[first] -= terms[k] * rectification[k]
@@ -118,7 +119,7 @@ def _subtract_rectification(rectification, x, y, residual, J, first):
 
 @njit(cache=True)
 def _motion_rows(camera, x, y, nearness, J):
-    """Derivatives by the motion of a point seen at (x, y) whose inverse depth in the second camera is `nearness`."""
+    """Set derivatives by the motion; in the second camera the point is at (x, y), `nearness` its inverse depth."""
     fx, fy, _, _, baseline = camera
     dx = (-x * y, 1.0 + x * x, -y, nearness, 0.0, -x * nearness)
     dy = (-1.0 - y * y, x * y, x, 0.0, nearness, -y * nearness)

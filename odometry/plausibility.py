@@ -23,6 +23,7 @@ class PlausibilityConfig:
         jump_rad: largest unexpected rotation otherwise, radians.
         noise_px: largest noise of the measurements, pixels.
         moving_m: least translation that is called driving, metres.
+
     """
 
     tracks: int = 20

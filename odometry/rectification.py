@@ -1,12 +1,12 @@
 """What is left of a stereo pair's calibration error, learned while driving.
 
 Recorded pairs are never rectified perfectly: on KITTI rows differ by up to a pixel and disparities are
-wrong by as much, which makes every way estimated from far points too long (Kreso and Segvic, Improving the Egomotion
-Estimation by Correcting the Calibration Bias, VISAPP 2015, found the same and learned it from ground truth).
-No ground truth is needed: rows that differ are seen in each pair, and an offset in disparity makes near and far
-points disagree about the same motion. The error is modelled as a smooth field over the right image, one
-quadratic polynomial of the viewing ray for each axis, and estimated with the motion, frame by frame,
-in the manner of a Kalman filter.
+wrong by as much, which makes every way estimated from far points too long (Kreso and Segvic, Improving the
+Egomotion Estimation by Correcting the Calibration Bias, VISAPP 2015, found the same and learned it from
+ground truth). No ground truth is needed: rows that differ are seen in each pair, and an offset in disparity
+makes near and far points disagree about the same motion. The error is modelled as a smooth field over the
+right image, one quadratic polynomial of the viewing ray for each axis, and estimated with the motion, frame
+by frame, in the manner of a Kalman filter.
 """
 
 from dataclasses import dataclass
@@ -31,6 +31,7 @@ class RectificationConfig:
         curvature_px: the same for one that grows with its square.
         repeats: frames in which one track is seen, so that its error is not counted anew in each.
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
+
     """
 
     offset_px: float = 1.0
@@ -53,6 +54,7 @@ class Rectification:
         camera: the pair.
         coefficients: (12,) pixels, TERMS for the column and TERMS for the row.
         covariance: (12, 12) pixels squared.
+
     """
 
     camera: StereoCamera
@@ -78,7 +80,7 @@ class Rectification:
     def learned(
         self, coefficients: Array, information: Array, config: RectificationConfig
     ) -> "Rectification":
-        """The next estimate: coefficients (12,) and the information (12, 12) that one frame gave about them."""
+        """Take over coefficients (12,) with the information (12, 12) that one frame gave about them."""
         known = np.linalg.inv(self.covariance) + information / config.repeats
         covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(2 * TERMS)
         return Rectification(self.camera, coefficients, 0.5 * (covariance + covariance.T))

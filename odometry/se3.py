@@ -1,9 +1,9 @@
 """Rigid motions SE(3) as (4, 4) matrices, and their tangent space.
 
-Tangent vectors xi (6,) hold rotation first, then translation: (wx, wy, wz, vx, vy, vz), radians and metres, in
-the body frame: a perturbed pose is `T @ exp(xi)` (the order and side that GTSAM's Pose3 uses; g2o files have
-translation first). Covariances (6, 6) use the same order. Formulas: Barfoot, State Estimation for Robotics
-(2017), section 7.1.
+Tangent vectors xi (6,) hold rotation first, then translation: (wx, wy, wz, vx, vy, vz), radians and metres,
+in the body frame: a perturbed pose is `T @ exp(xi)` (the order and side that GTSAM's Pose3 uses; g2o files
+have translation first). Covariances (6, 6) use the same order. Formulas: Barfoot, State Estimation for
+Robotics (2017), section 7.1.
 """
 
 import numpy as np

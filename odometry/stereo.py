@@ -4,7 +4,8 @@
     for left, right in pairs:
         T_world_camera = T_world_camera @ odometry.track(left, right).T_previous_current
 
-There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation, and says so.
+There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation,
+and says so.
 """
 
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ class StereoOdometryConfig:
         plausibility: when a result is not believed.
         extrapolated_rad: standard deviation of the change of rotation from one image to the next.
         extrapolated_m: standard deviation of the change of translation from one image to the next, metres.
+
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -65,6 +67,7 @@ class StereoOdometry:
 
     Attributes:
         rectification: the pair's calibration error as learned so far; corrects disparities of any match.
+
     """
 
     def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
@@ -78,7 +81,7 @@ class StereoOdometry:
         self._age = 1  # images since the reference
 
     def track(self, left: Image, right: Image) -> Motion:
-        """Motion since the previous pair, of images (H, W) uint8 of the camera's size; ValueError for any other."""
+        """Motion since the previous pair, images (H, W) uint8 of the camera's size; ValueError for others."""
         self._check(left, right)
         if self._reference is None:
             self._restart(self._observe(left, right))
@@ -119,7 +122,7 @@ class StereoOdometry:
                 )
 
     def _follow(self, reference: _View, left: Image, right: Image, guess: Array) -> StereoTracks:
-        """The reference's points in the new pair, as far as they can be followed, looked for where the guess puts them."""
+        """Look for the reference's points in the new pair where the guess puts them."""
         ahead, shift = self._predict(reference, guess)
         second_left = follow((reference.left, left), reference.pixels_left, ahead, self._config.tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
@@ -133,7 +136,7 @@ class StereoOdometry:
         )
 
     def _predict(self, reference: _View, guess: Array) -> tuple[Array, Array]:
-        """Where the points (N, 2) should be in the new left image, and how far right from left (N, 2), pixels."""
+        """Where the points (N, 2) should be in the new left image, and right less left (N, 2), pixels."""
         shift = reference.pixels_right - reference.pixels_left
         disparity = self.rectification.correct(reference.pixels_left, -shift[:, 0])
         points = self._camera.triangulate(reference.pixels_left, np.maximum(disparity, 0.1))
@@ -145,7 +148,7 @@ class StereoOdometry:
         return ahead, shift
 
     def _estimate(self, tracks: StereoTracks, guess: Array) -> TwoViewEstimate | None:
-        """The motion near the guess if most tracks agree with it, else the one that most agree with."""
+        """Find the motion near the guess if most tracks agree with it, else the one that most agree with."""
         if len(tracks) < self._config.plausibility.tracks:
             return None
         estimate = estimate_motion(tracks, self.rectification, guess, self._config.adjustment)
@@ -172,7 +175,7 @@ class StereoOdometry:
         return _motion(T_previous_current, covariance, "", tracks, estimate)
 
     def _extrapolate(self, left: Image, right: Image, reason: str) -> Motion:
-        """Constant velocity; measure from this pair on if it shows enough, else wait for the reference to come back."""
+        """Go on at constant velocity; this pair is the new reference if it shows enough."""
         T_previous_current = self._expected_motion()
         deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * self._age
         covariance = np.diag(deviation**2)
@@ -188,7 +191,7 @@ class StereoOdometry:
         return _motion(T_previous_current, covariance, reason)
 
     def _observe(self, left: Image, right: Image, *kept: Array) -> _View:
-        """A view with the tracks kept, left and right (N, 2), topped up with new corners."""
+        """Make a view of the tracks kept, left and right (N, 2), topped up with new corners."""
         pixels_left, pixels_right = kept or (np.zeros((0, 2)), np.zeros((0, 2)))
         corners = detect(left, pixels_left, self._config.tracking)
         places = match_right(left, right, corners, self._config.matching)
@@ -213,7 +216,7 @@ def _motion(
     tracks: StereoTracks | None = None,
     estimate: TwoViewEstimate | None = None,
 ) -> Motion:
-    """The answer, with tracks where there was a measurement."""
+    """Assemble the answer, with tracks where there was a measurement."""
     if tracks is None or estimate is None:
         nothing = np.zeros((0, 2))
         return Motion(

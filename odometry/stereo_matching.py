@@ -1,9 +1,9 @@
 """Left-right association on rectified pairs.
 
 Two steps: a search along the row for the smallest sum of absolute differences, on images at half size; then
-Lucas and Kanade's tracker from there, at full size and in both axes, because the rows of real rectifications are
-off by a pixel and more. The tracker's answer has no preference for whole pixels, as a parabola through the sums
-has: a bias in disparity would be a bias in the way driven.
+Lucas and Kanade's tracker from there, at full size and in both axes, because the rows of real
+rectifications are off by a pixel and more. The tracker's answer has no preference for whole pixels, as a
+parabola through the sums has: a bias in disparity would be a bias in the way driven.
 """
 
 from dataclasses import dataclass
@@ -33,6 +33,7 @@ class StereoMatchingConfig:
         window_px: side of the window of the refinement, pixels, odd.
         return_px: farthest that matching back may end from where it began, pixels.
         refine_px: farthest that the refinement may move the result of the search, pixels.
+
     """
 
     max_disparity_px: int = 128
@@ -44,9 +45,9 @@ class StereoMatchingConfig:
 
 
 def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
-    """Disparity (N,) u_left - u_right, pixels, of pixels (N, 2) of the left image; NaN where there is no reliable match.
+    """Disparity (N,), u_left - u_right, of pixels (N, 2) of the left image; NaN where no match is reliable.
 
-    The images are (H, W) uint8, rectified. Nothing is assumed about depth.
+    The images are (H, W) uint8, rectified; all else is in pixels. Nothing is assumed about depth.
     """
     return pixels[:, 0] - match_right(left, right, pixels, config)[:, 0]
 
@@ -54,7 +55,7 @@ def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingC
 def match_right(
     left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None
 ) -> Array:
-    """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where there is no reliable match."""
+    """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where no match is reliable."""
     config = config or StereoMatchingConfig()
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     half_left, half_right = _half(left), _half(right)
@@ -94,15 +95,13 @@ def _half(image: Image) -> Image:
 
 @njit(cache=True)
 def _search(pixels, left, right, max_disparity, uniqueness):  # type: ignore[no-untyped-def]
-    """Shift (N,) left minus right of the best match of each pixel (N, 2), whole pixels; NaN where none is unique."""
+    """Shift (N,), left less right, of the best match of pixels (N, 2), whole pixels; NaN where not unique."""
     shifts = np.full(len(pixels), np.nan)
     sums = np.empty(max_disparity + _BEHIND, dtype=np.int32)
+    edge = _RADIUS + _BEHIND
     for i in range(len(pixels)):
-        u, v = int(round(pixels[i, 0])), int(round(pixels[i, 1]))
-        if (
-            _RADIUS <= v < left.shape[0] - _RADIUS
-            and _RADIUS + _BEHIND <= u < left.shape[1] - _RADIUS - _BEHIND
-        ):
+        u, v = round(pixels[i, 0]), round(pixels[i, 1])
+        if edge <= v < left.shape[0] - edge and edge <= u < left.shape[1] - edge:
             reach = min(max_disparity, u - _RADIUS) + _BEHIND
             _differences(left, right, u, v, sums[:reach])
             shifts[i] = _unique_minimum(sums[:reach], uniqueness)
@@ -111,7 +110,7 @@ def _search(pixels, left, right, max_disparity, uniqueness):  # type: ignore[no-
 
 @njit(cache=True)
 def _differences(left, right, u, v, sums):  # type: ignore[no-untyped-def]
-    """Sums of absolute differences of the windows around (u, v) and (u - shift, v), shifts from -_BEHIND up."""
+    """Sum the absolute differences of windows around (u, v) and (u - shift, v), shifts from -_BEHIND up."""
     sums[:] = 0
     for y in range(v - _RADIUS, v + _RADIUS + 1):
         for x in range(u - _RADIUS, u + _RADIUS + 1):

@@ -29,6 +29,7 @@ class TrackingConfig:
         window_px: side of the window that is compared, pixels, odd.
         levels: levels of the pyramid above the image itself; each doubles the reach.
         return_px: farthest that tracking back may end from where it began, pixels.
+
     """
 
     corners: int = 450
@@ -49,7 +50,7 @@ def detect(image: Image, tracked: Array, config: TrackingConfig) -> Array:
     size = 2 * (config.spacing_px // (2 * _HALF)) + 1
     peaks = (strength == cv2.dilate(strength, np.ones((size, size), np.uint8))) & (strength > floor)
     row, column = np.nonzero(peaks)
-    pixels = _HALF * np.stack([column, row], axis=1) + (_HALF - 1) / 2.0
+    pixels = np.stack([column, row], axis=1).astype(np.float64) * _HALF + (_HALF - 1) / 2
     return pixels[_fill_cells(pixels, strength[row, column], tracked, image.shape, config)]
 
 
@@ -70,7 +71,7 @@ def follow(images: tuple[Image, Image], pixels: Array, guess: Array, config: Tra
 def lucas_kanade(
     images: tuple[Image, Image], pixels: Array, guess: Array, config: TrackingConfig
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Pyramidal Lucas-Kanade: places (N, 2) of pixels (N, 2) in the second image, and which were found (N,)."""
+    """Pyramidal Lucas-Kanade: places (N, 2) of pixels (N, 2) in the second image, and which were found."""
     if len(pixels) == 0:
         return np.zeros((0, 2)), np.zeros(0, dtype=bool)
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -120,7 +121,7 @@ def _fill_cells(
     shape: tuple[int, ...],
     config: TrackingConfig,
 ) -> NDArray[np.intp]:
-    """Indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
+    """Choose the indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
     cells = config.columns * config.rows
     capacity = (
         -(-config.corners // cells) * 2

@@ -1,11 +1,12 @@
-"""Motion between two stereo pairs: every depth, the motion and the rectification error in one robust adjustment.
+"""Motion between two stereo pairs: depths, motion and rectification error in one robust adjustment.
 
 A point is the pixel of its track in the first left image, which the tracker compares everything with and is
-therefore exact, and an inverse depth. Its places in the other three images are six measurements. Estimating the
-inverse depth with the motion, instead of fixing it by triangulation, takes away the bias that noisy depths of far
-points bring (Civera et al., Inverse Depth Parametrization, TRO 2008); it is eliminated point by point, by the Schur
-complement (Triggs et al., Bundle Adjustment, 1999, section 6). No point is too far: one at infinity still measures rotation.
-Weights are those of Geman and McClure at a noise level measured from the residuals themselves.
+therefore exact, and an inverse depth. Its places in the other three images are six measurements. Estimating
+the inverse depth with the motion, instead of fixing it by triangulation, takes away the bias that noisy
+depths of far points bring (Civera et al., Inverse Depth Parametrization, TRO 2008); it is eliminated point
+by point, by the Schur complement (Triggs et al., Bundle Adjustment, 1999, section 6). No point is too far:
+one at infinity still measures rotation. Weights are those of Geman and McClure at a noise level measured
+from the residuals themselves.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.camera import StereoCamera
 from odometry.normal_equations import accumulate
 from odometry.rectification import Rectification
 
@@ -35,6 +35,7 @@ class StereoTracks:
 
     Attributes:
         first_left, first_right, second_left, second_right: (N, 2) pixels.
+
     """
 
     first_left: Array
@@ -56,9 +57,10 @@ class AdjustmentConfig:
 
     Attributes:
         iterations: most steps.
-        start_px: noise level assumed in the first step, halved in each; residuals up to four times that count.
+        start_px: noise level assumed in the first step, at least, and halved in each.
         floor_px: smallest noise level that is believed, pixels.
         converged: largest step, radians and metres, that counts as none.
+
     """
 
     iterations: int = 12
@@ -73,12 +75,13 @@ class TwoViewEstimate:
 
     Attributes:
         T_first_second: (4, 4) second camera in the first camera's frame, metres.
-        covariance: (6, 6) of the right perturbation, rotation first; includes what is not known of the rectification.
+        covariance: (6, 6) of the right perturbation, rotation first; counts in the rectification.
         inliers: (N,) bool, the points whose six residuals agree with the motion.
         noise_px: standard deviation of one measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
         rectification: (12,) coefficients, estimated with the motion.
         information: (12, 12) what this pair of views said about them.
+
     """
 
     T_first_second: Array
@@ -107,7 +110,7 @@ def estimate_motion(
 
 
 def ransac_motion(tracks: StereoTracks, rectification: Rectification) -> Array | None:
-    """T_first_second (4, 4) that most tracks agree with, from minimal samples (P3P), or None. Always draws the same samples."""
+    """T_first_second (4, 4) that most tracks agree with, by minimal samples (P3P), or None."""
     camera = rectification.camera
     disparity = tracks.first_left[:, 0] - tracks.first_right[:, 0]
     points = camera.triangulate(
@@ -153,7 +156,7 @@ class _Problem:
         H, b = H / sigma**2, b / sigma**2
         H[6:, 6:] += self._prior_information
         b[6:] += self._prior_information @ (self._rectification - self._prior.coefficients)
-        change = -np.linalg.solve(H + _DAMPING * np.eye(len(H)), b)
+        change = np.linalg.solve(H + _DAMPING * np.eye(len(H)), -b).astype(np.float64)
         self._inverse_depth = self._bounded(
             self._inverse_depth - self._depth_offset - self._depth_rows @ change
         )
@@ -162,11 +165,11 @@ class _Problem:
         return change[:6]
 
     def noise(self) -> float:
-        """Standard deviation of one measurement, pixels, by the median of the squared residuals."""
+        """Standard deviation of a measurement, pixels, by the median of the squared residuals."""
         return float(np.sqrt(np.median(self._chi2) / _MEDIAN))
 
     def result(self, sigma: float) -> TwoViewEstimate:
-        """What has been found, with its uncertainty at the noise level sigma, pixels."""
+        """Sum up what has been found, with its uncertainty at the noise level sigma, pixels."""
         self._linearise(sigma)
         inliers = self._chi2 < _LIMIT * sigma**2
         # What is certain about an estimate is what all its inliers say: the weights only chose them.
@@ -176,7 +179,7 @@ class _Problem:
         information = H[6:, 6:] - H[6:, :6] @ gain
         known = np.linalg.inv(self._prior_information + information)
         T_first_second = se3.inverse(self._T_second_first)
-        # The step perturbs T_second_first on the left: exp(xi) T = (T^-1 exp(-xi))^-1, the right side of the inverse.
+        # The step perturbs T_second_first on the left: exp(xi) T is the inverse of T^-1 exp(-xi).
         covariance = inverse + gain @ known @ gain.T
         return TwoViewEstimate(
             T_first_second=T_first_second,
@@ -189,7 +192,7 @@ class _Problem:
         )
 
     def _linearise(self, sigma: float) -> tuple[Array, Array]:
-        """Normal equations (18, 18), (18,) of motion and rectification; keeps what the depths need."""
+        """Sum up the normal equations (18, 18), (18,); keeps what the depths need."""
         H, b, self._chi2, self._depth_rows, self._depth_offset = accumulate(
             self._camera, self._rays, self._measured, self._inverse_depth,
             self._T_second_first, self._rectification, _LIMIT * sigma**2,

@@ -111,7 +111,7 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
         ) from None
     except ValueError:
         raise DataError(
-            f"{path}: expected lines such as 'P0: 12 numbers', found others; copy it again"
+            f"{path}: expected only lines such as 'P0: 12 numbers', found others; remove them"
         ) from None
     P_left, P_right = (_projection(path, f"P{camera}", lines) for camera in cameras)
     _check_pair(path, cameras, P_left, P_right)
@@ -119,6 +119,7 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
 
 
 def _check_pair(path: Path, cameras: tuple[int, int], P_left: Array, P_right: Array) -> None:
+    # Disparity is depth only where both cameras share intrinsics; a tenth of a per cent is a rounded file.
     if not np.allclose(P_left[:, :3], P_right[:, :3], rtol=1e-3):
         raise DataError(
             f"{path}: expected the same intrinsics in P{cameras[0]} and P{cameras[1]}; rectify the images"

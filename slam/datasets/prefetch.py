@@ -17,6 +17,7 @@ def prefetch(dataset: Dataset, ahead: int = 4) -> Iterator[Frame]:
     Raises:
         DataError: where the frame is reached that cannot be read; the frames before it are given.
     """
+    # One thread: decoding lets go of the interpreter, and more threads would compete with the odometry's own.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
     waiting: deque[Future[Frame]] = deque()
     try:

@@ -97,6 +97,7 @@ def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.boo
     """
     rule = rule or LoopRule()
     positions, ahead, way = truth[:, :3, 3], truth[:, :3, 2], distances_along(truth)
+    # Pairs from a tree: all N^2 distances of a long drive would need hundreds of megabytes.
     near = cKDTree(positions).query_pairs(rule.revisit_m, output_type="ndarray")
     earlier, later = near.min(axis=1), near.max(axis=1)
     far_behind = way[later] - way[earlier] >= rule.revisit_way_radii * rule.revisit_m

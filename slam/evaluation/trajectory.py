@@ -109,6 +109,7 @@ def trajectory_errors(estimate: Array, truth: Array, alignment: Alignment = "se3
     """
     _check_lengths(estimate, truth)
     fit = umeyama(estimate[:, :3, 3], truth[:, :3, 3], alignment)
+    # A rigid motion changes neither segments nor the end error, so one aligned trajectory serves all.
     aligned = fit.apply_poses(estimate)
     segments = kitti_errors(aligned, truth)
     end, way = end_error(aligned, truth), path_length(truth)
@@ -138,6 +139,7 @@ def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Simil
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     spread = source - mean_source
     U, singular, Vt = np.linalg.svd((target - mean_target).T @ spread / len(source))
+    # The last singular direction is flipped where the best orthogonal matrix would be a reflection.
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     R = (U * signs) @ Vt
     variance = float((spread**2).sum() / len(source))

@@ -25,8 +25,8 @@ _VERTEX = np.dtype([("point", "<f8", 3), ("colour", "u1", 3)])
 def write_cloud(path: Path, cloud: Cloud) -> None:
     """Write points (metres, world frame) with their grey as colour.
 
-    Open3D writes it. Where Open3D cannot be loaded (on a bare server its wheel misses libusb or libgomp) or
-    refuses (a cloud without points) the same bytes are written here: no run loses its map to that.
+    Open3D writes it. Where Open3D cannot be loaded (on a bare server its wheel misses libusb), refuses (no
+    points at all) or fails, the same bytes are written here: no run loses its map to that.
 
     Raises:
         OutputError: the file cannot be written.
@@ -67,7 +67,10 @@ def _write_with_open3d(path: Path, cloud: Cloud) -> bool:
         return False
     out = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points))
     out.colors = open3d.utility.Vector3dVector(np.repeat(cloud.grey[:, None] / 255.0, 3, axis=1))
-    return bool(open3d.io.write_point_cloud(path, out))
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        done = open3d.io.write_point_cloud(path, out)
+    # On a full disk Open3D reports success for half a file.
+    return bool(done) and path.stat().st_size > len(cloud.points) * _VERTEX.itemsize
 
 
 def _write_plain(path: Path, cloud: Cloud) -> None:

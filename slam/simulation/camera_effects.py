@@ -13,7 +13,7 @@ from slam.simulation.spec import DriveSpec
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_EXPOSURE = 0.007  # seconds the shutter is open
+_EXPOSURE = 0.005  # seconds the shutter is open
 _DEFOCUS = 0.5  # pixels at KITTI's size, deviation of the blur of lens and rectification
 _VIGNETTE = 0.22  # light lost in the far corner
 _READ_NOISE, _SHOT_NOISE = 1.1, 0.012  # grey values; variance per grey value
@@ -114,10 +114,10 @@ def smear(image, depth, step, intrinsics):
             dz = -(step[2, 0] * x + step[2, 1] * y + step[2, 2] + step[2, 3] / z)
             u, v = fx * (dx - x * dz), fy * (dy - y * dz)
             length = min(np.sqrt(u * u + v * v), 24.0)
-            if length < 0.4:
+            if length < 0.6:
                 out[row, column] = image[row, column]
                 continue
-            taps = int(length) + 2
+            taps = int(length + 1.6)
             total = 0.0
             for k in range(taps):
                 t = (k + 0.5) / taps - 0.5

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.errors import OutputError
 from slam.simulation.camera_effects import build_sensor, gain
-from slam.simulation.render import Stage, render
+from slam.simulation.render import Stage, in_view, render
 from slam.simulation.routes import plan_drive
 from slam.simulation.spec import FORMAT, DriveSpec
 from slam.simulation.stages import Stages
@@ -105,13 +105,13 @@ class _Recording:
 
     def _frame(self, stage: Stage, frame: int) -> None:
         poses, camera = self.drive.T_town_camera, self.spec.camera
-        moving = self.stages.traffic.at(frame)
+        scene = in_view(stage.scene, self.stages.traffic.at(frame), camera, poses[frame])
         other = min(frame + 1, len(poses) - 1)
         motion = se3.inverse(poses[frame]) @ poses[other]
         exposure = 1.0
         for side, sensor in enumerate(self.sensors):
             here = poses[frame] @ se3.pose(np.eye(3), np.array([side * camera.baseline, 0.0, 0.0]))
-            light, depth = render(stage, moving, camera, here)
+            light, depth = render(stage, scene, camera, here)
             exposure = gain(self.spec, light, float(self.drive.timestamps[frame])) if side == 0 else exposure
             self._save(f"image_{side}", frame, sensor.expose(light, depth, motion, exposure, frame))
             if side == 0 and self.spec.depth:

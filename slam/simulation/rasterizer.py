@@ -23,7 +23,7 @@ def _extend(box, x, y):
     box[3] = max(box[3], y)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bounds(v, box):
     """Pixel bounds of the part of triangle v (3, 3) in front of the near plane; False if there is none."""
     box[0] = box[2] = 1e9
@@ -39,7 +39,7 @@ def _bounds(v, box):
     return box[0] <= box[1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _edges(v, e):
     """Edge planes (rows 0-2) and the 1/z plane (row 3) of triangle v; False if it is seen edge on."""
     for i in range(3):
@@ -58,7 +58,7 @@ def _edges(v, e):
     return True
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _span(e, y, low, high):
     """Columns of row y that can be inside all edges, one pixel generous."""
     left, right = low, high
@@ -72,28 +72,42 @@ def _span(e, y, low, high):
     return left, right
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always", error_model="numpy")
+def _covered(e, x, y):
+    """Bits of the samples of pixel (x, y) that are inside all edges."""
+    bits = 15
+    for i in range(3):
+        a, b = e[i, 0], e[i, 1]
+        middle, slack = a * x + b * y + e[i, 2], 0.375 * (abs(a) + abs(b))
+        if middle < -slack:
+            return 0
+        if middle < slack:
+            for k in range(4):
+                if middle + (a * SAMPLE_X[k] + b * SAMPLE_Y[k]) < 0.0:
+                    bits &= ~(1 << k)
+    return bits
+
+
+@njit(cache=True, error_model="numpy")
 def _fill(e, box, triangle, inverse_depth, ids):
     """Write one triangle into the sample buffers (H, W, 4) where it is nearest."""
     height, width = ids.shape[:2]
+    a, b = e[3, 0], e[3, 1]
     for y in range(max(0, int(np.floor(box[2]))), min(height - 1, int(np.ceil(box[3]))) + 1):
         left, right = _span(e, y, max(0.0, np.floor(box[0])), min(width - 1.0, np.ceil(box[1])))
         for x in range(max(0, int(np.floor(left))), int(np.ceil(min(right, width - 1.0))) + 1):
+            bits = _covered(e, x, y)
+            if bits == 0:
+                continue
+            middle = a * x + b * y + e[3, 2]
             for k in range(4):
-                u, w = x + SAMPLE_X[k], y + SAMPLE_Y[k]
-                if e[0, 0] * u + e[0, 1] * w + e[0, 2] < 0.0:
-                    continue
-                if e[1, 0] * u + e[1, 1] * w + e[1, 2] < 0.0:
-                    continue
-                if e[2, 0] * u + e[2, 1] * w + e[2, 2] < 0.0:
-                    continue
-                near = np.float32(e[3, 0] * u + e[3, 1] * w + e[3, 2])
-                if near > inverse_depth[y, x, k] and near < 1.0 / _NEAR:
+                near = np.float32(middle + (a * SAMPLE_X[k] + b * SAMPLE_Y[k]))
+                if bits >> k & 1 and near > inverse_depth[y, x, k] and near < 1.0 / _NEAR:
                     inverse_depth[y, x, k] = near
                     ids[y, x, k] = triangle
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rasterize(corners, ranges, P, inverse_depth, ids):
     """Draw triangles of `corners` (T, 3, 3) float32 through P into the sample buffers, which are not cleared.
 
@@ -115,7 +129,7 @@ def rasterize(corners, ranges, P, inverse_depth, ids):
                 _fill(e, box, t, inverse_depth, ids)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rasterize_from_sun(corners, axes, origin, cell, height_map):
     """Height towards the sun of the nearest surface, for each cell of a plane square to the sun.
 
@@ -135,7 +149,7 @@ def rasterize_from_sun(corners, axes, origin, cell, height_map):
         _fill_height(q, rows, columns, height_map)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _fill_height(q, rows, columns, height_map):
     """Raise the height map to one triangle q (3, 3): column, row, height."""
     det = (q[1, 0] - q[0, 0]) * (q[2, 1] - q[0, 1]) - (q[1, 1] - q[0, 1]) * (q[2, 0] - q[0, 0])

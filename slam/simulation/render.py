@@ -128,18 +128,39 @@ class Stage:
     materials: Materials
 
 
-def render(stage: Stage, moving: list[Mesh], camera: StereoCamera, T_town_camera: Array) -> tuple[Image, Image]:
+def in_view(scene: Scene, moving: list[Mesh], camera: StereoCamera, T_town_camera: Array) -> Scene:
+    """The part of a scene that either camera of a pair can see, nearest clusters first, with what moves before it.
+
+    T_town_camera: (4, 4) of the left camera.
+    """
+    P, centre = _projection(camera, T_town_camera), T_town_camera[:3, 3]
+    ranges = _visible(scene, P, centre, camera)
+    pick = np.concatenate([np.arange(first, last) for first, last in ranges] or [np.zeros(0, np.int64)])
+    extra = build_scene(moving) if moving else None
+    arrays = [(scene.corners[pick], scene.attributes[pick], scene.material[pick])]
+    if extra is not None:
+        arrays.insert(0, (extra.corners, extra.attributes, extra.material))
+    corners, attributes, material = (np.concatenate(column) for column in zip(*arrays, strict=True))
+    return Scene(corners, attributes, material, np.array([[0, len(material)]]), scene.centres[:0], scene.radii[:0])
+
+
+def _projection(camera: StereoCamera, T_town_camera: Array) -> Array:
+    """P (3, 4): town to homogeneous pixels."""
+    R, centre = T_town_camera[:3, :3], T_town_camera[:3, 3]
+    return camera.K @ np.hstack([R.T, -(R.T @ centre)[:, None]])
+
+
+def render(stage: Stage, scene: Scene, camera: StereoCamera, T_town_camera: Array) -> tuple[Image, Image]:
     """Light (H, W), about 0 to 1, and depth (H, W), metres along the axis, infinite for the sky, of one camera.
 
-    T_town_camera: (4, 4) of this very camera; `camera` gives intrinsics and size. moving: meshes of this moment.
+    scene: what is in view. T_town_camera: (4, 4) of this very camera; `camera` gives intrinsics and size.
     """
-    scene = _with_moving(stage.scene, moving)
     R, centre = T_town_camera[:3, :3], T_town_camera[:3, 3]
-    P = camera.K @ np.hstack([R.T, -(R.T @ centre)[:, None]])
-    shape = (camera.height, camera.width, SAMPLES)
-    inverse_depth, ids = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
-    rasterize(scene.corners, _visible(scene, P, centre), P, inverse_depth, ids)
-    light = np.empty(shape[:2], np.float32)
+    shape = (camera.height, camera.width)
+    inverse_depth = np.zeros((*shape, SAMPLES), np.float32)
+    ids = np.full((*shape, SAMPLES), -1, np.int32)
+    rasterize(scene.corners, scene.ranges, _projection(camera, T_town_camera), inverse_depth, ids)
+    light, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
     atlas, shadow = stage.materials.atlas, stage.shadow
     shade(
         inverse_depth,
@@ -151,36 +172,19 @@ def render(stage: Stage, moving: list[Mesh], camera: StereoCamera, T_town_camera
         stage.light.vector,
         stage.light.panorama,
         light,
+        depth,
     )
-    # The nearest sample of a pixel is its depth: a mean across an edge would lie on neither side.
-    nearest = inverse_depth.max(axis=2)
-    with np.errstate(divide="ignore"):
-        return light, 1.0 / nearest
+    return light, depth
 
 
-def _with_moving(scene: Scene, moving: list[Mesh]) -> Scene:
-    if not moving:
-        return scene
-    extra = build_scene(moving)
-    return Scene(
-        np.concatenate([scene.corners, extra.corners]),
-        np.concatenate([scene.attributes, extra.attributes]),
-        np.concatenate([scene.material, extra.material]),
-        np.concatenate([scene.ranges, extra.ranges + len(scene.material)]),
-        np.concatenate([scene.centres, extra.centres]),
-        np.concatenate([scene.radii, extra.radii]),
-    )
-
-
-def _visible(scene: Scene, P: Array, centre: Array) -> NDArray[np.int64]:
-    """Clusters in front of the camera whose sphere may reach into the view, nearest first."""
+def _visible(scene: Scene, P: Array, centre: Array, camera: StereoCamera) -> NDArray[np.int64]:
+    """Ranges of clusters whose sphere may reach into the view of a pair, nearest first."""
     forward = P[2, :3]
-    ahead = scene.centres @ forward + P[2, 3] > -scene.radii
-    # The view's side planes contain the camera; their normals come from pixel columns and rows.
-    width, height = 2 * P[0, :3] @ forward, 2 * P[1, :3] @ forward
-    planes = np.stack([P[0, :3], width * forward - P[0, :3], P[1, :3], height * forward - P[1, :3]])
+    # Normals of the planes through the camera and the first and last column and row.
+    u, v = P[0, :3], P[1, :3]
+    planes = np.stack([forward, u + forward, camera.width * forward - u, v + forward, camera.height * forward - v])
     planes /= np.linalg.norm(planes, axis=1, keepdims=True)
-    inside = ((scene.centres - centre) @ planes.T > -scene.radii[:, None] - 0.5).all(axis=1)
-    keep = np.flatnonzero(ahead & inside)
+    inside = ((scene.centres - centre) @ planes.T > -scene.radii[:, None] - camera.baseline - 0.1).all(axis=1)
+    keep = np.flatnonzero(inside)
     distance = np.linalg.norm(scene.centres[keep] - centre, axis=1) - scene.radii[keep]
     return scene.ranges[keep[np.argsort(distance, kind="stable")]]

@@ -51,7 +51,7 @@ def _along(texels, start, power, u, v, du, dv, short, long):
         start += 1 << (2 * power)
         power -= 1
     part = np.float32(level - whole)
-    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.6))
+    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
     total = np.float32(0.0)
     for k in range(taps):
         t = (k + 0.5) / taps - 0.5
@@ -61,6 +61,18 @@ def _along(texels, start, power, u, v, du, dv, short, long):
             fine += part * (coarse - fine)
         total += fine
     return total / np.float32(255.0 * taps)
+
+
+@njit(cache=True, error_model="numpy")
+def _grain(texels, start, power, u, v, short, long):
+    """Brightness 0..1 of a detail texture: one look-up at the level of the footprint's mean width."""
+    blur = np.sqrt(short * long) * (1 << power)
+    # Levels change half way between powers of two; grain is too faint for the seam to show.
+    while blur > 1.41 and power > 0:
+        blur *= 0.5
+        start += 1 << (2 * power)
+        power -= 1
+    return _bilinear(texels, start, power, u, v) / np.float32(255.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -140,10 +152,10 @@ def _paint(n, scale, attributes, material, table, texels, gloss, textures, trian
         if strength > 0.0:
             k = int(table[m, DETAIL])
             su, sv = table[m, DETAIL_U], table[m, DETAIL_V]
-            du, dv, most = du * su, dv * sv, max(su, sv)
+            most = max(su, sv)
             # Each tint starts elsewhere, so that equal houses are stained differently.
             u, v = u * su + 37.0 * tint, v * sv + 37.0 * tint
-            grain = _along(texels, textures[k, 2], textures[k, 0], u, v, du, dv, short * most, long * most)
+            grain = _grain(texels, textures[k, 2], textures[k, 0], u, v, most * short, most * long)
             value *= 1.0 + strength * (2.0 * grain - 1.0)
         work[_VALUE, i], work[_GLOSS, i] = value, shine
 
@@ -196,8 +208,8 @@ def _light(n, attributes, material, table, axes, place, heights, light, panorama
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(inverse_depth, ids, camera, mesh, atlas, shadow, light, panorama, image):
-    """Light of every pixel into `image` (H, W) float32.
+def shade(inverse_depth, ids, camera, mesh, atlas, shadow, light, panorama, image, depth):
+    """Light of every pixel into `image` and its depth, metres, into `depth`, (H, W) float32 each.
 
     inverse_depth, ids: sample buffers of the rasteriser. camera: (Q (3, 3) pixel to town direction of unit depth,
     centre (3,) metres, pixel size at one metre). mesh: (attributes (T, 12), material (T,), material table).
@@ -214,6 +226,9 @@ def shade(inverse_depth, ids, camera, mesh, atlas, shadow, light, panorama, imag
         n = _gather(y, inverse_depth, ids, Q, centre, work, triangle, pixel)
         _paint(n, scale, attributes, material, table, texels, gloss, textures, triangle, work)
         _light(n, attributes, material, table, axes, place, heights, light, panorama, triangle, work)
-        image[y] = 0.0
+        image[y], depth[y] = 0.0, np.inf
         for i in range(n):
             image[y, pixel[i]] += np.float32(work[_SHARE, i] * work[_VALUE, i])
+            # The nearest sample counts: a mean across an edge would lie on neither side.
+            if triangle[i] >= 0:
+                depth[y, pixel[i]] = min(depth[y, pixel[i]], np.float32(work[_Z, i]))

@@ -15,6 +15,7 @@ def read_lines(path: Path) -> list[str]:
         DataError: the file is missing, a folder, not readable or not text.
     """
     try:
+        # utf-8-sig: some editors put a byte order mark in front, which float() does not take
         return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         raise DataError(f"{path}: expected this file, found none; check the path or copy it there") from None

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.errors import DataError
 from slam.storage.atomic import atomic_writer
-from slam.storage.text import read_numbers
+from slam.storage.text import read_lines, read_numbers
 
 Array = NDArray[np.float64]
 
@@ -73,8 +73,26 @@ def read_tum(path: Path) -> tuple[Array, Array]:
     return rows[:, 0], poses
 
 
+def read_trajectory(path: Path) -> tuple[Array | None, Array]:
+    """Read KITTI poses or TUM, told apart by their numbers a line: times (N,) or None, and poses (N, 4, 4).
+
+    Raises:
+        DataError: missing file, or neither 12 nor 8 numbers in its first line.
+    """
+    lines = (line.split() for line in read_lines(path) if not line.lstrip().startswith("#"))
+    columns = len(next((words for words in lines if words), []))
+    if columns == 8:
+        return read_tum(path)
+    if columns == 12:
+        return None, read_kitti(path)
+    raise DataError(
+        f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them"
+    )
+
+
 def _write_rows(path: Path, rows: Array) -> None:
     with atomic_writer(path) as file:
+        # repr is the shortest text of the same double; no blank at the end of a line, which evo refuses
         file.writelines(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 

@@ -11,7 +11,7 @@ SHAPE = (240, 480)
 
 
 def render(disparity, rows=0.0, seed=0):
-    """Left and right image of a surface with the disparity function of (u, v), the right one lowered by rows."""
+    """Left and right image of a surface with disparity(u, v), the right one lowered by rows."""
     noise = gaussian_filter(np.random.default_rng(seed).standard_normal((SHAPE[0], SHAPE[1] + 200)), 1.5)
     values = 128 + 40 * noise / noise.std()
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)

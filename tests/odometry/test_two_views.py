@@ -1,4 +1,4 @@
-"""The adjustment finds the motion, knows how well, and is not drawn by far points, outliers or a bent rectification."""
+"""The adjustment finds the motion, knows how well, and withstands far points, outliers, rectifications."""
 
 import numpy as np
 import pytest

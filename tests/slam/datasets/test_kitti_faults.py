@@ -78,7 +78,7 @@ FAULTS = {
         lambda f: ((f / "calib.txt").unlink(), (f / "calib.txt").mkdir()),
         r"calib.txt: .*directory",
     ),
-    "calib empty": (calib(""), r"calib.txt: expected lines such as"),
+    "calib empty": (calib(""), r"calib.txt: expected only lines such as"),
     "calib without P0": (calib(P1), r"calib.txt: expected a line 'P0: 12 numbers', found none"),
     "calib without P1": (calib(P0), r"calib.txt: expected a line 'P1: 12 numbers', found none"),
     "calib with 11 numbers": (

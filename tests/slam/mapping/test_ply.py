@@ -1,5 +1,6 @@
 """Clouds survive their files, with Open3D and without."""
 
+import resource
 import sys
 from pathlib import Path
 
@@ -58,6 +59,20 @@ def test_the_file_is_binary_and_nothing_else_is_left(tmp_path: Path) -> None:
 def test_writing_into_a_missing_folder_is_the_users_to_mend(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"nowhere/map.ply: cannot be written"):
         write_cloud(tmp_path / "nowhere" / "map.ply", cloud_of(0, 10))
+
+
+def test_a_full_disk_leaves_the_earlier_map(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "map.ply"
+    write_cloud(path, cloud_of(0, 10))
+    before = path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(OutputError, match=r"map.ply: cannot be written, File too large"):
+            write_cloud(path, cloud_of(0, 5000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_bytes() == before
 
 
 def test_a_missing_cloud_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,160 @@
+"""How hard is the simulated town, compared with real streets?
+
+The same plain odometry (corners, pyramidal Lucas-Kanade, stereo by Lucas-Kanade, PnP with RANSAC; no window, no
+refinement) drives each recording; corners, track lengths and gradients are counted beside. Usage:
+
+    python benchmarks/simulation_realism.py DRIVE [DRIVE ...]      folders in KITTI layout, sequence 00
+
+Real clips are taken from $REVISIT_TEST_DATA/kitti_clips where that is set.
+"""
+
+import argparse
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+CLIPS = ("05", "06", "01")
+_LK = {"winSize": (21, 21), "maxLevel": 4}
+_CORNERS = 1200
+
+
+@dataclass
+class Tally:
+    """What one drive showed, frame by frame."""
+
+    fast: list[int] = field(default_factory=list)
+    corners: list[int] = field(default_factory=list)
+    gradient: list[float] = field(default_factory=list)
+    flat: list[float] = field(default_factory=list)
+    mean: list[float] = field(default_factory=list)
+    deviation: list[float] = field(default_factory=list)
+    kept: list[float] = field(default_factory=list)
+    inliers: list[float] = field(default_factory=list)
+
+
+def read(folder: Path, sequence: str, frames: int) -> tuple[list[tuple[Array, Array]], Array, float, Array]:
+    """Stereo pairs, calibration matrix (3, 3), baseline in metres and true poses (N, 4, 4)."""
+    base = folder / "sequences" / sequence
+    rows = [line.split()[1:] for line in (base / "calib.txt").read_text().splitlines()[:2]]
+    P0, P1 = (np.array(row, dtype=np.float64).reshape(3, 4) for row in rows)
+    poses = np.loadtxt(folder / "poses" / f"{sequence}.txt", ndmin=2)[:frames].reshape(-1, 3, 4)
+    names = sorted((base / "image_0").glob("*.png"))[: len(poses)]
+    pairs = [
+        (cv2.imread(str(p), 0), cv2.imread(str(base / "image_1" / p.name), 0)) for p in names
+    ]
+    true = np.tile(np.eye(4), (len(poses), 1, 1))
+    true[:, :3] = poses
+    return pairs, P0[:, :3], -P1[0, 3] / P1[0, 0], np.linalg.inv(true[0]) @ true
+
+
+def detect(image: Array) -> Array:
+    """Corners (N, 2), spread over the image."""
+    found = cv2.goodFeaturesToTrack(image, _CORNERS, 0.005, 9)
+    return found.reshape(-1, 2) if found is not None else np.zeros((0, 2), np.float32)
+
+
+def follow(a: Array, b: Array, points: Array) -> tuple[Array, Array]:
+    """Points of image a found in image b, and which came back to where they started within half a pixel."""
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(a, b, points, None, **_LK)
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(b, a, there, None, **_LK)
+    good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.5)
+    return there, good
+
+
+def motion(before: tuple[Array, Array], now: tuple[Array, Array], K: Array, baseline: float, tally: Tally) -> Array:
+    """T_before_now (4, 4) between two stereo pairs."""
+    points = detect(before[0])
+    right, stereo = follow(before[0], before[1], points)
+    disparity = points[:, 0] - right[:, 0]
+    stereo &= (np.abs(points[:, 1] - right[:, 1]) < 1.5) & (disparity > 1.0)
+    later, tracked = follow(before[0], now[0], points)
+    use = stereo & tracked
+    tally.kept.append(tracked.mean())
+    z = K[0, 0] * baseline / np.where(disparity > 0, disparity, 1)
+    rays = (np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(K).T) * z[:, None]
+    cv2.setRNGSeed(0)
+    found, r, t, inliers = cv2.solvePnPRansac(
+        rays[use], later[use].astype(np.float64), K, None, iterationsCount=200, reprojectionError=1.0
+    )
+    tally.inliers.append(len(inliers) / max(1, use.sum()) if found else 0.0)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = cv2.Rodrigues(r)[0], t.ravel()
+    return np.linalg.inv(T)
+
+
+def look(image: Array, tally: Tally) -> None:
+    """Count what a single image offers."""
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 8)
+    tally.fast.append(len(cv2.FastFeatureDetector_create(20).detect(image)))
+    tally.corners.append(len(detect(image)))
+    tally.gradient.append(float(slope.mean()))
+    tally.flat.append(float((slope < 1.0).mean()))
+    tally.mean.append(float(image.mean()))
+    tally.deviation.append(float(image.std()))
+
+
+def track_lengths(lefts: list[Array]) -> float:
+    """Median number of frames through which corners can be followed from the start of stretches of 12 frames."""
+    lengths = []
+    for start in range(0, len(lefts) - 12, 12):
+        points = detect(lefts[start])
+        alive = np.ones(len(points), bool)
+        length = np.ones(len(points))
+        for a, b in zip(lefts[start : start + 11], lefts[start + 1 : start + 12], strict=True):
+            points, good = follow(a, b, points)
+            alive &= good
+            length += alive
+        lengths.append(length.mean())
+    return float(np.mean(lengths))
+
+
+def judge(name: str, pairs: list[tuple[Array, Array]], K: Array, baseline: float, true: Array) -> str:
+    """One line of the table."""
+    tally, at, windows = Tally(), np.eye(4), []
+    estimate = [at]
+    for before, now in zip(pairs[:-1], pairs[1:], strict=True):
+        look(now[0], tally)
+        at = at @ motion(before, now, K, baseline, tally)
+        estimate.append(at)
+    for start in range(0, len(true) - 50, 10):
+        windows.append(window_drift(np.array(estimate[start : start + 51]), true[start : start + 51]))
+    end = window_drift(np.array(estimate), true)
+    drift = float(np.mean(windows)) if windows else end
+    spread = f"{min(windows):.2f}-{max(windows):.2f}" if windows else "-"
+    numbers = [drift, np.mean(tally.fast), np.mean(tally.corners), np.mean(tally.gradient), 100 * np.mean(tally.flat)]
+    numbers += [np.mean(tally.mean), np.mean(tally.deviation), 100 * np.mean(tally.kept), 100 * np.mean(tally.inliers)]
+    cells = [f"{n:.0f}" if n >= 100 else f"{n:.2f}" for n in numbers]
+    return " | ".join([name, str(len(pairs)), *cells, spread, f"{track_lengths([p[0] for p in pairs]):.1f}"])
+
+
+def window_drift(estimate: Array, true: Array) -> float:
+    """End point error of a stretch, per cent of its way, both started from the same pose."""
+    error = np.linalg.inv(np.linalg.inv(true[0]) @ true[-1]) @ (np.linalg.inv(estimate[0]) @ estimate[-1])
+    way = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1).sum()
+    return float(100 * np.linalg.norm(error[:3, 3]) / way)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("drives", nargs="*", type=Path)
+    parser.add_argument("--frames", type=int, default=121)
+    arguments = parser.parse_args()
+    sources = [(drive.name, drive, "00") for drive in arguments.drives]
+    if os.environ.get("REVISIT_TEST_DATA"):
+        clips = Path(os.environ["REVISIT_TEST_DATA"]) / "kitti_clips"
+        sources = [(f"KITTI {name}", clips, name) for name in CLIPS] + sources
+    print("drive | frames | drift % of 50 frames | FAST | corners | gradient | flat % | mean | deviation | "
+          "tracked % | PnP inliers % | drift range | track length")  # fmt: skip
+    for name, folder, sequence in sources:
+        print(judge(name, *read(folder, sequence, arguments.frames)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

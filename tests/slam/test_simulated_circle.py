@@ -1,0 +1,51 @@
+"""The promise of the first page, on a small simulated drive: two laps drift apart, and closing loops joins them."""
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from slam.run import RunOptions, run_recorded
+from slam.simulation import DriveSpec, simulate
+from slam.storage.tables import read_loops
+
+
+@pytest.fixture(scope="module")
+def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a run over two laps of 160 m, images at half of KITTI's size."""
+    folder = tmp_path_factory.mktemp("circle")
+    spec = DriveSpec(shape="circle", laps=2, length=160.0, width=620, height=188, seed=3)
+    source = simulate(spec, folder / "drive")
+    quiet = Console(quiet=True)
+    run_recorded(RunOptions(source, None, folder / "run"), {"record": False}, quiet, quiet)
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def metrics(circle: Path) -> dict:
+    return json.loads((circle / "metrics.json").read_text())
+
+
+def test_the_second_lap_is_recognised_and_no_false_loop_is_kept(metrics: dict):
+    assert metrics["loops"]["false"] == 0
+    assert metrics["loops"]["recall"] > 0.5
+
+
+def test_closing_the_loops_corrects_the_trajectory(metrics: dict):
+    assert metrics["corrected"]["ate_m"] < 0.6 * metrics["odometry"]["ate_m"]
+
+
+def test_the_recogniser_is_judged_beside_the_trajectory(metrics: dict):
+    assert metrics["places"]["recall_at_100_precision"] > 0.5
+    assert metrics["places"]["truth_rows"] > 100
+
+
+def test_every_belief_has_a_row_with_a_reason(circle: Path):
+    rows = read_loops(circle / "loops.csv")
+    assert all(row.reason for row in rows)
+    assert [row.query for row in rows] == sorted({row.query for row in rows})
+
+
+def test_all_that_was_kept_was_first_proved(circle: Path):
+    assert all(row.accepted and row.verified for row in read_loops(circle / "loops.csv") if row.in_graph)
