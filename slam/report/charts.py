@@ -58,9 +58,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
     ax = figure.subplots()
     rows = np.arange(len(times))
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
-    ax.plot(
-        [t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile"
-    )
+    ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
     _finish(ax, "milliseconds a frame", "")
     return figure
@@ -68,9 +66,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
 
 def _mark_loops(record: DriveRecord, way: np.ndarray, ax: Axes) -> None:
     queries = [row.query for row in kept(record)]
-    ax.plot(
-        way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed"
-    )
+    ax.plot(way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed")
 
 
 def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:

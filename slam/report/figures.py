@@ -182,9 +182,7 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
         return
     plan = panel.positions[:, [0, 2]]
     away = np.linalg.norm(plan - plan[0], axis=1)
-    ax.plot(
-        *plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7
-    )
+    ax.plot(*plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7)
     if away.max() > 0:
         ahead = plan[int(np.argmax(away > _AHEAD * away.max()))] - plan[0]
         tip = ahead / np.linalg.norm(ahead) * _ARROW
@@ -194,9 +192,7 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
 
 def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
     """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
-    shown = [panel.positions for panel in panels] + [
-        panel.truth for panel in panels if panel.truth is not None
-    ]
+    shown = [panel.positions for panel in panels] + [panel.truth for panel in panels if panel.truth is not None]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
@@ -213,9 +209,7 @@ def save_png(figure: Figure, path: Path) -> None:
     try:
         path.write_bytes(png(figure))
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot write the picture ({error.strerror}); choose another folder"
-        ) from error
+        raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
 
 
 def png(figure: Figure) -> bytes:
