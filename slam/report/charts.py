@@ -4,11 +4,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slam.evaluation.trajectory import distances_along
 from slam.record import DriveRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.figures import INK, new_figure, style
-from slam.report.reading import kept, scaled, stage_times, travelled
+from slam.report.reading import kept, scaled, stage_times
 
 _ESTIMATES = (
     ("odometry", colours.ODOMETRY, "-"),
@@ -26,7 +27,7 @@ def error_over_way(record: DriveRecord) -> Figure | None:
         return None
     figure = new_figure(_WIDTH, 3.1)
     ax = figure.subplots()
-    way = travelled(record)
+    way = distances_along(truth)
     for name, colour, dashes in _ESTIMATES:
         error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
         ax.plot(way, error, dashes, color=colour, lw=1.6, label=name)
@@ -57,9 +58,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
     ax = figure.subplots()
     rows = np.arange(len(times))
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
-    ax.plot(
-        [t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile"
-    )
+    ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
     _finish(ax, "milliseconds a frame", "")
     return figure
@@ -67,9 +66,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
 
 def _mark_loops(record: DriveRecord, way: np.ndarray, ax: Axes) -> None:
     queries = [row.query for row in kept(record)]
-    ax.plot(
-        way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed"
-    )
+    ax.plot(way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed")
 
 
 def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:

@@ -13,16 +13,17 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from odometry.se3 import transform
 from slam.errors import OutputError
+from slam.evaluation.trajectory import Similarity
 from slam.record import Cloud, DriveRecord, LoopRow
 from slam.report import colours
-from slam.report.alignment import anchored_truth, similarity
+from slam.report.alignment import anchored_truth, fit
 from slam.report.reading import alignment, kept, rejected, scaled, text, value
 
 Array = NDArray[np.float64]
 
 INK = "#1a1a1a"
+_UNMOVED = Similarity(np.eye(3), np.zeros(3), 1.0)
 _DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
 _MARGIN = 0.07  # of the larger side, around the trajectories
 _SMALLEST = 4.0  # metres shown at least, for a robot that stood still
@@ -126,17 +127,17 @@ def _panels(record: DriveRecord) -> tuple[_Panel, _Panel]:
 def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
     truth = anchored_truth(record)
-    T = np.eye(4)
+    aligned = _UNMOVED
     if truth is not None and len(estimate):
-        T = similarity(estimate, truth, scaled(record.metrics, name))
+        aligned = fit(estimate, truth, scaled(record.metrics, name))
     points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return _Panel(
         title=f"{heading}\n{_ate(record, name)}",
         name=name,
         colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
-        positions=transform(T, estimate[:, :3, 3]),
-        landmarks=transform(T, points[:: len(points) // _DOTS + 1]),
+        positions=aligned.apply(estimate[:, :3, 3]),
+        landmarks=aligned.apply(points[:: len(points) // _DOTS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
     )
 
@@ -181,9 +182,7 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
         return
     plan = panel.positions[:, [0, 2]]
     away = np.linalg.norm(plan - plan[0], axis=1)
-    ax.plot(
-        *plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7
-    )
+    ax.plot(*plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7)
     if away.max() > 0:
         ahead = plan[int(np.argmax(away > _AHEAD * away.max()))] - plan[0]
         tip = ahead / np.linalg.norm(ahead) * _ARROW
@@ -193,9 +192,7 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
 
 def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
     """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
-    shown = [panel.positions for panel in panels] + [
-        panel.truth for panel in panels if panel.truth is not None
-    ]
+    shown = [panel.positions for panel in panels] + [panel.truth for panel in panels if panel.truth is not None]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
@@ -212,9 +209,7 @@ def save_png(figure: Figure, path: Path) -> None:
     try:
         path.write_bytes(png(figure))
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot write the picture ({error.strerror}); choose another folder"
-        ) from error
+        raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
 
 
 def png(figure: Figure) -> bytes:

@@ -107,9 +107,7 @@ def write_report(
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot write the report ({error.strerror}); choose another folder"
-        ) from error
+        raise OutputError(f"{path}: cannot write the report ({error.strerror}); choose another folder") from error
 
 
 def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str, object]) -> str:
@@ -190,9 +188,7 @@ def _maps(record: DriveRecord) -> list[Picture]:
     for name, title, caption in named:
         ate = cell(record, f"{name}.ate_m", 2, " m")
         told = (
-            f"ATE {ate.text}, {alignment(record.metrics, name)} alignment. "
-            if record.ground_truth is not None
-            else ""
+            f"ATE {ate.text}, {alignment(record.metrics, name)} alignment. " if record.ground_truth is not None else ""
         )
         drawn = inline_svg(plan_view(record, name), f"map-{name}", f"Plan view, {title}. {told}")
         pictures.append(Picture(title, told + caption, drawn))
@@ -225,9 +221,7 @@ def _charts(record: DriveRecord) -> list[Picture]:
 
 def _pairs(record: DriveRecord, images: ImageSource) -> list[Pair]:
     rows = kept(record)
-    chosen = (
-        [rows[k] for k in sorted({round(k) for k in np.linspace(0, len(rows) - 1, _PAIRS)})] if rows else []
-    )
+    chosen = [rows[k] for k in sorted({round(k) for k in np.linspace(0, len(rows) - 1, _PAIRS)})] if rows else []
     found = [(row, images(row.query), images(row.match)) for row in chosen]
     return [Pair(row, _uri(a), _uri(b)) for row, a, b in found if a is not None and b is not None]
 

@@ -94,10 +94,3 @@ def stage_times(record: DriveRecord) -> list[StageTime]:
         for name, ms in stages.items()
         if len(ms)
     ]
-
-
-def travelled(record: DriveRecord) -> np.ndarray:
-    """Way driven up to each frame (N,), metres: along the ground truth, or else the odometry."""
-    poses = record.odometry if record.ground_truth is None else record.ground_truth
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])[: len(poses)]

@@ -35,9 +35,7 @@ def blueprint(width: int, height: int, positions: Array | None) -> rrb.Blueprint
     )
     drive = rrb.Horizontal(whole, right, column_shares=[5, 4], name="Drive")
     return rrb.Blueprint(
-        rrb.Tabs(
-            drive, before_after, rrb.TextLogView(origin="loop/log", name="Loops in words"), active_tab=0
-        ),
+        rrb.Tabs(drive, before_after, rrb.TextLogView(origin="loop/log", name="Loops in words"), active_tab=0),
         rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),

@@ -18,9 +18,7 @@ class Growing:
     whenever there are enough of them they become a part of their own, which is then left alone.
     """
 
-    def __init__(
-        self, recording: rr.RecordingStream, path: str, draw: Callable[[Array], object], size: int
-    ) -> None:
+    def __init__(self, recording: rr.RecordingStream, path: str, draw: Callable[[Array], object], size: int) -> None:
         self._recording = recording
         self._path = path
         self._draw = draw
@@ -42,9 +40,7 @@ class Growing:
         self.clear()
         if len(rows):
             stride = len(rows) // _MOST_ROWS + 1
-            self._recording.log(
-                f"{self._path}/part_000", self._draw(np.concatenate([rows[::stride], rows[-1:]]))
-            )
+            self._recording.log(f"{self._path}/part_000", self._draw(np.concatenate([rows[::stride], rows[-1:]])))
             self._parts, self._newest = 1, rows[-1:]
 
     def conclude(self, rows: Array) -> None:

@@ -100,9 +100,7 @@ def _private() -> dict[str, str]:
 def _require_display() -> None:
     # without one the viewer opens its port before it fails, so waiting for the port does not tell
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise OutputError(
-            "rerun: expected a display for its window, found no DISPLAY; use --view web or --view none"
-        )
+        raise OutputError("rerun: expected a display for its window, found no DISPLAY; use --view web or --view none")
 
 
 def _wait(process: subprocess.Popen[bytes], ports: list[int]) -> None:

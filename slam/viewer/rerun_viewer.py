@@ -69,9 +69,7 @@ class RerunViewer:
         self._log_scenery()
         self._first_time: float | None = None
         self._odometry = Growing(self._recording, "world/odometry", shapes.line(colours.ODOMETRY), _LINE_PART)
-        self._corrected = Growing(
-            self._recording, "world/corrected", shapes.line(colours.CORRECTED), _LINE_PART
-        )
+        self._corrected = Growing(self._recording, "world/corrected", shapes.line(colours.CORRECTED), _LINE_PART)
         self._landmarks = Growing(self._recording, "world/landmarks", shapes.dots, _LANDMARKS_PART)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
 
@@ -89,16 +87,15 @@ class RerunViewer:
         self._log_curves(step)
 
     def loop(self, closed: ClosedLoop, poses: Array) -> None:
-        """Show the fate of a proposed loop, and all loops so far on the trajectory that follows from it."""
+        """Show the fate of a proposed loop, and with poses the trajectory and all loops so far on it."""
         self._loops[closed.accepted].append((closed.query, closed.match))
-        self._log_loops(poses)
         level = "INFO" if closed.accepted else "WARN"
-        words = (
-            f"{'closed' if closed.accepted else 'rejected'} {closed.query} - {closed.match}: {closed.reason}"
-        )
+        words = f"{'closed' if closed.accepted else 'rejected'} {closed.query} - {closed.match}: {closed.reason}"
         self._recording.log("loop/log", rr.TextLog(words, level=level))
-        if closed.accepted:
+        if len(poses):
+            self._log_loops(poses)
             self._corrected.replace(poses[:, :3, 3])
+        if closed.accepted:
             self._log_matched("loop/query", closed.image_query, closed.pixels_query)
             self._log_matched("loop/match", closed.image_match, closed.pixels_match)
 
@@ -128,9 +125,7 @@ class RerunViewer:
             self._recording.flush(timeout_sec=_FLUSH_S)
         except RuntimeError as error:
             if self._listener is None:
-                raise OutputError(
-                    f"{self._path}: the recording is incomplete ({error}); make room"
-                ) from error
+                raise OutputError(f"{self._path}: the recording is incomplete ({error}); make room") from error
             _LOG.warning("the viewer was closed before the run ended")
         finally:
             self._recording.disconnect()
@@ -166,9 +161,7 @@ class RerunViewer:
                 rr.SeriesLines(colors=colours.rgb(colour), widths=1.5, names=path.split("/")[-1]),
                 static=True,
             )
-        dots = rr.SeriesPoints(
-            colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="taken for a revisit"
-        )
+        dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="taken for a revisit")
         log("plots/score/accepted", dots, static=True)
 
     def _set_time(self, index: int, timestamp: float) -> None:
@@ -234,6 +227,4 @@ def _check_writable(path: Path) -> None:
     try:
         path.touch()
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot write the recording ({error.strerror}); choose another folder"
-        ) from error
+        raise OutputError(f"{path}: cannot write the recording ({error.strerror}); choose another folder") from error

@@ -75,7 +75,10 @@ class Viewer(Protocol):
         ...
 
     def loop(self, closed: ClosedLoop, poses: Array) -> None:
-        """Show the fate of a proposed loop, and the online trajectory (N, 4, 4), metres, after it."""
+        """Show the fate of a proposed loop, and the online trajectory (N, 4, 4), metres, after it.
+
+        Poses (0, 4, 4) leave the trajectory as it is shown: to copy a long one for every loop is dear.
+        """
         ...
 
     def finish(self, record: DriveRecord) -> None:

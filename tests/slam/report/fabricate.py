@@ -104,6 +104,4 @@ def straight(frames=60):
 
 def standing():
     poses = np.eye(4)[None]
-    return replace(
-        straight(1), odometry=poses, online=poses, corrected=poses, ground_truth=poses, stage_ms={}
-    )
+    return replace(straight(1), odometry=poses, online=poses, corrected=poses, ground_truth=poses, stage_ms={})

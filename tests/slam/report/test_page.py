@@ -73,9 +73,7 @@ def test_the_page_is_the_same_each_time(whole, tmp_path):
     assert written(fabricate.record(), tmp_path) == whole
 
 
-@pytest.mark.parametrize(
-    "name", ['</script><script>alert("1")</script>', "a'\"<b>&amp;", "улица 街道", "{{ 7 * 7 }}"]
-)
+@pytest.mark.parametrize("name", ['</script><script>alert("1")</script>', "a'\"<b>&amp;", "улица 街道", "{{ 7 * 7 }}"])
 def test_a_hostile_name_is_shown_as_text(name, tmp_path):
     rows = tuple(replace(row, reason=name) for row in WHOLE.loops)
     metrics = {**WHOLE.metrics, "source": name, "notes": {name: name, "odometry": name}}

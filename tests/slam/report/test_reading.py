@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from slam.record import LoopRow
-from slam.report.reading import MISSING, note, stage_times, text, travelled, value, verdict
+from slam.report.reading import MISSING, note, stage_times, text, value, verdict
 from slam.report.tables import summary
 
 from . import fabricate
@@ -50,12 +50,6 @@ def test_frames_in_which_a_stage_did_not_run_do_not_count():
     ms = np.array([0.0, 10.0, np.nan, 20.0])
     (stage,) = stage_times(fabricate.replace(WHOLE, stage_ms={"optimise": ms, "never": np.zeros(4)}))
     assert stage.median == 15.0
-
-
-def test_the_way_round_a_circle_is_its_circumference():
-    assert travelled(fabricate.record(fabricate.LAP + 1))[-1] == pytest.approx(
-        2 * np.pi * fabricate.RADIUS, rel=1e-3
-    )
 
 
 @pytest.mark.parametrize(

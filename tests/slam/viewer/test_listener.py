@@ -18,9 +18,7 @@ def bound_addresses(ports):
             _, local, _, state = line.split()[:4]
             address, port = local.split(":")
             if state == LISTENING and int(port, 16) in ports:
-                found.add(
-                    str(ipaddress.ip_address(bytes.fromhex(address)[::-1])) if len(address) == 8 else address
-                )
+                found.add(str(ipaddress.ip_address(bytes.fromhex(address)[::-1])) if len(address) == 8 else address)
     return found
 
 

@@ -104,3 +104,17 @@ def test_the_null_viewer_does_nothing():
     before = record.online.copy()
     drive(NullViewer(), record)
     np.testing.assert_array_equal(record.online, before)
+
+
+def test_a_loop_without_poses_leaves_the_lines_as_they_are(tmp_path):
+    viewer = RerunViewer(tmp_path / "r.rrd", CAMERA)
+    record = fabricate.record(FRAMES)
+    for index in range(3):
+        viewer.step(step(record, index, np.random.default_rng(index)))
+    nothing = np.empty((0, 2))
+    viewer.loop(ClosedLoop(2, 0, None, None, nothing, nothing, True, "x"), np.empty((0, 4, 4)))
+    viewer.close()
+    chunks = list(chunk.RrdReader(tmp_path / "r.rrd").stream())
+    assert rows(chunks, "/world/corrected") == 3
+    assert rows(chunks, "/world/loops/accepted") == 0
+    assert rows(chunks, "/loop/log") == 1
