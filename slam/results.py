@@ -36,6 +36,8 @@ class Finished:
     """A drive that has ended.
 
     Attributes:
+        drive: the recording.
+        config: the settings.
         slam: the system, with its graph and landmarks.
         drive_log: what it said of each frame.
         optimized: the final trajectory and the verdicts on the loops.
@@ -43,6 +45,8 @@ class Finished:
         wall_seconds: from the first frame to the end of the final optimisation.
     """
 
+    drive: Dataset
+    config: RunConfig
     slam: Slam
     drive_log: DriveLog
     optimized: Optimized
@@ -50,11 +54,9 @@ class Finished:
     wall_seconds: float
 
 
-def make_record(
-    drive: Dataset, config: RunConfig, finished: Finished, provenance: dict[str, object]
-) -> DriveRecord:
+def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecord:
     """Gather everything known about the drive, compared with ground truth where there is one."""
-    log, optimized = finished.drive_log, finished.optimized
+    drive, log, optimized = finished.drive, finished.drive_log, finished.optimized
     table, landmarks = log.table(), finished.slam.parts.landmarks
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
     odometry = np.array(log.odometry)
@@ -73,7 +75,7 @@ def make_record(
         map_after=landmarks.cloud(optimized.poses),
         metrics={},
     )
-    record.metrics.update(provenance | _measured(record, config, finished))
+    record.metrics.update(provenance | _measured(record, finished))
     return record
 
 
@@ -90,8 +92,9 @@ def judge_by(truth: Array | None) -> Judge:
     return judge
 
 
-def write_results(folder: Path, record: DriveRecord, config: RunConfig, finished: Finished) -> None:
+def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None:
     """Write every file of a run into a folder."""
+    config, drive = finished.config, finished.drive
     write_metrics(folder / "metrics.json", record.metrics)
     with atomic_writer(folder / "config.toml") as file:
         file.write(to_toml(config))
@@ -104,7 +107,7 @@ def write_results(folder: Path, record: DriveRecord, config: RunConfig, finished
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")
-    write_report(record, folder / "report.html", config=dataclasses.asdict(config))
+    write_report(record, folder / "report.html", lambda index: drive[index].left, dataclasses.asdict(config))
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
@@ -121,15 +124,15 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: DriveRecord, config: RunConfig, finished: Finished) -> dict[str, object]:
+def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
     errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    places, place_notes = place_metrics(finished.drive_log.attempts, record.ground_truth, config.paradigm)
+    places, place_notes = place_metrics(finished.drive_log.attempts, record.ground_truth, finished.config.paradigm)
     notes = place_notes | _notes("loops", loops)
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
-        "seed": config.seed,
+        "seed": finished.config.seed,
         "frames": len(record.timestamps),
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},

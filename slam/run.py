@@ -5,7 +5,7 @@ import platform
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -56,7 +56,7 @@ class RunOptions:
     config: Path | None = None
 
 
-def run_recorded(options: RunOptions, settings: dict[str, object], messages: Console, results: Console) -> bool:
+def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
     """Run the chain on a recorded drive and write every result into `options.out`.
 
     Args:
@@ -79,19 +79,19 @@ def run_recorded(options: RunOptions, settings: dict[str, object], messages: Con
         viewer = open_viewer(options, config, drive, folder.path)
         try:
             finished = drive_through(drive, config, viewer, messages)
-            record = make_record(drive, config, finished, provenance(options, drive))
+            record = make_record(finished, provenance(options, drive))
             viewer.finish(record)
         finally:
             viewer.close()
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
-        write_results(folder.path, record, config, finished)
+        write_results(folder.path, record, finished)
         folder.commit()
     results.print(summary(record))
     results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
     return finished.interrupted
 
 
-def configure(options: RunOptions, settings: dict[str, object]) -> RunConfig:
+def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
     """Settings of the file, then of the command line, over the defaults.
 
     Raises:
@@ -132,7 +132,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
                 break
     late, optimized = slam.finish(config.robust)
     drive_log.attempts.extend(late)
-    return Finished(slam, drive_log, optimized, stop.made, time.perf_counter() - start)
+    return Finished(drive, config, slam, drive_log, optimized, stop.made, time.perf_counter() - start)
 
 
 def note(processed: Processed) -> None:

@@ -43,14 +43,14 @@ class Watcher:
     def _closed(self, attempt: LoopAttempt, processed: Processed, with_pair: bool) -> ClosedLoop:
         geometry, belief = attempt.geometry, attempt.belief
         assert belief.match is not None
-        proved = isinstance(geometry, LoopClosure)
+        proved = geometry if isinstance(geometry, LoopClosure) else None
         return ClosedLoop(
             query=belief.query,
             match=belief.match,
             image_query=processed.frame.left if with_pair and belief.query == processed.frame.index else None,
             image_match=self._drive[belief.match].left if with_pair else None,
-            pixels_query=geometry.pixels_query if proved else _NO_PIXELS,
-            pixels_match=geometry.pixels_match if proved else _NO_PIXELS,
+            pixels_query=_NO_PIXELS if proved is None else proved.pixels_query.astype(np.float64),
+            pixels_match=_NO_PIXELS if proved is None else proved.pixels_match.astype(np.float64),
             accepted=attempt.closed,
             reason=attempt.reason,
         )
@@ -78,4 +78,4 @@ def _step(processed: Processed) -> Step:
 def _landmarks_world(processed: Processed) -> Array | None:
     if not processed.is_key_frame:
         return None
-    return se3.transform(processed.T_world_camera, processed.landmarks.points)
+    return se3.transform(processed.T_world_camera, processed.landmarks.points.astype(np.float64))

@@ -111,7 +111,7 @@ def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.boo
 
 def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
     """Frames (N,) of T_world_camera (N, 4, 4), metres, that come back to a place as the rule declares."""
-    return revisit_matrix(truth, rule).any(axis=1)
+    return np.asarray(revisit_matrix(truth, rule).any(axis=1))
 
 
 def count_loops(
