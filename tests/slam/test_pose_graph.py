@@ -44,7 +44,7 @@ class Drive:
 def laps(side: int = 25, laps: float = 2.0, seed: int = 0, bias: tuple[float, float] = (5e-4, 0.0)) -> Drive:
     """Drive round a square block of `side` metres, a metre a frame; odometry is noisy and biased.
 
-    The bias is (radians, metres) a frame. Every second frame of the later laps closes a loop with the one a lap before.
+    The bias is (radians, metres) a frame. Every second frame of later laps closes a loop to a lap before.
     """
     rng, lap = np.random.default_rng(seed), 4 * side
     count = int(laps * lap) + 1
