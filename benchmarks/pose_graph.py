@@ -45,7 +45,7 @@ def lifted(x: float, y: float, theta: float) -> Array:
 
 
 def lifted_covariance(information: Array) -> Array:
-    """Covariance (6, 6), rotation first, of the six numbers (upper triangle; x, y, theta) of a planar edge."""
+    """Covariance (6, 6), rotation first, of a planar edge's six numbers (upper triangle; x, y, theta)."""
     flat = np.zeros((3, 3))
     flat[np.triu_indices(3)] = information
     flat = np.linalg.inv(flat + np.triu(flat, 1).T)
@@ -76,7 +76,7 @@ def planar_edges(path: Path) -> list[tuple[int, int, Array, Array]]:
 
 
 def real_drive(folder: Path, sequence: str, alpha: str, agreeing: bool) -> Drive:
-    """Read a RobustSLAM graph and draw its false transforms anew, agreeing within each run of loops or not."""
+    """Read a RobustSLAM graph and draw its false transforms anew, agreeing within a run of loops or not."""
     rng = np.random.default_rng(0)
     stem = folder / "pose_graphs" / "kitti_real_loops" / f"kitti_{sequence}_alpha_{alpha}"
     truth = true_pairs(Path(f"{stem}_GT_LC.txt"))
@@ -156,10 +156,10 @@ def judge(drive: Drive, config: PoseGraphConfig) -> None:
     )
     for name in BACK_ENDS:
         result = graph.optimize(name)
-        kept = result.kept
+        true_kept, false_kept = result.kept[drive.true].sum(), result.kept[~drive.true].sum()
         print(
-            f"  {name:10} ATE {ate(result.poses, drive.positions):7.2f} m   kept {kept[drive.true].sum():4d} true "
-            f"{kept[~drive.true].sum():4d} false   {result.seconds:6.2f} s",
+            f"  {name:10} ATE {ate(result.poses, drive.positions):7.2f} m   kept {true_kept:4d} true "
+            f"{false_kept:4d} false   {result.seconds:6.2f} s",
             flush=True,
         )
 
@@ -175,14 +175,17 @@ def clock_online(drive: Drive, config: PoseGraphConfig) -> None:
             graph.add_loop(loops[query])
         graph.latest()
         (loop_ms if query in loops else frame_ms).append(1e3 * (time.perf_counter() - start))
+    online, batch = ate(graph.poses(), drive.positions), ate(graph.optimize().poses, drive.positions)
     print(
-        f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose: median {np.median(frame_ms):.2f}, "
-        f"p99 {np.percentile(frame_ms, 99):.1f}, worst {max(frame_ms):.0f}; at a loop: median "
-        f"{np.median(loop_ms):.1f}, p99 {np.percentile(loop_ms, 99):.0f}, worst {max(loop_ms):.0f}; ATE of the "
-        f"last online map {ate(graph.poses(), drive.positions):.2f} m, of the batch "
-        f"{ate(graph.optimize().poses, drive.positions):.2f} m",
+        f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose {spread(frame_ms)}; "
+        f"at a loop {spread(loop_ms)}; ATE of the last online map {online:.2f} m, of the batch {batch:.2f} m",
         flush=True,
     )
+
+
+def spread(times: list[float]) -> str:
+    """Sum up times in three numbers."""
+    return f"median {np.median(times):.2f}, p99 {np.percentile(times, 99):.1f}, worst {max(times):.0f}"
 
 
 def main(folder: Path) -> None:

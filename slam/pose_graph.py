@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 class PoseGraphConfig:
     """What the graph believes about odometry and loops."""
 
-    odometry_inflation: float = 4.0  # factor on odometry's stated covariance, which forgets lasting errors
     drift: DriftBudget = field(default_factory=DriftBudget)  # how wrong odometry may be over a distance
     gate_chi2: float = 34.0  # 99.999 % of 6 dof: a loop further from odometry than this is none
     inlier_chi2: float = 22.5  # 99.9 % of 6 dof: a loop further from the optimised map than this is false
@@ -79,14 +78,15 @@ class PoseGraph:
         Raises:
             GraphError: the covariance is not finite and positive definite.
         """
-        inflated = self.config.odometry_inflation * _checked(covariance, f"motion to frame {len(self)}")
-        factor = solver.motion_factor(len(self), T_previous_current, inflated)
+        stated = _checked(covariance, f"motion to frame {len(self)}")
+        real = self.config.drift.of_motion(T_previous_current, stated)
+        factor = solver.motion_factor(len(self), T_previous_current, real)
         self._newest = self._newest @ T_previous_current
         self._waiting.values.insert(len(self), gtsam.Pose3(self._newest))
         self._waiting.graph.add(factor)
         self._motions.add(factor)
         self._edges.append((T_previous_current, covariance))
-        self._chain.append(T_previous_current, inflated)
+        self._chain.append(T_previous_current, stated)
 
     def add_loop(self, closure: LoopClosure) -> LoopGate:
         """Judge a loop against odometry's drift; one that passes enters the online estimate.

@@ -2,8 +2,8 @@
 
 Errors are moved to the world frame, where they add up: the covariance of the chain i..j is the difference of
 two prefix sums. Three parts are summed: what the odometry states, a random walk and a bias that lasts all the
-way. The last two are needed because frame-to-frame covariances know nothing of errors that persist: on real
-drives they are honest at one step and several times too small after fifty.
+way. The last two are needed because frame-to-frame covariances know nothing of errors that persist: measured on
+real drives, the squared error after fifty frames is ten to a thousand times what they add up to.
 """
 
 from dataclasses import dataclass
@@ -30,6 +30,11 @@ class DriftBudget:
     def variances(self) -> Array:
         """(6,) squared rates for a metre of way, rotation first."""
         return np.repeat([self.rotation**2, self.translation**2], 3)
+
+    def of_motion(self, T_previous_current: Array, covariance: Array) -> Array:
+        """Covariance (6, 6) of one motion with its share of the random walk; a stated one (6, 6) goes in."""
+        step = float(np.linalg.norm(T_previous_current[:3, 3]))
+        return covariance + np.diag(2.0 * self.correlation_m * step * self.variances)
 
 
 @dataclass(frozen=True)
@@ -74,14 +79,14 @@ class OdometryChain:
         return self._poses[-1]
 
     def append(self, T_previous_current: Array, covariance: Array) -> None:
-        """Add a motion (4, 4) with the covariance (6, 6) of its right perturbation, rotation first."""
+        """Add a motion (4, 4) with its stated covariance (6, 6) of the right perturbation, rotation first."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))
         pose = self._poses[-1] @ T_previous_current
         Ad = se3.adjoint(pose)
-        walk = np.diag(2.0 * self._budget.correlation_m * step * self._budget.variances)
+        covariance = self._budget.of_motion(T_previous_current, covariance)
         self._poses.append(pose)
         self._way.append(self._way[-1] + step)
-        self._scatter.append(self._scatter[-1] + Ad @ (covariance + walk) @ Ad.T)
+        self._scatter.append(self._scatter[-1] + Ad @ covariance @ Ad.T)
         self._lever.append(self._lever[-1] + step * Ad)
 
     def between(self, first: int, second: int) -> Between:

@@ -49,8 +49,11 @@ class LoopProblem(Protocol):
         """Solve under a robust kernel: `huber` (width in sigmas) or `dcs` (width a chi-square)."""
         ...
 
-    def graduated(self, limit: float, start: Array, use: Mask) -> Array:
-        """Weights (L,) of graduated non-convexity with truncated squares; 0 for loops not in use."""
+    def graduated(self, limit: float, use: Mask) -> Array:
+        """Weights (L,) of graduated non-convexity with squares truncated at a chi-square; 0 if not in use.
+
+        It starts from least squares on the loops in use.
+        """
         ...
 
     def chi2(self, poses: Array) -> Array:
@@ -146,8 +149,7 @@ def gnc(problem: LoopProblem, limits: Limits) -> Outcome:
     use = problem.gate <= limits.gate
     if not use.any():
         return _solved(problem, use, problem.odometry)
-    start = problem.least_squares(use, problem.odometry)
-    kept = problem.graduated(limits.inlier, start, use) >= 0.5
+    kept = problem.graduated(limits.inlier, use) >= 0.5
     return repaired(problem, kept, limits)
 
 
