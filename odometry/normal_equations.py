@@ -21,7 +21,7 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
     Args:
         camera: (5,) fx, fy, cx, cy in pixels and the baseline in metres.
         rays: (N, 2) x and y of the ray of each point at depth 1, first left camera.
-        measured: (N, 6) pixels in the first right, second left and second right image.
+        measured: (N, 6) pixels in the first right and second left image, and second right less second left.
         inverse_depth: (N,) 1/m.
         T_second_first: (4, 4) first camera in the second one's frame, metres.
         rectification: (12,) pixels.
@@ -96,14 +96,14 @@ def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual,
     x, y, nearness = X / Z, Y / Z, inverse_depth / Z
     residual[2] = measured[2] - (fx * x + cx)
     residual[3] = measured[3] - (fy * y + cy)
-    residual[4] = measured[4] - (fx * (x - baseline * nearness) + cx)
-    residual[5] = measured[5] - (fy * y + cy)
+    residual[4] = measured[4] + fx * baseline * nearness
+    residual[5] = measured[5]
     _subtract_rectification(rectification, x, y, residual, J, 4)
     _motion_rows(camera, x, y, nearness, J)
     Jd[2] = -fx * (T[0, 3] - x * T[2, 3]) / Z
     Jd[3] = -fy * (T[1, 3] - y * T[2, 3]) / Z
-    Jd[4] = Jd[2] + fx * baseline * (1.0 - nearness * T[2, 3]) / Z
-    Jd[5] = Jd[3]
+    Jd[4] = fx * baseline * (1.0 - nearness * T[2, 3]) / Z
+    Jd[5] = 0.0
 
 
 @njit(cache=True)
@@ -127,5 +127,4 @@ def _motion_rows(camera, x, y, nearness, J):
     for k in range(_MOTION):
         J[2, k] = -fx * dx[k]
         J[3, k] = -fy * dy[k]
-        J[4, k] = -fx * (dx[k] - baseline * dnear[k])
-        J[5, k] = -fy * dy[k]
+        J[4, k] = fx * baseline * dnear[k]
