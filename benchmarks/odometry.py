@@ -2,10 +2,10 @@
 
     python benchmarks/odometry.py ROOT 05 06 01 [--threads 2]
 
-ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and, for the drift, `poses/NN.txt`. Images are decoded before the
-clock starts. Drift is the error of the last position over the way driven, with no alignment; "nees" is the squared
-error of the end pose over what the composed covariances allow (6 is honest). "cpu" is the processor time of all
-threads, which a busy machine disturbs less than the clock.
+ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and, for the drift, `poses/NN.txt`. Images are decoded
+before the clock starts. Drift is the error of the last position over the way driven, with no alignment; "nees"
+is the squared error of the end pose over what the composed covariances allow (6 is honest). "cpu" is the
+processor time of all threads, which a busy machine disturbs less than the clock.
 """
 
 import argparse
@@ -79,8 +79,8 @@ def describe_drift(poses: np.ndarray, covariance: np.ndarray, file: Path) -> str
     end = se3.inverse(truth[0]) @ truth[-1]
     error = se3.log(se3.inverse(poses[-1]) @ end)
     drift = 100 * np.linalg.norm(poses[-1][:3, 3] - end[:3, 3]) / way
-    angle = np.degrees(np.linalg.norm(error[:3]))
-    return f"drift {drift:.2f} %  rotation {angle:.2f} deg  way {way:.0f} m  nees {error @ np.linalg.solve(covariance, error):.0f}"
+    angle, nees = np.degrees(np.linalg.norm(error[:3])), error @ np.linalg.solve(covariance, error)
+    return f"drift {drift:.2f} %  rotation {angle:.2f} deg  way {way:.0f} m  nees {nees:.0f}"
 
 
 def report(root: Path, name: str) -> None:
@@ -88,9 +88,8 @@ def report(root: Path, name: str) -> None:
     times.clear()
     poses, covariance, motions = drive(root / "sequences" / name)
     measured = [m for m in motions[1:] if not m.predicted]
-    print(
-        f"\n{name}: {len(poses)} frames  {describe_drift(poses, covariance, root / 'poses' / f'{name}.txt')}"
-    )
+    truth = root / "poses" / f"{name}.txt"
+    print(f"\n{name}: {len(poses)} frames  {describe_drift(poses, covariance, truth)}")
     print(
         f"    predicted {len(motions) - 1 - len(measured)}  tracks {np.mean([len(m.inliers) for m in measured]):.0f}"
         f"  inliers {100 * np.mean([m.inliers.mean() for m in measured]):.0f} %"

@@ -44,13 +44,10 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
         for k in range(_STATES):
             rows[i, k] = _dot(Jd, J[:, k]) / curvature
         offset[i] = (Jd @ residual) / curvature
-        # Taking the depth's share out of residual and derivatives is the Schur complement of one unknown.
-        for m in range(6):
-            residual[m] -= Jd[m] * offset[i]
-            for k in range(_STATES):
-                J[m, k] -= Jd[m] * rows[i, k]
-        chi2[i] = residual @ residual
-        _add(H, b, J, residual, 1.0 / (1.0 + chi2[i] / scale) ** 2)
+        chi2[i] = max(residual @ residual - curvature * offset[i] ** 2, 0.0)
+        weight = 1.0 / (1.0 + chi2[i] / scale) ** 2
+        _add(H, b, J, residual, weight)
+        _eliminate(H, b, rows[i], offset[i], weight * curvature)
     for j in range(_STATES):
         for k in range(j):
             H[j, k] = H[k, j]
@@ -76,6 +73,16 @@ def _add(H, b, J, residual, weight):
                 b[j] += scaled * residual[m]
                 for k in range(j, _STATES):
                     H[j, k] += scaled * J[m, k]
+
+
+@njit(cache=True)
+def _eliminate(H, b, row, offset, curvature):
+    """Take the share of one depth out of the upper half of H and out of b: its Schur complement."""
+    for j in range(_STATES):
+        scaled = curvature * row[j]
+        b[j] -= scaled * offset
+        for k in range(j, _STATES):
+            H[j, k] -= scaled * row[k]
 
 
 @njit(cache=True)

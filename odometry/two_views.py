@@ -72,7 +72,7 @@ class AdjustmentConfig:
     iterations: int = 12
     start_px: float = 4.0
     floor_px: float = 0.05
-    converged: float = 1e-6
+    converged: float = 1e-5
 
 
 @dataclass(frozen=True)
