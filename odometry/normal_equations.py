@@ -21,7 +21,7 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
     Args:
         camera: (5,) fx, fy, cx, cy in pixels and the baseline in metres.
         rays: (N, 2) x and y of the ray of each point at depth 1, first left camera.
-        measured: (N, 6) pixels in the first right, second left and second right image.
+        measured: (N, 6) pixels in the first right and second left image, and second right less second left.
         inverse_depth: (N,) 1/m.
         T_second_first: (4, 4) first camera in the second one's frame, metres.
         rectification: (12,) pixels.
@@ -44,13 +44,10 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
         for k in range(_STATES):
             rows[i, k] = _dot(Jd, J[:, k]) / curvature
         offset[i] = (Jd @ residual) / curvature
-        # Taking the depth's share out of residual and derivatives is the Schur complement of one unknown.
-        for m in range(6):
-            residual[m] -= Jd[m] * offset[i]
-            for k in range(_STATES):
-                J[m, k] -= Jd[m] * rows[i, k]
-        chi2[i] = residual @ residual
-        _add(H, b, J, residual, 1.0 / (1.0 + chi2[i] / scale) ** 2)
+        chi2[i] = max(residual @ residual - curvature * offset[i] ** 2, 0.0)
+        weight = 1.0 / (1.0 + chi2[i] / scale) ** 2
+        _add(H, b, J, residual, weight)
+        _eliminate(H, b, rows[i], offset[i], weight * curvature)
     for j in range(_STATES):
         for k in range(j):
             H[j, k] = H[k, j]
@@ -79,6 +76,16 @@ def _add(H, b, J, residual, weight):
 
 
 @njit(cache=True)
+def _eliminate(H, b, row, offset, curvature):
+    """Take the share of one depth out of the upper half of H and out of b: its Schur complement."""
+    for j in range(_STATES):
+        scaled = curvature * row[j]
+        b[j] -= scaled * offset
+        for k in range(j, _STATES):
+            H[j, k] -= scaled * row[k]
+
+
+@njit(cache=True)
 def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual, J, Jd):
     """Residuals (6,), measured minus predicted; derivatives J (6, 18), and Jd (6,) by the inverse depth."""
     fx, fy, cx, cy, baseline = camera
@@ -96,14 +103,14 @@ def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual,
     x, y, nearness = X / Z, Y / Z, inverse_depth / Z
     residual[2] = measured[2] - (fx * x + cx)
     residual[3] = measured[3] - (fy * y + cy)
-    residual[4] = measured[4] - (fx * (x - baseline * nearness) + cx)
-    residual[5] = measured[5] - (fy * y + cy)
+    residual[4] = measured[4] + fx * baseline * nearness
+    residual[5] = measured[5]
     _subtract_rectification(rectification, x, y, residual, J, 4)
     _motion_rows(camera, x, y, nearness, J)
     Jd[2] = -fx * (T[0, 3] - x * T[2, 3]) / Z
     Jd[3] = -fy * (T[1, 3] - y * T[2, 3]) / Z
-    Jd[4] = Jd[2] + fx * baseline * (1.0 - nearness * T[2, 3]) / Z
-    Jd[5] = Jd[3]
+    Jd[4] = fx * baseline * (1.0 - nearness * T[2, 3]) / Z
+    Jd[5] = 0.0
 
 
 @njit(cache=True)
@@ -127,5 +134,4 @@ def _motion_rows(camera, x, y, nearness, J):
     for k in range(_MOTION):
         J[2, k] = -fx * dx[k]
         J[3, k] = -fy * dy[k]
-        J[4, k] = -fx * (dx[k] - baseline * dnear[k])
-        J[5, k] = -fy * dy[k]
+        J[4, k] = fx * baseline * dnear[k]

@@ -47,8 +47,14 @@ class StereoTracks:
         return len(self.first_left)
 
     def measurements(self) -> Array:
-        """(N, 6) pixels: columns and rows in the first right, second left and second right image."""
-        return np.concatenate([self.first_right, self.second_left, self.second_right], axis=1)
+        """(N, 6) pixels, columns and rows: first right, second left, and second right less second left.
+
+        The tracker finds each of them by itself: the second right place starts from the second left one and
+        inherits its error, their difference does not.
+        """
+        return np.concatenate(
+            [self.first_right, self.second_left, self.second_right - self.second_left], axis=1
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ class AdjustmentConfig:
     iterations: int = 12
     start_px: float = 4.0
     floor_px: float = 0.05
-    converged: float = 1e-6
+    converged: float = 1e-5
 
 
 @dataclass(frozen=True)

@@ -97,9 +97,11 @@ def simulate_tracks(
     first = camera.project(points)
     second = camera.project(se3.transform(se3.inverse(T_first_second), points))
     seen = (second[:, 0] > 0) & (second[:, 0] < camera.width)
-    places = [first[:, [0, 2]], first[:, 1:] + offset_px, second[:, [0, 2]], second[:, 1:] + offset_px]
-    noisy = [p + rng.normal(0, noise_px, p.shape) for p in places[1:]]
-    return StereoTracks(*(p[seen] for p in [places[0], *noisy]))
+    noise = rng.normal(0, noise_px, (3, count, 2))
+    first_right, second_left = first[:, 1:] + offset_px + noise[0], second[:, [0, 2]] + noise[1]
+    # As in the odometry, the second right place is where the second left one, noise and all, is found again.
+    second_right = second[:, 1:] + offset_px + noise[1] + noise[2]
+    return StereoTracks(*(p[seen] for p in (pixels, first_right, second_left, second_right)))
 
 
 Clip = tuple[StereoCamera, list[Pair], Array]

@@ -69,7 +69,7 @@ def test_errors_on_images_are_as_large_as_the_covariance_says(camera, drive, mot
         (se3.log(se3.inverse(m.T_previous_current) @ motion_true), m.covariance)
         for m in tracked(camera, drive, exact)[1:]
     ]
-    assert 1.0 < np.mean([e @ np.linalg.solve(covariance, e) for e, covariance in errors]) < 20.0
+    assert 3.0 < np.mean([e @ np.linalg.solve(covariance, e) for e, covariance in errors]) < 12.0
 
 
 def test_standing_still_is_measured_as_standing_still(camera, drive):
@@ -78,7 +78,7 @@ def test_standing_still_is_measured_as_standing_still(camera, drive):
     assert max(np.abs(se3.log(m.T_previous_current)).max() for m in motions) < 1e-4
 
 
-@pytest.mark.parametrize("dropped", [1, 3])
+@pytest.mark.parametrize("dropped", [1, 3, 5])
 def test_dropped_images_are_one_long_motion(camera, drive, motion_true, dropped):
     motions = tracked(camera, drive[:4] + drive[4 + dropped :])
     assert_finite(motions)

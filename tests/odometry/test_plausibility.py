@@ -1,0 +1,50 @@
+"""A motion is doubted for the right reason, in words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from odometry import se3
+from odometry.plausibility import PlausibilityConfig, doubt
+from odometry.two_views import TwoViewEstimate
+
+CONFIG = PlausibilityConfig()
+GOOD = TwoViewEstimate(
+    T_first_second=se3.exp(np.array([0, 0.01, 0, 0, 0, 1.0])),
+    covariance=1e-6 * np.eye(6),
+    inliers=np.arange(100) < 90,
+    noise_px=0.1,
+    residual_px=0.1,
+    rectification=np.zeros(12),
+    information=np.eye(12),
+)
+CONTESTED = replace(GOOD, inliers=np.arange(100) < 45)
+
+
+def test_a_good_measurement_is_believed_whatever_was_expected():
+    assert doubt(GOOD, GOOD.T_first_second, CONFIG) == ""
+    assert doubt(GOOD, se3.exp(np.array([0, 0, 0, 0, 0, 9.0])), CONFIG) == ""
+    assert doubt(GOOD, None, CONFIG) == ""
+
+
+@pytest.mark.parametrize(
+    ("estimate", "words"),
+    [
+        (None, "fewer than 20 points"),
+        (replace(GOOD, inliers=np.arange(100) < 30), "only 30 of 100 points agree"),
+        (replace(GOOD, inliers=np.arange(18) < 18), "only 18 of 18 points agree"),
+        (replace(GOOD, noise_px=3.0), "only to 3.0 px"),
+        (replace(GOOD, covariance=np.full((6, 6), np.nan)), "did not converge"),
+    ],
+)
+def test_a_weak_measurement_is_doubted(estimate, words):
+    assert words in doubt(estimate, GOOD.T_first_second, CONFIG)
+
+
+def test_a_contested_measurement_is_believed_only_where_it_was_expected():
+    assert doubt(CONTESTED, GOOD.T_first_second, CONFIG) == ""
+    assert doubt(CONTESTED, None, CONFIG) == ""
+    assert "a jump of 1.0 m" in doubt(CONTESTED, np.eye(4), CONFIG)
+    turned = GOOD.T_first_second @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
+    assert "11.5 degrees" in doubt(CONTESTED, turned, CONFIG)
