@@ -26,6 +26,7 @@ INK = "#1a1a1a"
 _UNMOVED = Similarity(np.eye(3), np.zeros(3), 1.0)
 _DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
 _MARGIN = 0.07  # of the larger side, around the trajectories
+_SURROUNDINGS = 10.0  # metres around the trajectories in which the map of a short drive lies
 _SMALLEST = 4.0  # metres shown at least, for a robot that stood still
 _NARROWEST = 0.6  # short over long side of a panel at least, for straight tracks
 _AHEAD = 0.04  # the heading is shown to where the robot is so far from the start, of its largest distance
@@ -197,7 +198,9 @@ def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
     side = max(float((high - low).max()), _SMALLEST)
-    return (low + high) / 2, np.maximum((high - low) / 2, side * _NARROWEST / 2) + _MARGIN * side
+    return (low + high) / 2, np.maximum((high - low) / 2, side * _NARROWEST / 2) + max(
+        _MARGIN * side, min(_SURROUNDINGS, side / 3)
+    )
 
 
 def save_png(figure: Figure, path: Path) -> None:

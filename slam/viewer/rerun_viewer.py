@@ -32,7 +32,8 @@ Mode = Literal["record", "native", "web"]
 
 _LANDMARKS = 150  # drawn for a key frame while driving
 _LINE_PART, _LANDMARKS_PART = 150, 1600
-_CAMERA_SIZE_M = 4.0  # distance at which the image hangs before the camera
+_CAMERA_SIZE = 0.04  # distance at which the image hangs before the camera, of the size of the drive
+_CAMERA_LIMITS_M = (0.5, 4.0)
 _FLUSH_S = 5.0  # a viewer that does not take the rest by then is gone
 
 
@@ -150,7 +151,7 @@ class RerunViewer:
         log("world", rr.ViewCoordinates.RDF, static=True)
         pinhole = rr.Pinhole(
             image_from_camera=camera.K, resolution=[camera.width, camera.height],
-            camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=_CAMERA_SIZE_M,
+            camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=self._camera_size(),
         )  # fmt: skip
         log("world/camera/image", pinhole, static=True)
         if self._positions is not None:
@@ -163,6 +164,11 @@ class RerunViewer:
             )
         dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="taken for a revisit")
         log("plots/score/accepted", dots, static=True)
+
+    def _camera_size(self) -> float:
+        if self._positions is None:
+            return float(np.mean(_CAMERA_LIMITS_M))
+        return float(np.clip(_CAMERA_SIZE * np.ptp(self._positions, axis=0).max(), *_CAMERA_LIMITS_M))
 
     def _set_time(self, index: int, timestamp: float) -> None:
         if self._first_time is None:
