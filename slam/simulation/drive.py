@@ -139,9 +139,13 @@ def _stored(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def _calibration(spec: DriveSpec) -> str:
-    """calib.txt: the grey pair P0 and P1; P2 and P3 repeat them, as there are no colour cameras."""
+    """calib.txt: the grey pair P0 and P1; P2 and P3 repeat them, as there are no colour cameras.
+
+    Readers of KITTI expect the pose of a laser as well; `Tr` puts it into the camera.
+    """
     camera, lines = spec.camera, []
     for index in range(4):
         P = np.hstack([camera.K, [[-camera.fx * camera.baseline * (index % 2)], [0.0], [0.0]]])
         lines.append(f"P{index}: " + " ".join(f"{value:.12e}" for value in P.ravel()))
+    lines.append("Tr: " + " ".join(f"{value:.12e}" for value in np.eye(4)[:3].ravel()))
     return "\n".join(lines) + "\n"

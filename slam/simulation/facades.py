@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from slam.simulation.textures import SIZE, courses, noise, plaster
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 FRONT_WIDTH, STOREY, BAY = 12.0, 3.0, 3.0  # metres
 
 
 def upper_front(rng: np.random.Generator) -> tuple[Array, Array]:
     """Three storeys of windows: albedo and gloss (SIZE, SIZE), lower edge first."""
-    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE))
+    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE), np.float32)
     style = _window_style(rng)
     bay, storey = SIZE // 4, SIZE // 3
     for row in range(3):
@@ -29,7 +29,7 @@ def upper_front(rng: np.random.Generator) -> tuple[Array, Array]:
 
 def ground_front(rng: np.random.Generator) -> tuple[Array, Array]:
     """Street level: doors, shop windows, garage gates, a plinth; albedo and gloss, lower edge first."""
-    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE))
+    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE), np.float32)
     bay = SIZE // 4
     kinds = rng.permutation(["door", "shop", "window", rng.choice(["gate", "shop", "window", "wall"])])
     style = _window_style(rng)

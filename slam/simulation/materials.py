@@ -1,6 +1,7 @@
 """Every material of the town by name, and the table that the shader reads."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from slam.simulation import facades, textures
 from slam.simulation.spec import DriveSpec
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 FRONTS = 7  # differing house fronts
 ROADS = 4
@@ -42,7 +43,13 @@ def _row(texture: int, detail: int = 0, tiles: tuple[float, float] = (1.0, 1.0),
 
 def build_materials(spec: DriveSpec) -> Materials:
     """Paint all textures of a drive's town."""
-    rng = spec.rng(2)
+    return _painted(spec.seed)
+
+
+@lru_cache(maxsize=2)
+def _painted(seed: int) -> Materials:
+    """Drives of one seed share their paint; painting takes longer than a few small frames."""
+    rng = DriveSpec(seed=seed).rng(2)
     images: list[tuple[Array, Array | None]] = [facades.upper_front(rng) for _ in range(FRONTS)]
     images += [facades.ground_front(rng) for _ in range(FRONTS)]
     images += [(textures.road(rng), None) for _ in range(ROADS)]

@@ -166,8 +166,10 @@ def _later_lap(base: Way, spec: DriveSpec, lap: int, before: Array) -> Array:
     """Points (N, 2) of a lap after the first, which starts where `before` ends."""
     back = spec.reverse and lap % 2 == 1
     along = np.arange(len(base.points)) * STEP
-    grown = np.clip(along / _BLEND, 0, 1) if lap == 1 or spec.reverse else np.ones_like(along)
-    offset = spec.lateral_offset * grown * grown * (3 - 2 * grown)
+    # After turning round, the car is as far off its lane to the other side.
+    start = 0.0 if lap == 1 else spec.lateral_offset * (-1 if spec.reverse else 1)
+    grown = np.clip(along / _BLEND, 0, 1)
+    offset = start + (spec.lateral_offset - start) * grown * grown * (3 - 2 * grown)
     if back:
         # The parallel in the other lane, from the same point the other way.
         offset = -(2 * LANE + np.roll(offset[::-1], 1))

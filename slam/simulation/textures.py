@@ -8,9 +8,10 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 SIZE = 1024
 
 
@@ -42,11 +43,12 @@ def build_atlas(textures: list[tuple[Array, Array | None]]) -> Atlas:
 
 
 def _pyramid(image: Array) -> list[NDArray[np.uint8]]:
-    levels = [np.clip(image, 0, 1).astype(np.float64)]
-    while len(levels[-1]) > 1:
-        side = len(levels[-1]) // 2
-        levels.append(levels[-1].reshape(side, 2, side, 2).mean(axis=(1, 3)))
-    return [np.round(level * 255).astype(np.uint8) for level in levels]
+    level = np.clip(image * 255.0, 0.0, 255.0).astype(np.float32)
+    levels = [level]
+    while len(level) > 1:
+        level = cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        levels.append(level)
+    return [np.rint(level).astype(np.uint8) for level in levels]
 
 
 def noise(rng: np.random.Generator, size: int = SIZE, slope: float = 1.0, finest: float = 1.0) -> Array:
@@ -61,12 +63,12 @@ def noise(rng: np.random.Generator, size: int = SIZE, slope: float = 1.0, finest
 @lru_cache(maxsize=32)
 def _field(size: int, slope: float, finest: float) -> Array:
     """One field of a kind; what differs between textures is where they begin."""
-    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    f = np.hypot(scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None, :])
     f[0, 0] = 1.0
-    white = np.random.default_rng(size).standard_normal((size, size))
-    spectrum = np.fft.rfft2(white) * f**-slope * np.exp(-((f * finest) ** 2))
-    spectrum[0, 0] = 0.0
-    field: Array = np.fft.irfft2(spectrum, s=(size, size))
+    white = np.random.default_rng(size).standard_normal((size, size), dtype=np.float32)
+    amplitude = (f**-slope * np.exp(-((f * finest) ** 2))).astype(np.float32)
+    amplitude[0, 0] = 0.0
+    field: Array = scipy.fft.irfft2(scipy.fft.rfft2(white) * amplitude, s=(size, size))
     return field / field.std()
 
 
@@ -77,14 +79,16 @@ def plaster(rng: np.random.Generator) -> Array:
 
 def courses(rng: np.random.Generator, rows: int, columns: int, joint: int, contrast: float) -> Array:
     """Bricks, slabs or tiles in courses, every second one shifted by half."""
-    image = np.zeros((SIZE, SIZE))
+    image = np.zeros((SIZE, SIZE), np.float32)
     h, w = SIZE / rows, SIZE / columns
     for r in range(rows):
         shift = (r % 2) * w / 2
         for c in range(columns):
             y0, y1 = round(r * h), round((r + 1) * h) - joint
-            columns_of = (np.arange(round(c * w + shift), round((c + 1) * w + shift) - joint)) % SIZE
-            image[y0:y1, columns_of] = 0.55 + contrast * rng.standard_normal()
+            x0, x1 = round(c * w + shift), round((c + 1) * w + shift) - joint
+            level = 0.55 + contrast * rng.standard_normal()
+            image[y0:y1, x0:x1] = level
+            image[y0:y1, : max(0, x1 - SIZE)] = level  # the one that wraps around
     image = np.where(image == 0, 0.38, image)
     return image + 0.035 * noise(rng, slope=0.7, finest=1.5)
 
