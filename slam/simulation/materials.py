@@ -29,15 +29,23 @@ class Materials:
 
     Attributes:
         atlas: the textures.
-        table: (M, 7) float64, columns as in `shading`: texture, detail texture, detail tiles per tile across and up,
-            strength of the detail, gloss, leaf.
+        table: (M, 7) float64, columns as in `shading`: texture, detail texture, detail tiles per tile
+            across and up, strength of the detail, gloss, leaf.
+
     """
 
     atlas: textures.Atlas
     table: Array
 
 
-def _row(texture: int, detail: int = 0, tiles: tuple[float, float] = (1.0, 1.0), strength: float = 0.0, gloss: float = 0.0, leaf: float = 0.0) -> list[float]:  # noqa: E501
+def _row(
+    texture: int,
+    detail: int = 0,
+    tiles: tuple[float, float] = (1.0, 1.0),
+    strength: float = 0.0,
+    gloss: float = 0.0,
+    leaf: float = 0.0,
+) -> list[float]:
     return [texture, detail, *tiles, strength, gloss, leaf]
 
 
@@ -56,7 +64,9 @@ def _painted(seed: int) -> Materials:
     images += [(facades.advertisement(rng), None) for _ in range(POSTERS)]
     first = len(images)
     images += [(image, None) for image in _plain(rng)]
-    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(first, first + 12)
+    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(
+        first, first + 12
+    )
     rows = [_row(i, stains, (0.9, 0.7), 0.5) for i in range(FRONTS)]
     rows += [_row(FRONTS + i, stains, (0.9, 0.25), 0.5) for i in range(FRONTS)]
     rows += [_row(ROAD + i, grain, (6.4, 19.2), 0.8) for i in range(ROADS)]

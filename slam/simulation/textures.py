@@ -22,6 +22,7 @@ class Atlas:
     Attributes:
         texels, gloss: (B,) uint8, mip levels of every texture one after the other.
         table: (K, 3) int64: binary logarithm of the side, whether it has gloss, first texel.
+
     """
 
     texels: NDArray[np.uint8]
@@ -73,7 +74,7 @@ def _field(size: int, slope: float, finest: float) -> Array:
 
 
 def plaster(rng: np.random.Generator) -> Array:
-    """Rendered wall with stains."""
+    """Paint rendered wall with stains."""
     return 0.72 + 0.05 * noise(rng, slope=1.3) + 0.025 * noise(rng, slope=0.2, finest=2.0)
 
 
@@ -99,7 +100,7 @@ def grass(rng: np.random.Generator) -> Array:
 
 
 def leaves(rng: np.random.Generator, size: int = 256) -> Array:
-    """A spray of leaves on dark: bright blots of many turns."""
+    """Paint a spray of leaves on dark: bright blots of many turns."""
     image = np.full((size, size), 0.16)
     for _ in range(260):
         x, y = rng.integers(0, size, 2)
@@ -130,7 +131,7 @@ def weathering(rng: np.random.Generator) -> Array:
 
 
 def road(rng: np.random.Generator) -> Array:
-    """Carriageway 8 m wide (columns) and 24 m long (rows): wear, patches, cracks, manholes, a dashed middle line."""
+    """Carriageway 8 m wide (columns) and 24 m long (rows): wear, patches, cracks, a manhole, dashes."""
     image = 0.33 + 0.02 * noise(rng, slope=1.2) + 0.012 * noise(rng, slope=0.2, finest=1.5)
     x = (np.arange(SIZE) + 0.5) / SIZE * 8.0
     for lane in (1.75, 3.25, 4.75, 6.25):
@@ -154,16 +155,18 @@ def _patches(image: Array, rng: np.random.Generator) -> None:
 
 
 def _crack(image: Array, rng: np.random.Generator) -> None:
-    """A random walk filled with tar or left open."""
+    """Paint a random walk filled with tar or left open."""
     start = rng.uniform([80, 0], [SIZE - 80, SIZE])
     drift = rng.choice([[0.0, 5.0], [12.0, 0.3], [3.0, 3.0]])
     steps = drift + rng.normal(0, [7.0, 2.5], (rng.integers(20, 90), 2))
     line = np.round(start + np.cumsum(steps, axis=0)).astype(np.int32)
-    cv2.polylines(image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA)
+    cv2.polylines(
+        image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA
+    )
 
 
 def _manhole(image: Array, rng: np.random.Generator) -> None:
-    """An iron cover; texels are 8 mm across and 23 mm along."""
+    """Paint an iron cover; texels are 8 mm across and 23 mm along."""
     centre = (int(rng.integers(250, 780)), int(rng.integers(100, 900)))
     for scale, level in ((1.25, 0.42), (1.0, 0.16), (0.8, 0.28), (0.55, 0.17), (0.3, 0.27)):
         cv2.ellipse(image, centre, (int(42 * scale), int(14 * scale)), 0, 0, 360, level, -1, cv2.LINE_AA)
@@ -178,7 +181,7 @@ def _middle_line(image: Array, rng: np.random.Generator) -> None:
 
 
 def panorama(rng: np.random.Generator, columns: int = 4096) -> NDArray[np.float32]:
-    """What is infinitely far: (columns / 2, columns) light of sky, clouds, hills and skyline; below the horizon, ground."""
+    """Paint what is infinitely far, (columns / 2, columns): sky, clouds, wooded hills; ground below."""
     rows = columns // 2
     elevation = (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows) * 180.0
     sky = np.interp(elevation, [0, 6, 25, 90], [0.82, 0.74, 0.56, 0.42]).astype(np.float32)

@@ -23,7 +23,9 @@ def files(folder):
 def same_files(a, b):
     # Archives carry their hour of birth; what is in them is compared by content.
     a, b = files(a), files(b)
-    return {k: v for k, v in a.items() if not k.endswith("npz")} == {k: v for k, v in b.items() if not k.endswith("npz")}
+    return {k: v for k, v in a.items() if not k.endswith("npz")} == {
+        k: v for k, v in b.items() if not k.endswith("npz")
+    }
 
 
 def test_the_folder_is_readable_as_kitti(drive):

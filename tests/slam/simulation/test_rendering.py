@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from slam.simulation.render import build_scene, in_view, render
+from slam.simulation.render import Moment, build_scene, in_view, render
 from slam.simulation.routes import plan_drive
+from slam.simulation.shading import LEAF
 from slam.simulation.spec import DriveSpec
 from slam.simulation.stages import Stages
 
@@ -18,7 +19,7 @@ def street():
     stage, _ = next(iter(Stages(SPEC, drive)))
 
     def see(T):
-        return render(stage, in_view(stage.scene, [], SPEC.camera, T), SPEC.camera, T)
+        return render(stage, in_view(stage, Moment([]), SPEC.camera, T), SPEC.camera, T)
 
     return stage, drive.T_town_camera, see
 
@@ -41,10 +42,12 @@ def test_an_independent_ray_caster_sees_the_same_depth(street):
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     stage, poses, see = street
     camera, T = SPEC.camera, poses[12]
-    scene = in_view(stage.scene, [], camera, T)
+    scene = in_view(stage, Moment([]), camera, T)
     caster = o3d.t.geometry.RaycastingScene()
     corners = scene.corners.reshape(-1, 3)
-    caster.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
+    caster.add_triangles(
+        o3d.core.Tensor(corners), o3d.core.Tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3))
+    )
     directions = rays(camera) @ T[:3, :3].T
     origin = np.broadcast_to(T[:3, 3], directions.shape)
     cast = caster.cast_rays(o3d.core.Tensor(np.concatenate([origin, directions], -1).astype(np.float32)))
@@ -75,7 +78,9 @@ def test_disparity_agrees_with_what_the_right_camera_sees(street):
     left, depth = see(poses[20])
     right, _ = see(shifted(poses[20], camera.baseline))
     u, v = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
-    warped = cv2.remap(right, u - np.float32(camera.fx * camera.baseline) / depth.astype(np.float32), v, cv2.INTER_LINEAR)
+    warped = cv2.remap(
+        right, u - np.float32(camera.fx * camera.baseline) / depth.astype(np.float32), v, cv2.INTER_LINEAR
+    )
     error = np.abs(warped - left)[:, 60:]
     unmoved = np.abs(right - left)[:, 60:]
     assert np.median(error) < 0.006
@@ -86,7 +91,7 @@ def test_what_moves_hides_what_stands(street):
     stage, poses, see = street
     camera, T = SPEC.camera, poses[5]
     board = build_board(T, 4.0)
-    _, depth = render(stage, in_view(stage.scene, [board], camera, T), camera, T)
+    _, depth = render(stage, in_view(stage, Moment([board]), camera, T), camera, T)
     at = int(camera.cy), int(camera.cx)
     assert depth[at] == pytest.approx(4.0, abs=1e-3)
     assert see(T)[1][at] > 4.5
@@ -100,8 +105,17 @@ def build_board(T, distance):
     return quads(se3.transform(T, corners)[None], np.zeros((1, 4, 2)), PLASTER)
 
 
+def test_wind_moves_leaves_and_nothing_else(street):
+    stage, poses, _ = street
+    calm, blown = (in_view(stage, Moment([], wind), SPEC.camera, poses[5]) for wind in (None, 3.0))
+    moved = np.abs(blown.corners - calm.corners).max(axis=(1, 2))
+    leaf = stage.materials.table[calm.material, LEAF] > 0
+    assert (moved[~leaf] == 0).all()
+    assert 0 < np.median(moved[leaf]) <= moved.max() < 0.03
+
+
 def test_texture_coordinates_are_planar_over_each_triangle(street):
-    stage, _, _ = street
+    _stage, _, _ = street
     rng = np.random.default_rng(0)
     from slam.simulation.mesh import triangles
 

@@ -8,7 +8,8 @@ from slam.simulation.spec import DriveSpec
 def test_the_default_camera_is_that_of_kitti():
     camera = DriveSpec().camera
     np.testing.assert_allclose(
-        [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline], [718.856, 718.856, 607.1928, 185.2157, 0.54]
+        [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline],
+        [718.856, 718.856, 607.1928, 185.2157, 0.54],
     )
 
 
@@ -23,7 +24,7 @@ def test_a_smaller_image_keeps_the_field_of_view():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"shape": "spiral"}, "shape 'spiral': expected circle, figure-eight, blocks or the path"),
+        ({"shape": "spiral"}, "shape .spiral.: expected circle, figure-eight, blocks or the path"),
         ({"laps": 0}, "laps of a simulated drive: expected 1 to 1000, got 0"),
         ({"speed": float("nan")}, "speed .* got nan"),
         ({"lateral_offset": 3.0}, "lateral_offset .* expected -1.5 to 1.5, got 3"),
