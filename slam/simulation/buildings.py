@@ -131,7 +131,7 @@ def _dormer(h: House, x: float, rise: float) -> Mesh:
 def _cornice(h: House) -> Mesh:
     low = np.array([[-0.05, -0.28, h.eaves - 0.35], [-0.02, -0.1, STOREY + 0.3]])
     return boxes(
-        low, [*low, [h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]], m.PLASTER, h.tint * 1.1, 3.0
+        low, low + np.array([[h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]]), m.PLASTER, h.tint * 1.1, 3.0
     )
 
 
@@ -142,7 +142,7 @@ def _sills(h: House) -> Mesh:
     z = 0.4 + storeys.ravel() * STOREY + 0.55
     keep = (x > 0.9) & (x < h.width - 0.9)
     low = np.stack([x - 0.85, np.full_like(x, -0.16), z], axis=1)[keep]
-    return boxes(low, [*low, 1.7, 0.16, 0.1], m.PLASTER, 1.1, 3.0) if len(low) else join([])
+    return boxes(low, low + np.array([1.7, 0.16, 0.1]), m.PLASTER, 1.1, 3.0) if len(low) else join([])
 
 
 def _bay_window(h: House, rng: np.random.Generator) -> Mesh:
@@ -169,7 +169,7 @@ def _balconies(h: House, rng: np.random.Generator) -> Mesh:
         parts.append(boxes([x, -1.2, z - 0.15], [x + 2.6, 0, z], m.PLASTER, 1.0, 3.0))
         bars = np.arange(x, x + 2.61, 0.13)
         low = np.stack([bars, np.full_like(bars, -1.18), np.full_like(bars, z)], axis=1)
-        parts.append(boxes(low, [*low, 0.03, 0.03, 0.95], m.METAL, 0.4))
+        parts.append(boxes(low, low + np.array([0.03, 0.03, 0.95]), m.METAL, 0.4))
         parts.append(boxes([x, -1.2, z + 0.95], [x + 2.6, -1.15, z + 1.0], m.METAL, 0.4))
     return join(parts)
 
