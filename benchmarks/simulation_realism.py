@@ -1,7 +1,8 @@
-"""How hard is the simulated town, compared with real streets?
+"""Compare how hard the simulated town and real streets are.
 
-The same plain odometry (corners, pyramidal Lucas-Kanade, stereo by Lucas-Kanade, PnP with RANSAC; no window, no
-refinement) drives each recording; corners, track lengths and gradients are counted beside. Usage:
+The same plain odometry (corners, pyramidal Lucas-Kanade, stereo by Lucas-Kanade, PnP with RANSAC; no
+window, no refinement) drives each recording; corners, track lengths and gradients are counted beside.
+Usage:
 
     python benchmarks/simulation_realism.py DRIVE [DRIVE ...]      folders in KITTI layout, sequence 00
 
@@ -9,6 +10,7 @@ Real clips are taken from $REVISIT_TEST_DATA/kitti_clips where that is set.
 """
 
 import argparse
+import itertools
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,9 +46,7 @@ def read(folder: Path, sequence: str, frames: int) -> tuple[list[tuple[Array, Ar
     P0, P1 = (np.array(row, dtype=np.float64).reshape(3, 4) for row in rows)
     poses = np.loadtxt(folder / "poses" / f"{sequence}.txt", ndmin=2)[:frames].reshape(-1, 3, 4)
     names = sorted((base / "image_0").glob("*.png"))[: len(poses)]
-    pairs = [
-        (cv2.imread(str(p), 0), cv2.imread(str(base / "image_1" / p.name), 0)) for p in names
-    ]
+    pairs = [(cv2.imread(str(p), 0), cv2.imread(str(base / "image_1" / p.name), 0)) for p in names]
     true = np.tile(np.eye(4), (len(poses), 1, 1))
     true[:, :3] = poses
     return pairs, P0[:, :3], -P1[0, 3] / P1[0, 0], np.linalg.inv(true[0]) @ true
@@ -66,7 +66,9 @@ def follow(a: Array, b: Array, points: Array) -> tuple[Array, Array]:
     return there, good
 
 
-def motion(before: tuple[Array, Array], now: tuple[Array, Array], K: Array, baseline: float, tally: Tally) -> Array:
+def motion(
+    before: tuple[Array, Array], now: tuple[Array, Array], K: Array, baseline: float, tally: Tally
+) -> Array:
     """T_before_now (4, 4) between two stereo pairs."""
     points = detect(before[0])
     right, stereo = follow(before[0], before[1], points)
@@ -100,7 +102,7 @@ def look(image: Array, tally: Tally) -> None:
 
 
 def track_lengths(lefts: list[Array]) -> float:
-    """Median number of frames through which corners can be followed from the start of stretches of 12 frames."""
+    """Mean number of frames, of 12, through which corners can be followed."""
     lengths = []
     for start in range(0, len(lefts) - 12, 12):
         points = detect(lefts[start])
@@ -118,7 +120,7 @@ def judge(name: str, pairs: list[tuple[Array, Array]], K: Array, baseline: float
     """One line of the table."""
     tally, at, windows = Tally(), np.eye(4), []
     estimate = [at]
-    for before, now in zip(pairs[:-1], pairs[1:], strict=True):
+    for before, now in itertools.pairwise(pairs):
         look(now[0], tally)
         at = at @ motion(before, now, K, baseline, tally)
         estimate.append(at)
@@ -127,8 +129,19 @@ def judge(name: str, pairs: list[tuple[Array, Array]], K: Array, baseline: float
     end = window_drift(np.array(estimate), true)
     drift = float(np.mean(windows)) if windows else end
     spread = f"{min(windows):.2f}-{max(windows):.2f}" if windows else "-"
-    numbers = [drift, np.mean(tally.fast), np.mean(tally.corners), np.mean(tally.gradient), 100 * np.mean(tally.flat)]
-    numbers += [np.mean(tally.mean), np.mean(tally.deviation), 100 * np.mean(tally.kept), 100 * np.mean(tally.inliers)]
+    numbers = [
+        drift,
+        np.mean(tally.fast),
+        np.mean(tally.corners),
+        np.mean(tally.gradient),
+        100 * np.mean(tally.flat),
+    ]
+    numbers += [
+        np.mean(tally.mean),
+        np.mean(tally.deviation),
+        100 * np.mean(tally.kept),
+        100 * np.mean(tally.inliers),
+    ]
     cells = [f"{n:.0f}" if n >= 100 else f"{n:.2f}" for n in numbers]
     return " | ".join([name, str(len(pairs)), *cells, spread, f"{track_lengths([p[0] for p in pairs]):.1f}"])
 

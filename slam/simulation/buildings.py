@@ -1,6 +1,7 @@
 """Houses: textured fronts with projecting bays, balconies, cornices, awnings, roofs and chimneys.
 
-A house stands with the left end of its front on the origin, front along +x, garden behind it along +y, z up, metres.
+A house stands with the left end of its front on the origin, front along +x, garden behind it along +y, z
+up, metres.
 """
 
 from dataclasses import dataclass
@@ -36,7 +37,10 @@ class House:
 def draw_house(rng: np.random.Generator, width: float, urban: bool) -> House:
     """Draw a town house or a cottage of a given width."""
     storeys = int(rng.integers(3, 6)) if urban else int(rng.integers(1, 4))
-    depth, tint = float(rng.uniform(8, 11)), float(rng.choice([rng.uniform(0.9, 1.3), rng.uniform(0.35, 0.8)]))
+    depth, tint = (
+        float(rng.uniform(8, 11)),
+        float(rng.choice([rng.uniform(0.9, 1.3), rng.uniform(0.35, 0.8)])),
+    )
     return House(width, depth, storeys, int(rng.integers(m.FRONTS)), int(rng.integers(4)), tint)
 
 
@@ -64,7 +68,9 @@ def _wall(h: House, origin: Array, along: Array, shift: int) -> Mesh:
     if h.storeys == 1:
         return street
     tiles = np.array([u0, 0, u1, (h.storeys - 1) / 3])
-    return join([street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)])
+    return join(
+        [street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)]
+    )
 
 
 def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
@@ -76,12 +82,14 @@ def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
             parts.append(_wall(h, origin, along, 1))
         else:
             tiles = np.array([0, 0, h.depth / 5, h.eaves / 5])
-            parts.append(panel(origin, along, Z * h.eaves, int(rng.choice([m.PLASTER, m.BRICK])), tiles, h.tint))
+            parts.append(
+                panel(origin, along, Z * h.eaves, int(rng.choice([m.PLASTER, m.BRICK])), tiles, h.tint)
+            )
     return join([*parts, _wall(h, w + d, -w, 2)])
 
 
 def _roof(h: House, rng: np.random.Generator) -> Mesh:
-    """A gable or hipped roof with eaves, a chimney and dormers."""
+    """Build a gable or hipped roof with eaves, a chimney and dormers."""
     over, rise = 0.5, float(rng.uniform(0.35, 0.6)) * h.depth
     hip = float(rng.choice([0.0, 0.3])) * h.depth
     x0, x1, y0, y1, y = -0.3, h.width + 0.3, -over, h.depth + over, h.depth / 2
@@ -91,7 +99,13 @@ def _roof(h: House, rng: np.random.Generator) -> Mesh:
     material = int(rng.choice([m.ROOF, m.SLATE]))
     length, slope = (x1 - x0) / 6, float(np.hypot(rise, y)) / 6
     uv = np.array([[0, 0], [length, 0], [length - hip / 6, slope], [hip / 6, slope]])
-    parts = [quads(np.stack([np.stack([c[0], c[1], b, a]), np.stack([c[2], c[3], a, b])]), np.stack([uv, uv]), material)]
+    parts = [
+        quads(
+            np.stack([np.stack([c[0], c[1], b, a]), np.stack([c[2], c[3], a, b])]),
+            np.stack([uv, uv]),
+            material,
+        )
+    ]
     ends = np.stack([np.stack([c[1], c[2], b]), np.stack([c[3], c[0], a])])
     width = (y1 - y0) / 6
     uv_end = np.tile([[0, 0], [width, 0], [width / 2, slope]], (2, 1, 1))
@@ -105,16 +119,20 @@ def _roof(h: House, rng: np.random.Generator) -> Mesh:
 
 
 def _dormer(h: House, x: float, rise: float) -> Mesh:
-    """A window in the roof."""
+    """Build a window in the roof."""
     z = h.eaves + 0.25 * rise
     low, high = np.array([x, 0.22 * h.depth, z - 0.4]), np.array([x + 1.5, 0.5 * h.depth, z + 1.2])
-    face = panel([x + 0.15, 0.215 * h.depth, z], [1.2, 0, 0], [0, 0, 1.0], m.GLASS, np.array([0, 0, 1, 1]), 0.15)
+    face = panel(
+        [x + 0.15, 0.215 * h.depth, z], [1.2, 0, 0], [0, 0, 1.0], m.GLASS, np.array([0, 0, 1, 1]), 0.15
+    )
     return join([boxes(low, high, m.SLATE, 0.9), face])
 
 
 def _cornice(h: House) -> Mesh:
     low = np.array([[-0.05, -0.28, h.eaves - 0.35], [-0.02, -0.1, STOREY + 0.3]])
-    return boxes(low, low + [[h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]], m.PLASTER, h.tint * 1.1, 3.0)
+    return boxes(
+        low, low + np.array([[h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]]), m.PLASTER, h.tint * 1.1, 3.0
+    )
 
 
 def _sills(h: House) -> Mesh:
@@ -124,11 +142,11 @@ def _sills(h: House) -> Mesh:
     z = 0.4 + storeys.ravel() * STOREY + 0.55
     keep = (x > 0.9) & (x < h.width - 0.9)
     low = np.stack([x - 0.85, np.full_like(x, -0.16), z], axis=1)[keep]
-    return boxes(low, low + [1.7, 0.16, 0.1], m.PLASTER, 1.1, 3.0) if len(low) else join([])
+    return boxes(low, low + np.array([1.7, 0.16, 0.1]), m.PLASTER, 1.1, 3.0) if len(low) else join([])
 
 
 def _bay_window(h: House, rng: np.random.Generator) -> Mesh:
-    """A part of the front, one to two bays wide, that stands out by about a metre."""
+    """Build a part of the front, one to two bays wide, that stands out by about a metre."""
     width, out = BAY * float(rng.integers(1, 3)), float(rng.uniform(0.5, 1.2))
     if h.width < width + 2:
         return join([])
@@ -151,22 +169,33 @@ def _balconies(h: House, rng: np.random.Generator) -> Mesh:
         parts.append(boxes([x, -1.2, z - 0.15], [x + 2.6, 0, z], m.PLASTER, 1.0, 3.0))
         bars = np.arange(x, x + 2.61, 0.13)
         low = np.stack([bars, np.full_like(bars, -1.18), np.full_like(bars, z)], axis=1)
-        parts.append(boxes(low, low + [0.03, 0.03, 0.95], m.METAL, 0.4))
+        parts.append(boxes(low, low + np.array([0.03, 0.03, 0.95]), m.METAL, 0.4))
         parts.append(boxes([x, -1.2, z + 0.95], [x + 2.6, -1.15, z + 1.0], m.METAL, 0.4))
     return join(parts)
 
 
 def _awning(h: House, rng: np.random.Generator) -> Mesh:
-    """A slanting cloth over a shop."""
+    """Build a slanting cloth over a shop."""
     x, width = float(rng.uniform(0.3, h.width / 3)), min(4.0, h.width / 2)
     corner = [[x, 0, 2.95], [x + width, 0, 2.95], [x + width, -1.1, 2.45], [x, -1.1, 2.45]]
-    cloth = quads(np.array([corner]), np.array([[[0, 0], [1, 0], [1, 1], [0, 1]]]), m.PLASTER, float(rng.uniform(0.3, 1.2)))
-    rim = panel([x, -1.1, 2.2], [width, 0, 0], Z * 0.25, m.POSTER + int(rng.integers(m.POSTERS)), np.array([0, 0, 3, 0.3]))
+    cloth = quads(
+        np.array([corner]),
+        np.array([[[0, 0], [1, 0], [1, 1], [0, 1]]]),
+        m.PLASTER,
+        float(rng.uniform(0.3, 1.2)),
+    )
+    rim = panel(
+        [x, -1.1, 2.2],
+        [width, 0, 0],
+        Z * 0.25,
+        m.POSTER + int(rng.integers(m.POSTERS)),
+        np.array([0, 0, 3, 0.3]),
+    )
     return join([cloth, rim])
 
 
 def _poster(h: House, rng: np.random.Generator) -> Mesh:
-    """A sign flat on the wall or standing out from it."""
+    """Build a sign flat on the wall or standing out from it."""
     x, z, size = rng.uniform(0.3, h.width - 1.5), rng.uniform(1.2, 3.2), rng.uniform(0.5, 1.3)
     material, tiles = m.POSTER + int(rng.integers(m.POSTERS)), np.array([0.0, 0.0, 1.0, 1.0])
     if rng.random() < 0.4:

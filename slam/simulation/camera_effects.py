@@ -1,6 +1,7 @@
 """From light to grey values: what lens, shutter, sensor and calibration do to an image."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.simulation.spec import DriveSpec
+
+Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -30,6 +33,7 @@ class Sensor:
         side: 0 left, 1 right.
         map_x, map_y: (H, W) where each pixel of the image with its calibration error is read, pixels.
         vignette: (H, W) factor.
+
     """
 
     spec: DriveSpec
@@ -97,10 +101,11 @@ def gain(spec: DriveSpec, light: Image, time: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def smear(image, depth, step, intrinsics):
+def smear(image: Buffer, depth: Buffer, step: Buffer, intrinsics: Buffer) -> Buffer:
     """Blur (H, W) along each pixel's own motion while the shutter is open.
 
-    depth: (H, W) metres; step: (3, 4) change of the camera's pose in that time, less the identity; intrinsics: (4,).
+    depth: (H, W) metres; step: (3, 4) change of the camera's pose in that time, less the identity;
+        intrinsics: (4,).
     """
     height, width = image.shape
     fx, fy, cx, cy = intrinsics

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.errors import OutputError
 from slam.simulation.camera_effects import build_sensor, gain
-from slam.simulation.render import Stage, in_view, render
+from slam.simulation.render import Moment, Stage, in_view, render
 from slam.simulation.routes import plan_drive
 from slam.simulation.spec import FORMAT, DriveSpec
 from slam.simulation.stages import Stages
@@ -34,8 +33,9 @@ _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 def simulate(spec: DriveSpec, out: Path, progress: Progress | None = None) -> Path:
     """Render a drive into `out`, which then holds KITTI's layout, and return `out`.
 
-    Writes `sequences/00/{image_0,image_1}/%06d.png`, `calib.txt`, `times.txt` (and `depth/%06d.png` on request),
-    `poses/00.txt` (T_world_camera of the left camera, world = first camera), `loops_00.npz` (`truth` (N, N) and
+    Writes `sequences/00/{image_0,image_1}/%06d.png`, `calib.txt`, `times.txt` (and `depth/%06d.png` on
+    request), `poses/00.txt` (T_world_camera of the left camera, world = first camera), `loops_00.npz`
+    (`truth` (N, N) and
     `positions` (N, 3)) and `drive.json` (the spec). A drive of the same spec that is already there is kept.
     progress: called with frames done and frames in all.
 
@@ -56,7 +56,7 @@ def simulate(spec: DriveSpec, out: Path, progress: Progress | None = None) -> Pa
         _Recording(spec, unfinished).write(progress or (lambda done, total: None))
         unfinished.chmod(0o755)
         # Replaces an empty folder in one step.
-        os.replace(unfinished, out)
+        unfinished.replace(out)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     return out
@@ -71,7 +71,7 @@ def is_complete(spec: DriveSpec, out: Path) -> bool:
 
 
 def manifest(spec: DriveSpec) -> dict[str, object]:
-    """What `drive.json` says: the whole spec and what the numbers mean."""
+    """Return what `drive.json` says: the whole spec and what the numbers mean."""
     plan = Path(spec.shape).read_text() if spec.from_file else None
     return {"format": FORMAT, "spec": dataclasses.asdict(spec), "plan": plan}
 
@@ -105,7 +105,8 @@ class _Recording:
 
     def _frame(self, stage: Stage, frame: int) -> None:
         poses, camera = self.drive.T_town_camera, self.spec.camera
-        scene = in_view(stage.scene, self.stages.traffic.at(frame), camera, poses[frame])
+        wind = None if self.spec.clean else float(self.drive.timestamps[frame])
+        scene = in_view(stage, Moment(self.stages.traffic.at(frame), wind), camera, poses[frame])
         other = min(frame + 1, len(poses) - 1)
         motion = se3.inverse(poses[frame]) @ poses[other]
         exposure = 1.0
@@ -139,9 +140,13 @@ def _stored(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def _calibration(spec: DriveSpec) -> str:
-    """calib.txt: the grey pair P0 and P1; P2 and P3 repeat them, as there are no colour cameras."""
+    """calib.txt: the grey pair P0 and P1; P2 and P3 repeat them, as there are no colour cameras.
+
+    Readers of KITTI expect the pose of a laser as well; `Tr` puts it into the camera.
+    """
     camera, lines = spec.camera, []
     for index in range(4):
         P = np.hstack([camera.K, [[-camera.fx * camera.baseline * (index % 2)], [0.0], [0.0]]])
         lines.append(f"P{index}: " + " ".join(f"{value:.12e}" for value in P.ravel()))
+    lines.append("Tr: " + " ".join(f"{value:.12e}" for value in np.eye(4)[:3].ravel()))
     return "\n".join(lines) + "\n"

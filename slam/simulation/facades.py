@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from slam.simulation.textures import SIZE, courses, noise, plaster
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 FRONT_WIDTH, STOREY, BAY = 12.0, 3.0, 3.0  # metres
 
 
 def upper_front(rng: np.random.Generator) -> tuple[Array, Array]:
     """Three storeys of windows: albedo and gloss (SIZE, SIZE), lower edge first."""
-    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE))
+    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE), np.float32)
     style = _window_style(rng)
     bay, storey = SIZE // 4, SIZE // 3
     for row in range(3):
@@ -29,7 +29,7 @@ def upper_front(rng: np.random.Generator) -> tuple[Array, Array]:
 
 def ground_front(rng: np.random.Generator) -> tuple[Array, Array]:
     """Street level: doors, shop windows, garage gates, a plinth; albedo and gloss, lower edge first."""
-    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE))
+    albedo, gloss = _wall(rng), np.zeros((SIZE, SIZE), np.float32)
     bay = SIZE // 4
     kinds = rng.permutation(["door", "shop", "window", rng.choice(["gate", "shop", "window", "wall"])])
     style = _window_style(rng)
@@ -37,7 +37,9 @@ def ground_front(rng: np.random.Generator) -> tuple[Array, Array]:
         box = (column * bay + 24, 0, (column + 1) * bay - 24, SIZE)
         if kind == "window":
             # Texels are four times wider than high here.
-            _window(albedo, gloss, ((column + 0.5) * bay, 0.45 * SIZE), (style[0], style[1] * 3, style[2]), rng)
+            _window(
+                albedo, gloss, ((column + 0.5) * bay, 0.45 * SIZE), (style[0], style[1] * 3, style[2]), rng
+            )
         elif kind != "wall":
             {"door": _door, "shop": _shop, "gate": _gate}[str(kind)](albedo, gloss, box, rng)
     albedo[int(0.88 * SIZE) :] *= 0.6 + 0.06 * noise(rng)[int(0.88 * SIZE) :]
@@ -52,7 +54,11 @@ def _wall(rng: np.random.Generator) -> Array:
 
 def _window_style(rng: np.random.Generator) -> tuple[float, float, str]:
     """Half width and half height in texels, and what is beside the glass."""
-    return float(rng.integers(42, 80)), float(rng.integers(70, 105)), str(rng.choice(["plain", "shutters", "frame"]))
+    return (
+        float(rng.integers(42, 80)),
+        float(rng.integers(70, 105)),
+        str(rng.choice(["plain", "shutters", "frame"])),
+    )
 
 
 def _box(image: Array, x0: float, y0: float, x1: float, y1: float, level: float) -> None:
@@ -60,7 +66,11 @@ def _box(image: Array, x0: float, y0: float, x1: float, y1: float, level: float)
 
 
 def _window(
-    albedo: Array, gloss: Array, centre: tuple[float, float], style: tuple[float, float, str], rng: np.random.Generator
+    albedo: Array,
+    gloss: Array,
+    centre: tuple[float, float],
+    style: tuple[float, float, str],
+    rng: np.random.Generator,
 ) -> None:
     """Glass with frame, cross bars, curtain, sill, and shutters or a surround."""
     (x, y), (w, h, beside) = centre, style
@@ -81,7 +91,9 @@ def _window(
         _shutters(albedo, (x, y, w, h), float(rng.uniform(0.15, 0.5)))
 
 
-def _curtain(albedo: Array, gloss: Array, window: tuple[float, float, float, float], rng: np.random.Generator) -> None:
+def _curtain(
+    albedo: Array, gloss: Array, window: tuple[float, float, float, float], rng: np.random.Generator
+) -> None:
     """Curtains at the sides, a blind half down, flowers on the sill, or nothing."""
     x, y, w, h = window
     kind, level = rng.integers(0, 5), float(rng.uniform(0.35, 0.75))
@@ -110,21 +122,21 @@ def _shutters(albedo: Array, window: tuple[float, float, float, float], level: f
 
 
 def _band(albedo: Array, row: int, rng: np.random.Generator) -> None:
-    """A moulding between storeys, on some houses."""
+    """Paint a moulding between storeys, on some houses."""
     if rng.random() < 0.5:
         albedo[row : row + 12] = np.minimum(albedo[row : row + 12] + 0.12, 0.95)
         albedo[row + 12 : row + 20] *= 0.6
 
 
 def _pipe(albedo: Array, rng: np.random.Generator) -> None:
-    """A rain pipe between two bays."""
+    """Paint a rain pipe between two bays."""
     x = int(rng.integers(1, 4)) * SIZE // 4 + int(rng.integers(-8, 8))
     albedo[:, x : x + 8] = 0.3 + 0.4 * np.sin(np.linspace(0.2, 2.8, 8))
     albedo[:, x + 8 : x + 14] *= 0.6
 
 
 def _door(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """A panelled door with a small window, steps and a bell plate."""
+    """Paint a panelled door with a small window, steps and a bell plate."""
     x = (box[0] + box[2]) / 2
     level = float(rng.uniform(0.12, 0.45))
     _box(albedo, x - 62, 0.2 * SIZE, x + 62, SIZE, 0.75)
@@ -136,13 +148,20 @@ def _door(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.r
 
 
 def _shop(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """A display window full of things, and a sign with letters above it."""
+    """Paint a display window full of things, and a sign with letters above it."""
     x0, _, x1, _ = box
     _box(albedo, x0, 0.22 * SIZE, x1, 0.86 * SIZE, 0.12)
     _box(gloss, x0, 0.22 * SIZE, x1, 0.86 * SIZE, 0.6)
     for _ in range(30):
         x, y = rng.uniform(x0 + 4, x1 - 40), rng.uniform(0.35, 0.8) * SIZE
-        _box(albedo, x, y, min(x1 - 4, x + rng.uniform(8, 36)), y + rng.uniform(20, 110), float(rng.uniform(0.05, 0.85)))
+        _box(
+            albedo,
+            x,
+            y,
+            min(x1 - 4, x + rng.uniform(8, 36)),
+            y + rng.uniform(20, 110),
+            float(rng.uniform(0.05, 0.85)),
+        )
     for x in np.linspace(x0, x1, 3):
         _box(albedo, x - 4, 0.2 * SIZE, x + 4, 0.88 * SIZE, 0.7)
     back, front = (0.15, 0.9) if rng.random() < 0.5 else (0.85, 0.12)
@@ -153,14 +172,16 @@ def _shop(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.r
 
 
 def _letters(word: str, height: int, width: int) -> Array:
-    """A word in strokes of 1 on 0."""
+    """Paint a word in strokes of 1 on 0."""
     paper = np.zeros((height, width), np.uint8)
-    cv2.putText(paper, word, (6, int(0.8 * height)), cv2.FONT_HERSHEY_DUPLEX, height / 35, 255, 4, cv2.LINE_AA)
+    cv2.putText(
+        paper, word, (6, int(0.8 * height)), cv2.FONT_HERSHEY_DUPLEX, height / 35, 255, 4, cv2.LINE_AA
+    )
     return paper / 255.0
 
 
 def _gate(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.random.Generator) -> None:
-    """A garage gate of boards."""
+    """Paint a garage gate of boards."""
     x0, _, x1, _ = box
     _box(albedo, x0, 0.2 * SIZE, x1, SIZE, 0.3)
     boards = float(rng.uniform(0.35, 0.7)) * (0.75 + 0.25 * (np.arange(x0 + 8, x1 - 8) % 24 < 21))
@@ -169,7 +190,7 @@ def _gate(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.r
 
 
 def advertisement(rng: np.random.Generator) -> Array:
-    """A poster or road sign: frame, shapes and letters, (256, 256), lower edge first."""
+    """Paint a poster or road sign: frame, shapes and letters, (256, 256), lower edge first."""
     image = np.full((256, 256), float(rng.uniform(0.1, 0.9)))
     for _ in range(6):
         a, b = rng.integers(10, 246, 2), rng.integers(10, 246, 2)

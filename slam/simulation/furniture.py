@@ -13,23 +13,27 @@ Array = NDArray[np.float64]
 
 
 def lamp_post() -> Mesh:
-    """A mast of 6 m with an arm over the road (-y)."""
+    """Build a mast of 6 m with an arm over the road (-y)."""
     arm = boxes([-0.04, -1.5, 5.9], [0.04, 0.0, 5.98], m.METAL, 0.6)
     head = boxes([-0.12, -1.9, 5.86], [0.12, -1.3, 6.02], m.METAL, 0.9)
     return join([prism(0.09, 0.05, 6.0, m.METAL, 6).tinted(0.6), arm, head])
 
 
 def sign(rng: np.random.Generator) -> Mesh:
-    """A traffic sign or notice on a post, facing along the street."""
+    """Build a traffic sign or notice on a post, facing along the street."""
     height, size = float(rng.uniform(2.0, 2.6)), float(rng.uniform(0.45, 0.8))
     plate = panel(
-        [0.05, -size / 2, height], [0, size, 0], [0, 0, size], m.POSTER + int(rng.integers(m.POSTERS)), np.array([0, 0, 1, 1])
+        [0.05, -size / 2, height],
+        [0, size, 0],
+        [0, 0, size],
+        m.POSTER + int(rng.integers(m.POSTERS)),
+        np.array([0, 0, 1, 1]),
     )
     return join([prism(0.035, 0.035, height + size, m.METAL, 5), plate])
 
 
 def border(kind: int, length: float, rng: np.random.Generator) -> Mesh:
-    """A garden border of `length` metres: 1 pickets, 2 iron railing, 3 wall with pillars, 4 boards."""
+    """Build a garden border of `length` metres: 1 pickets, 2 iron railing, 3 wall with pillars, 4 boards."""
     return (_pickets, _railing, _wall, _boards)[kind - 1](length, float(rng.uniform(0.5, 1.4)))
 
 
@@ -42,7 +46,9 @@ def _bars(length: float, spacing: float, size: Array, z: float) -> tuple[Array, 
 
 def _pickets(length: float, tint: float) -> Mesh:
     low, high = _bars(length, 0.14, np.array([0.08, 0.02, 0.95]), 0.05)
-    rails = boxes([[0, 0.02, 0.3], [0, 0.02, 0.75]], [[length, 0.06, 0.38], [length, 0.06, 0.83]], m.WOOD, tint)
+    rails = boxes(
+        [[0, 0.02, 0.3], [0, 0.02, 0.75]], [[length, 0.06, 0.38], [length, 0.06, 0.83]], m.WOOD, tint
+    )
     posts = boxes(*_bars(length, 2.4, np.array([0.12, 0.12, 1.1]), 0.0), m.WOOD, tint)
     return join([boxes(low, high, m.WOOD, 1.4 * tint), rails, posts])
 

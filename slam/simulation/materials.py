@@ -1,6 +1,7 @@
 """Every material of the town by name, and the table that the shader reads."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from slam.simulation import facades, textures
 from slam.simulation.spec import DriveSpec
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 FRONTS = 7  # differing house fronts
 ROADS = 4
@@ -28,28 +29,44 @@ class Materials:
 
     Attributes:
         atlas: the textures.
-        table: (M, 7) float64, columns as in `shading`: texture, detail texture, detail tiles per tile across and up,
-            strength of the detail, gloss, leaf.
+        table: (M, 7) float64, columns as in `shading`: texture, detail texture, detail tiles per tile
+            across and up, strength of the detail, gloss, leaf.
+
     """
 
     atlas: textures.Atlas
     table: Array
 
 
-def _row(texture: int, detail: int = 0, tiles: tuple[float, float] = (1.0, 1.0), strength: float = 0.0, gloss: float = 0.0, leaf: float = 0.0) -> list[float]:  # noqa: E501
+def _row(
+    texture: int,
+    detail: int = 0,
+    tiles: tuple[float, float] = (1.0, 1.0),
+    strength: float = 0.0,
+    gloss: float = 0.0,
+    leaf: float = 0.0,
+) -> list[float]:
     return [texture, detail, *tiles, strength, gloss, leaf]
 
 
 def build_materials(spec: DriveSpec) -> Materials:
     """Paint all textures of a drive's town."""
-    rng = spec.rng(2)
+    return _painted(spec.seed)
+
+
+@lru_cache(maxsize=2)
+def _painted(seed: int) -> Materials:
+    """Drives of one seed share their paint; painting takes longer than a few small frames."""
+    rng = DriveSpec(seed=seed).rng(2)
     images: list[tuple[Array, Array | None]] = [facades.upper_front(rng) for _ in range(FRONTS)]
     images += [facades.ground_front(rng) for _ in range(FRONTS)]
     images += [(textures.road(rng), None) for _ in range(ROADS)]
     images += [(facades.advertisement(rng), None) for _ in range(POSTERS)]
     first = len(images)
     images += [(image, None) for image in _plain(rng)]
-    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(first, first + 12)
+    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(
+        first, first + 12
+    )
     rows = [_row(i, stains, (0.9, 0.7), 0.5) for i in range(FRONTS)]
     rows += [_row(FRONTS + i, stains, (0.9, 0.25), 0.5) for i in range(FRONTS)]
     rows += [_row(ROAD + i, grain, (6.4, 19.2), 0.8) for i in range(ROADS)]

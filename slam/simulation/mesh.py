@@ -6,7 +6,7 @@ Town frame: x and y along the ground, z up, metres. Texture coordinates count ti
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -20,6 +20,7 @@ class Mesh:
         uv: (T, 3, 2) tiles.
         material: (T,) row of the material table.
         tint: (T,) factor on the texture's brightness.
+
     """
 
     corners: Array
@@ -67,21 +68,24 @@ def quads(corners: Array, uv: Array, material: int, tint: float | Array = 1.0) -
     return triangles(corners[:, halves].reshape(-1, 3, 3), uv[:, halves].reshape(-1, 3, 2), material, tints)
 
 
-def panel(origin: Array, right: Array, up: Array, material: int, tiles: Array, tint: float = 1.0) -> Mesh:
-    """A parallelogram from `origin` (3,) along `right` and `up` (3,), metres.
+def panel(
+    origin: ArrayLike, right: ArrayLike, up: ArrayLike, material: int, tiles: ArrayLike, tint: float = 1.0
+) -> Mesh:
+    """Make a parallelogram from `origin` (3,) along `right` and `up` (3,), metres.
 
     tiles: (4,) texture coordinates u0, v0, u1, v1 of its lower left and upper right corner.
     """
     o, r, u = (np.asarray(v, dtype=np.float64) for v in (origin, right, up))
-    u0, v0, u1, v1 = tiles
+    u0, v0, u1, v1 = np.asarray(tiles)
     uv = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
     return quads(np.array([[o, o + r, o + r + u, o + u]]), uv[None], material, tint)
 
 
-def boxes(low: Array, high: Array, material: int, tint: float | Array = 1.0, tile: float = 1.0) -> Mesh:
-    """Axis-aligned boxes between `low` and `high` (N, 3), metres, without bottoms; a texture tile covers `tile` metres."""
-    low, high = np.atleast_2d(low).astype(np.float64), np.atleast_2d(high).astype(np.float64)
-    ends = np.stack([low, high])  # (2, N, 3)
+def boxes(
+    low: ArrayLike, high: ArrayLike, material: int, tint: float | Array = 1.0, tile: float = 1.0
+) -> Mesh:
+    """Axis-aligned boxes between `low` and `high` (N, 3), metres, open below; a tile covers `tile` metres."""
+    ends = np.stack([np.atleast_2d(np.asarray(end, dtype=np.float64)) for end in (low, high)])  # (2, N, 3)
     # Each face as corners (x end, y end, z end), and the two axes that its texture follows.
     faces = (
         ([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)], (0, 2)),
@@ -98,7 +102,7 @@ def boxes(low: Array, high: Array, material: int, tint: float | Array = 1.0, til
 
 
 def prism(radius: float, top_radius: float, height: float, material: int, sides: int = 6) -> Mesh:
-    """An upright post on the origin, open at both ends, metres."""
+    """Make an upright post on the origin, open at both ends, metres."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     low, high = ring * radius, ring * top_radius + [0.0, 0.0, height]

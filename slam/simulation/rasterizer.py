@@ -1,12 +1,19 @@
 """Which triangle is seen where: compiled rasterisation with four samples a pixel.
 
-Edges are planes through the eye (Olano and Greer, Triangle scan conversion using 2D homogeneous coordinates, 1997):
-a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image, so triangles that
-reach behind the camera need no clipping. Neighbours share bit-equal edges, so there are no cracks.
+Edges are planes through the eye (Olano and Greer, Triangle scan conversion using 2D homogeneous
+coordinates, 1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in
+the image, so
+triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges, so there are no
+cracks.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
 
 SAMPLES = 4
 # A rotated grid: no two samples of a pixel share a row or a column.
@@ -16,7 +23,7 @@ _NEAR = 0.2  # metres; nothing closer is drawn
 
 
 @njit(cache=True, inline="always")
-def _extend(box, x, y):
+def _extend(box: Buffer, x: float, y: float) -> None:
     box[0] = min(box[0], x)
     box[1] = max(box[1], x)
     box[2] = min(box[2], y)
@@ -24,7 +31,7 @@ def _extend(box, x, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _bounds(v, box):
+def _bounds(v: Buffer, box: Buffer) -> bool:
     """Pixel bounds of the part of triangle v (3, 3) in front of the near plane; False if there is none."""
     box[0] = box[2] = 1e9
     box[1] = box[3] = -1e9
@@ -35,12 +42,14 @@ def _bounds(v, box):
         j = (i + 1) % 3
         if (z >= _NEAR) != (v[j, 2] >= _NEAR):
             t = (_NEAR - z) / (v[j, 2] - z)
-            _extend(box, (v[i, 0] + t * (v[j, 0] - v[i, 0])) / _NEAR, (v[i, 1] + t * (v[j, 1] - v[i, 1])) / _NEAR)
+            _extend(
+                box, (v[i, 0] + t * (v[j, 0] - v[i, 0])) / _NEAR, (v[i, 1] + t * (v[j, 1] - v[i, 1])) / _NEAR
+            )
     return box[0] <= box[1]
 
 
 @njit(cache=True, error_model="numpy")
-def _edges(v, e):
+def _edges(v: Buffer, e: Buffer) -> bool:
     """Edge planes (rows 0-2) and the 1/z plane (row 3) of triangle v; False if it is seen edge on."""
     for i in range(3):
         a, b = v[(i + 1) % 3], v[(i + 2) % 3]
@@ -59,7 +68,7 @@ def _edges(v, e):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _span(e, y, low, high):
+def _span(e: Buffer, y: int, low: float, high: float) -> tuple[float, float]:
     """Columns of row y that can be inside all edges, one pixel generous."""
     left, right = low, high
     for i in range(3):
@@ -73,7 +82,7 @@ def _span(e, y, low, high):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _covered(e, x, y):
+def _covered(e: Buffer, x: int, y: int) -> int:
     """Bits of the samples of pixel (x, y) that are inside all edges."""
     bits = 15
     for i in range(3):
@@ -89,7 +98,7 @@ def _covered(e, x, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _fill(e, box, triangle, inverse_depth, ids):
+def _fill(e: Buffer, box: Buffer, triangle: int, inverse_depth: Buffer, ids: Buffer) -> None:
     """Write one triangle into the sample buffers (H, W, 4) where it is nearest."""
     height, width = ids.shape[:2]
     a, b = e[3, 0], e[3, 1]
@@ -108,7 +117,7 @@ def _fill(e, box, triangle, inverse_depth, ids):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rasterize(corners, ranges, P, inverse_depth, ids):
+def rasterize(corners: Buffer, ranges: Buffer, P: Buffer, inverse_depth: Buffer, ids: Buffer) -> None:
     """Draw triangles of `corners` (T, 3, 3) float32 through P into the sample buffers, which are not cleared.
 
     ranges: (R, 2) first and past-last triangle, best sorted from near to far.
@@ -130,10 +139,13 @@ def rasterize(corners, ranges, P, inverse_depth, ids):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rasterize_from_sun(corners, axes, origin, cell, height_map):
+def rasterize_from_sun(
+    corners: Buffer, axes: Buffer, origin: Buffer, cell: float, height_map: Buffer
+) -> None:
     """Height towards the sun of the nearest surface, for each cell of a plane square to the sun.
 
-    corners: (T, 3, 3) float32; axes: (3, 3) rows right, up, towards the sun; origin: (2,) of the map's first cell, metres;
+    corners: (T, 3, 3) float32; axes: (3, 3) rows right, up, towards the sun; origin: (2,) of the map's
+        first cell, metres;
     cell: metres; height_map: (rows, columns) float32, lowered to -inf by the caller, raised here.
     """
     rows, columns = height_map.shape
@@ -142,7 +154,9 @@ def rasterize_from_sun(corners, axes, origin, cell, height_map):
         for i in range(3):
             for k in range(3):
                 q[i, k] = (
-                    axes[k, 0] * corners[t, i, 0] + axes[k, 1] * corners[t, i, 1] + axes[k, 2] * corners[t, i, 2]
+                    axes[k, 0] * corners[t, i, 0]
+                    + axes[k, 1] * corners[t, i, 1]
+                    + axes[k, 2] * corners[t, i, 2]
                 )
             q[i, 0] = (q[i, 0] - origin[0]) / cell
             q[i, 1] = (q[i, 1] - origin[1]) / cell
@@ -150,7 +164,7 @@ def rasterize_from_sun(corners, axes, origin, cell, height_map):
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_height(q, rows, columns, height_map):
+def _fill_height(q: Buffer, rows: int, columns: int, height_map: Buffer) -> None:
     """Raise the height map to one triangle q (3, 3): column, row, height."""
     det = (q[1, 0] - q[0, 0]) * (q[2, 1] - q[0, 1]) - (q[1, 1] - q[0, 1]) * (q[2, 0] - q[0, 0])
     if abs(det) < 1e-9:
@@ -164,5 +178,3 @@ def _fill_height(q, rows, columns, height_map):
             if b1 >= 0.0 and b2 >= 0.0 and b1 + b2 <= 1.0:
                 w = q[0, 2] + b1 * (q[1, 2] - q[0, 2]) + b2 * (q[2, 2] - q[0, 2])
                 height_map[y, x] = max(height_map[y, x], np.float32(w))
-
-

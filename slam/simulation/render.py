@@ -9,11 +9,12 @@ from odometry.camera import StereoCamera
 from slam.simulation.materials import Materials
 from slam.simulation.mesh import Mesh
 from slam.simulation.rasterizer import SAMPLES, rasterize, rasterize_from_sun
-from slam.simulation.shading import shade
+from slam.simulation.shading import LEAF, shade
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 _SHADOW_CELL = 0.09  # metres
+_WIND = 0.025  # metres that leaves swing
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Daylight:
         to_sun: (3,) unit vector, town frame.
         sun, ambient, haze: light of the sun, of the sky, and of far air.
         panorama: the sky and all that is infinitely far.
+
     """
 
     to_sun: Array
@@ -43,9 +45,11 @@ class Scene:
     """Triangles ready to be drawn, in clusters with bounding spheres.
 
     Attributes:
-        corners: (T, 3, 3) float32 metres; attributes: (T, 12) float32: gradients of u and v with offsets, normal, tint.
+        corners: (T, 3, 3) float32 metres; attributes: (T, 12) float32: gradients of u and v with offsets,
+            normal, tint.
         material: (T,) int32; ranges: (R, 2) first and past-last triangle of each cluster.
         centres, radii: (R, 3) and (R,) metres, bounding spheres.
+
     """
 
     corners: NDArray[np.float32]
@@ -98,7 +102,14 @@ def _attributes(mesh: Mesh) -> Array:
 
 @dataclass(frozen=True)
 class Shadow:
-    """Heights towards the sun: axes (3, 3) rows right, up, to the sun; place (3,) first cell and cell size; the map."""
+    """Heights towards the sun.
+
+    Attributes:
+        axes: (3, 3) rows right, up, to the sun, in the town frame.
+        place: (3,) right and up of the first cell, and the size of a cell, metres.
+        heights: (rows, columns) metres.
+
+    """
 
     axes: Array
     place: Array
@@ -128,20 +139,45 @@ class Stage:
     materials: Materials
 
 
-def in_view(scene: Scene, moving: list[Mesh], camera: StereoCamera, T_town_camera: Array) -> Scene:
-    """The part of a scene that either camera of a pair can see, nearest clusters first, with what moves before it.
+@dataclass(frozen=True)
+class Moment:
+    """What is not the same in every frame: moving cars, and the time of the wind (seconds, None: calm)."""
+
+    moving: list[Mesh]
+    wind: float | None = None
+
+
+def in_view(stage: Stage, moment: Moment, camera: StereoCamera, T_town_camera: Array) -> Scene:
+    """Pick what either camera of a pair can see: what moves, then clusters from near to far.
 
     T_town_camera: (4, 4) of the left camera.
     """
+    scene = stage.scene
     P, centre = _projection(camera, T_town_camera), T_town_camera[:3, 3]
     ranges = _visible(scene, P, centre, camera)
     pick = np.concatenate([np.arange(first, last) for first, last in ranges] or [np.zeros(0, np.int64)])
-    extra = build_scene(moving) if moving else None
-    arrays = [(scene.corners[pick], scene.attributes[pick], scene.material[pick])]
+    extra = build_scene(moment.moving) if moment.moving else None
+    leaves = stage.materials.table[scene.material[pick], LEAF] > 0
+    arrays = [
+        (_blown(scene.corners[pick], leaves, pick, moment.wind), scene.attributes[pick], scene.material[pick])
+    ]
     if extra is not None:
         arrays.insert(0, (extra.corners, extra.attributes, extra.material))
     corners, attributes, material = (np.concatenate(column) for column in zip(*arrays, strict=True))
-    return Scene(corners, attributes, material, np.array([[0, len(material)]]), scene.centres[:0], scene.radii[:0])
+    return Scene(
+        corners, attributes, material, np.array([[0, len(material)]]), scene.centres[:0], scene.radii[:0]
+    )
+
+
+def _blown(
+    corners: NDArray[np.float32], leaves: NDArray[np.bool_], number: Array, wind: float | None
+) -> Image:
+    """Triangles (N, 3, 3), those of leaves displaced by the wind at a time, each in its own rhythm."""
+    if wind is None:
+        return corners
+    phase = (number[leaves] * 2.399)[:, None] + [0.0, 1.0, 2.1] + wind * np.array([7.1, 5.3, 9.7])
+    corners[leaves] += (_WIND * np.sin(phase)).astype(np.float32)[:, None]
+    return corners
 
 
 def _projection(camera: StereoCamera, T_town_camera: Array) -> Array:
@@ -151,7 +187,7 @@ def _projection(camera: StereoCamera, T_town_camera: Array) -> Array:
 
 
 def render(stage: Stage, scene: Scene, camera: StereoCamera, T_town_camera: Array) -> tuple[Image, Image]:
-    """Light (H, W), about 0 to 1, and depth (H, W), metres along the axis, infinite for the sky, of one camera.
+    """Light and depth of one camera, (H, W) each: about 0 to 1, and metres along the axis, infinite for sky.
 
     scene: what is in view. T_town_camera: (4, 4) of this very camera; `camera` gives intrinsics and size.
     """
@@ -182,7 +218,9 @@ def _visible(scene: Scene, P: Array, centre: Array, camera: StereoCamera) -> NDA
     forward = P[2, :3]
     # Normals of the planes through the camera and the first and last column and row.
     u, v = P[0, :3], P[1, :3]
-    planes = np.stack([forward, u + forward, camera.width * forward - u, v + forward, camera.height * forward - v])
+    planes = np.stack(
+        [forward, u + forward, camera.width * forward - u, v + forward, camera.height * forward - v]
+    )
     planes /= np.linalg.norm(planes, axis=1, keepdims=True)
     inside = ((scene.centres - centre) @ planes.T > -scene.radii[:, None] - camera.baseline - 0.1).all(axis=1)
     keep = np.flatnonzero(inside)

@@ -33,6 +33,7 @@ class Way:
     Attributes:
         points: (N, 2) metres, `STEP` apart.
         closed: the last point is followed by the first.
+
     """
 
     points: Array
@@ -53,7 +54,7 @@ class Way:
         return np.unwrap(np.arctan2(d[:, 1], d[:, 0]))
 
     def at(self, along: Array) -> tuple[Array, Array]:
-        """Positions (M, 2) and headings (M,) at distances `along` (M,), metres; ends are held, closed ways wrap."""
+        """Positions (M, 2) and headings (M,) at distances (M,), metres; ends are held, closed ways wrap."""
         headings = self.headings
         x, y = np.asarray(along) / STEP, self.points
         if self.closed:
@@ -61,10 +62,12 @@ class Way:
             y, headings = np.vstack([y, y[:1]]), np.append(headings, headings[0] + turn)
             x = np.mod(x, len(self.points))
         grid = np.arange(len(y))
-        return np.stack([np.interp(x, grid, y[:, 0]), np.interp(x, grid, y[:, 1])], 1), np.interp(x, grid, headings)
+        return np.stack([np.interp(x, grid, y[:, 0]), np.interp(x, grid, y[:, 1])], 1), np.interp(
+            x, grid, headings
+        )
 
     def shifted(self, left: float) -> "Way":
-        """The parallel line `left` metres to the left, resampled evenly."""
+        """Return the parallel line `left` metres to the left, resampled evenly."""
         h = self.headings
         return evenly(self.points + left * np.stack([-np.sin(h), np.cos(h)], axis=1), self.closed)
 
@@ -81,7 +84,7 @@ def evenly(points: Array, closed: bool) -> Way:
 
 
 def _scaled(points: Array, length: float) -> Way:
-    """The closed line (N, 2) scaled to a length in metres."""
+    """Return the closed line (N, 2) scaled to a length in metres."""
     loop = np.vstack([points, points[:1]])
     return evenly(points * (length / np.linalg.norm(np.diff(loop, axis=0), axis=1).sum()), True)
 
@@ -112,7 +115,7 @@ def _turning(corners: tuple[tuple[int, int], ...]) -> list[int]:
 
 
 def _rounded(p: Array) -> Way:
-    """The closed right-angled polygon (N, 2) with rounded corners, started in the middle of its first side."""
+    """Round the corners of a closed right-angled polygon (N, 2); start in the middle of its first side."""
     pieces = [(p[:1] + p[1:2]) / 2]
     for i in [*range(1, len(p)), 0]:
         into, out = p[i] - p[i - 1], p[(i + 1) % len(p)] - p[i]
@@ -139,7 +142,7 @@ def read_plan(path: Path) -> Array:
 
 
 def base_way(spec: DriveSpec) -> Way:
-    """The line of the first lap (the middle of its lane)."""
+    """Return the line of the first lap (the middle of its lane)."""
     if spec.from_file:
         plan = read_plan(Path(spec.shape))
         return evenly(gaussian_filter1d(plan, 1.5, axis=0, mode="nearest"), False)
@@ -147,7 +150,7 @@ def base_way(spec: DriveSpec) -> Way:
 
 
 def drive_way(spec: DriveSpec) -> tuple[Way, list[float]]:
-    """The whole way from start to end, open, and where on it each lap ends, metres.
+    """Return the whole way from start to end, open, and where on it each lap ends, metres.
 
     Offsets grow smoothly at the start of a lap; to drive the opposite way the car turns round in a loop.
     """
@@ -166,8 +169,10 @@ def _later_lap(base: Way, spec: DriveSpec, lap: int, before: Array) -> Array:
     """Points (N, 2) of a lap after the first, which starts where `before` ends."""
     back = spec.reverse and lap % 2 == 1
     along = np.arange(len(base.points)) * STEP
-    grown = np.clip(along / _BLEND, 0, 1) if lap == 1 or spec.reverse else np.ones_like(along)
-    offset = spec.lateral_offset * grown * grown * (3 - 2 * grown)
+    # After turning round, the car is as far off its lane to the other side.
+    start = 0.0 if lap == 1 else spec.lateral_offset * (-1 if spec.reverse else 1)
+    grown = np.clip(along / _BLEND, 0, 1)
+    offset = start + (spec.lateral_offset - start) * grown * grown * (3 - 2 * grown)
     if back:
         # The parallel in the other lane, from the same point the other way.
         offset = -(2 * LANE + np.roll(offset[::-1], 1))
@@ -178,14 +183,18 @@ def _later_lap(base: Way, spec: DriveSpec, lap: int, before: Array) -> Array:
     if not spec.reverse:
         return points
     heading = np.arctan2(*(before[-1] - before[-2])[::-1])
-    return np.vstack([_turn_round(before[-1] + STEP * np.array([np.cos(heading), np.sin(heading)]), heading), points])
+    return np.vstack(
+        [_turn_round(before[-1] + STEP * np.array([np.cos(heading), np.sin(heading)]), heading), points]
+    )
 
 
 def _turn_round(at: Array, heading: float) -> Array:
-    """A drop-shaped loop from a pose in the right lane to the opposite pose in the other, points (N, 2), metres."""
+    """Points (N, 2) of a drop-shaped loop from a pose in the right lane to the opposite pose in the other."""
     reach = np.sqrt(4 * _TURN**2 - (_TURN + LANE) ** 2)
     swing = np.pi / 2 - np.arctan2(_TURN + LANE, reach)
-    steps = np.concatenate([np.full(40, -swing / 40), np.full(160, (np.pi + 2 * swing) / 160), np.full(40, -swing / 40)])
+    steps = np.concatenate(
+        [np.full(40, -swing / 40), np.full(160, (np.pi + 2 * swing) / 160), np.full(40, -swing / 40)]
+    )
     h = np.concatenate([[0.0], np.cumsum(steps)])
     middle = heading + (h[:-1] + h[1:]) / 2
     chord = 2 * _TURN * np.sin(np.abs(steps) / 2)
@@ -202,6 +211,7 @@ class Drive:
         lap: (N,) from 0.
         T_town_camera: (N, 4, 4), metres.
         timestamps: (N,) seconds.
+
     """
 
     way: Way
@@ -216,7 +226,7 @@ def plan_drive(spec: DriveSpec) -> Drive:
     way, ends = drive_way(spec)
     count = int(np.floor(way.length / spec.spacing + 0.01)) + 1
     count = min(count, spec.max_frames) if spec.max_frames else count
-    along = np.arange(count) * spec.spacing
+    along = np.arange(count, dtype=np.float64) * spec.spacing
     lap = np.minimum(np.searchsorted(ends, along, side="right"), len(ends) - 1)
     positions, headings = way.at(along)
     poses = _camera_poses(positions, headings, _sway(spec, count))
@@ -227,8 +237,13 @@ def _sway(spec: DriveSpec, count: int) -> Array:
     """Yaw, pitch and roll (rad) and height (m) that suspension and road add to a car's motion, (N, 4)."""
     time = np.arange(count) / spec.frame_rate
     rng = spec.rng(1)
-    # (amplitude of yaw, pitch, roll in degrees and height in metres) at body, axle and slow frequencies, hertz.
-    bands = ((0.15, (0.5, 0.25, 0.35, 0.02)), (1.3, (0.1, 0.3, 0.25, 0.015)), (3.7, (0.03, 0.09, 0.09, 0.004)))
+    # (amplitude of yaw, pitch, roll in degrees and height in metres) at body, axle and slow frequencies,
+    # hertz.
+    bands = (
+        (0.15, (0.5, 0.25, 0.35, 0.02)),
+        (1.3, (0.1, 0.3, 0.25, 0.015)),
+        (3.7, (0.03, 0.09, 0.09, 0.004)),
+    )
     sway = np.zeros((count, 4))
     for hertz, amplitude in bands:
         for _ in range(3):

@@ -1,20 +1,29 @@
 """What a visible triangle looks like: compiled texture look-up, shadow and light.
 
-Textures are mip-mapped (Williams, Pyramidal parametrics, 1983) and looked up along the longer axis of the pixel's
-footprint, so that road and facades seen at a grazing angle neither flicker nor blur away. An image row is shaded in
-passes over its samples: compiled passes with few arrays each are several times faster than one call per sample.
+Textures are mip-mapped (Williams, Pyramidal parametrics, 1983) and looked up along the longer axis of the
+pixel's footprint, so that road and facades seen at a grazing angle neither flicker nor blur away. An image
+row is
+shaded in passes over its samples: compiled passes with few arrays each are several times faster than one
+call per
+sample.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from slam.simulation.rasterizer import SAMPLE_X, SAMPLE_Y
+
+Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
 
 # Columns of the material table.
 TEXTURE, DETAIL, DETAIL_U, DETAIL_V, DETAIL_STRENGTH, GLOSS, LEAF = range(7)
 # Entries of the light vector: towards the sun (3), then strengths.
 SUN, AMBIENT, HAZE = 3, 4, 5
-# Rows of the work table, one column a sample: ray direction (3), point (3), depth, share of the pixel, value, gloss.
+# Rows of the work table, one column a sample: ray direction (3), point (3), depth, share of the pixel,
+# value, gloss.
 _D, _P, _Z, _SHARE, _VALUE, _GLOSS = 0, 3, 6, 7, 8, 9
 WORK_ROWS = 10
 _MAX_TAPS = 4.0
@@ -23,7 +32,7 @@ _SHADOW_BIAS = 0.12  # metres, against surfaces shadowing themselves
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _bilinear(texels, start, power, u, v):
+def _bilinear(texels: Buffer, start: int, power: int, u: float, v: float) -> Any:
     """Value 0..255 at (u, v) tiles of the square level that starts at `start`, 2^power wide."""
     size = 1 << power
     x, y = u * size - 0.5, v * size - 0.5
@@ -40,7 +49,17 @@ def _bilinear(texels, start, power, u, v):
 
 
 @njit(cache=True, error_model="numpy")
-def _along(texels, start, power, u, v, du, dv, short, long):
+def _along(
+    texels: Buffer,
+    start: int,
+    power: int,
+    u: float,
+    v: float,
+    du: float,
+    dv: float,
+    short: float,
+    long: float,
+) -> Any:
     """Brightness 0..1 averaged over a footprint centred on (u, v): long axis (du, dv), lengths in tiles."""
     blur = max(short, long / _MAX_TAPS) * (1 << power)
     if blur <= 1.0:
@@ -64,7 +83,7 @@ def _along(texels, start, power, u, v, du, dv, short, long):
 
 
 @njit(cache=True, error_model="numpy")
-def _grain(texels, start, power, u, v, short, long):
+def _grain(texels: Buffer, start: int, power: int, u: float, v: float, short: float, long: float) -> Any:
     """Brightness 0..1 of a detail texture: one look-up at the level of the footprint's mean width."""
     blur = np.sqrt(short * long) * (1 << power)
     # Levels change half way between powers of two; grain is too faint for the seam to show.
@@ -76,7 +95,7 @@ def _grain(texels, start, power, u, v, short, long):
 
 
 @njit(cache=True, error_model="numpy")
-def _sky(panorama, dx, dy, dz):
+def _sky(panorama: Buffer, dx: float, dy: float, dz: float) -> float:
     """Brightness of the panorama (rows from zenith to nadir, columns around) in a direction."""
     rows, columns = panorama.shape
     x = (np.arctan2(dy, dx) / (2.0 * np.pi) + 0.5) * columns
@@ -89,8 +108,17 @@ def _sky(panorama, dx, dy, dz):
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(y, inverse_depth, ids, Q, centre, work, triangle, pixel):
-    """List what row y shows: one sample a pixel, or one for each distinct triangle where they differ. Returns the count."""
+def _gather(
+    y: int,
+    inverse_depth: Buffer,
+    ids: Buffer,
+    Q: Buffer,
+    centre: Buffer,
+    work: Buffer,
+    triangle: Buffer,
+    pixel: Buffer,
+) -> int:
+    """List what row y shows, one sample for each distinct triangle of a pixel; return their number."""
     n = 0
     for x in range(ids.shape[1]):
         t0, t1, t2, t3 = ids[y, x, 0], ids[y, x, 1], ids[y, x, 2], ids[y, x, 3]
@@ -117,15 +145,32 @@ def _gather(y, inverse_depth, ids, Q, centre, work, triangle, pixel):
 
 
 @njit(cache=True, error_model="numpy")
-def _paint(n, scale, attributes, material, table, texels, gloss, textures, triangle, work):
-    """Fill in the brightness of the painted surface and its gloss, for n samples; `scale` is a pixel at one metre."""
+def _paint(
+    n: int,
+    scale: float,
+    attributes: Buffer,
+    material: Buffer,
+    table: Buffer,
+    texels: Buffer,
+    gloss: Buffer,
+    textures: Buffer,
+    triangle: Buffer,
+    work: Buffer,
+) -> None:
+    """Fill in painted brightness and gloss of n samples; `scale` is the size of a pixel at one metre."""
     for i in range(n):
         t = triangle[i]
         if t < 0:
             continue
         m = material[t]
         g0, g1, g2, g4 = attributes[t, 0], attributes[t, 1], attributes[t, 2], attributes[t, 4]
-        g5, g6, nx, ny, nz = attributes[t, 5], attributes[t, 6], attributes[t, 8], attributes[t, 9], attributes[t, 10]
+        g5, g6, nx, ny, nz = (
+            attributes[t, 5],
+            attributes[t, 6],
+            attributes[t, 8],
+            attributes[t, 9],
+            attributes[t, 10],
+        )
         tint = np.float64(attributes[t, 11])
         dx, dy, dz = work[_D, i], work[_D + 1, i], work[_D + 2, i]
         # The pixel's footprint: long axis e within the surface along the view, short axis b across it.
@@ -161,8 +206,8 @@ def _paint(n, scale, attributes, material, table, texels, gloss, textures, trian
 
 
 @njit(cache=True, error_model="numpy")
-def _sunlit(px, py, pz, axes, place, heights):
-    """Share 0..1 of the sun that reaches a point, metres: four neighbouring cells of the height map compared."""
+def _sunlit(px: float, py: float, pz: float, axes: Buffer, place: Buffer, heights: Buffer) -> float:
+    """Share 0..1 of the sun that reaches a point, metres, by four neighbouring cells of the height map."""
     x = (axes[0, 0] * px + axes[0, 1] * py + axes[0, 2] * pz - place[0]) / place[2]
     y = (axes[1, 0] * px + axes[1, 1] * py + axes[1, 2] * pz - place[1]) / place[2]
     if not (x >= 0.0 and y >= 0.0 and x < heights.shape[1] - 1 and y < heights.shape[0] - 1):
@@ -176,7 +221,19 @@ def _sunlit(px, py, pz, axes, place, heights):
 
 
 @njit(cache=True, error_model="numpy")
-def _light(n, attributes, material, table, axes, place, heights, light, panorama, triangle, work):
+def _light(
+    n: int,
+    attributes: Buffer,
+    material: Buffer,
+    table: Buffer,
+    axes: Buffer,
+    place: Buffer,
+    heights: Buffer,
+    light: Buffer,
+    panorama: Buffer,
+    triangle: Buffer,
+    work: Buffer,
+) -> None:
     """Turn painted brightness into light that reaches the camera, for n samples."""
     for i in range(n):
         t = triangle[i]
@@ -202,17 +259,31 @@ def _light(n, attributes, material, table, axes, place, heights, light, panorama
             # Schlick's approximation of Fresnel's law, softened.
             cosine = 1.0 + facing / np.sqrt(dx * dx + dy * dy + dz * dz)
             mirror = work[_GLOSS, i] * (0.12 + 0.88 * cosine * cosine * cosine * cosine)
-            value += mirror * (_sky(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz) - value)
+            value += mirror * (
+                _sky(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz) - value
+            )
         fade = np.exp(-work[_Z, i] / _HAZE_LENGTH)
         work[_VALUE, i] = value * fade + light[HAZE] * (1.0 - fade)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(inverse_depth, ids, camera, mesh, atlas, shadow, light, panorama, image, depth):
+def shade(
+    inverse_depth: Buffer,
+    ids: Buffer,
+    camera: tuple[Any, ...],
+    mesh: tuple[Any, ...],
+    atlas: tuple[Any, ...],
+    shadow: tuple[Any, ...],
+    light: Buffer,
+    panorama: Buffer,
+    image: Buffer,
+    depth: Buffer,
+) -> None:
     """Light of every pixel into `image` and its depth, metres, into `depth`, (H, W) float32 each.
 
-    inverse_depth, ids: sample buffers of the rasteriser. camera: (Q (3, 3) pixel to town direction of unit depth,
-    centre (3,) metres, pixel size at one metre). mesh: (attributes (T, 12), material (T,), material table).
+    inverse_depth, ids: sample buffers of the rasteriser. camera: (Q (3, 3) pixel to town direction of unit
+        depth, centre (3,) metres, pixel size at one metre). mesh: (attributes (T, 12), material (T,),
+        material table).
     atlas: (texels, gloss, table); shadow: (axes, place, heights); light: (6,); panorama: (rows, columns).
     """
     height, width = image.shape

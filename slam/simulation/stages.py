@@ -49,7 +49,7 @@ class Stages:
         return Stage(scene, cast_shadow(scene, light.to_sun, near, _SHADOW_REACH), light, self.materials)
 
     def _stretches(self) -> Iterator[range]:
-        """Runs of frames that span little ground, and one lap where the light changes by lap."""
+        """Return runs of frames that span little ground, and one lap where the light changes by lap."""
         positions, lap = self.drive.T_town_camera[:, :2, 3], self.drive.lap
         start = 0
         for i in range(1, len(positions) + 1):

@@ -37,6 +37,7 @@ class Streets:
         headings: (S,) radians.
         joined: (S,) bool, a piece of street runs from this point to the next row.
         route: tree of all places the car drives, for keeping them free.
+
     """
 
     points: Array
@@ -46,7 +47,7 @@ class Streets:
 
     def clear(self, points: Array, distance: float) -> bool:
         """Whether no part of the way comes closer to points (N, 2) than `distance`, metres."""
-        return bool(self.route.query(points)[0].min() > distance)
+        return bool(np.min(self.route.query(points)[0]) > distance)
 
 
 def lay_streets(base: Way, drive: Drive) -> Streets:
@@ -95,7 +96,9 @@ def _side(streets: Streets, rows: NDArray[np.int64], lateral: float, height: flo
     return np.column_stack([streets.points[rows] + lateral * left, np.full(len(rows), height)])
 
 
-def _strip(streets: Streets, rows: NDArray[np.int64], edges: tuple[float, float], heights: tuple[float, float]) -> Array:
+def _strip(
+    streets: Streets, rows: NDArray[np.int64], edges: tuple[float, float], heights: tuple[float, float]
+) -> Array:
     """Quads (N, 4, 3) between two lateral offsets, along rows."""
     (a, b), (za, zb) = edges, heights
     corners = (
@@ -105,13 +108,22 @@ def _strip(streets: Streets, rows: NDArray[np.int64], edges: tuple[float, float]
     return np.stack(corners, axis=1)
 
 
-def _piece(streets: Streets, rows: NDArray[np.int64], first: int, everything: cKDTree, rng: np.random.Generator) -> Mesh:
+def _piece(
+    streets: Streets, rows: NDArray[np.int64], first: int, everything: cKDTree, rng: np.random.Generator
+) -> Mesh:
     """Carriageway and both sides of some rows."""
-    v = (rows - first) * _QUAD / _SEGMENT
-    step = _QUAD / _SEGMENT
+    # Turned over and begun at any of its three dashes, one texture serves for six pieces.
+    v = (rows - first) * _QUAD / _SEGMENT + rng.integers(3) / 3
+    step, edge = _QUAD / _SEGMENT, int(rng.integers(2))
     carriageway = _strip(streets, rows, (-ROAD_HALF, ROAD_HALF), (0.0, 0.0))
     carriageway[:, :, 2] -= _sunk(streets, rows)[:, None]
-    uv = np.stack([np.stack([np.full_like(v, u), v + dv], 1) for u, dv in ((0, 0), (1, 0), (1, step), (0, step))], 1)
+    uv = np.stack(
+        [
+            np.stack([np.full_like(v, u), v + dv], 1)
+            for u, dv in ((edge, 0), (1 - edge, 0), (1 - edge, step), (edge, step))
+        ],
+        1,
+    )
     parts = [quads(carriageway, uv, m.ROAD + int(rng.integers(m.ROADS)), float(rng.uniform(0.75, 1.25)))]
     for band in _BANDS:
         for side in (-1, 1):
@@ -122,12 +134,19 @@ def _piece(streets: Streets, rows: NDArray[np.int64], first: int, everything: cK
 def _sunk(streets: Streets, rows: NDArray[np.int64]) -> Array:
     """Where a street crosses an earlier one it lies a finger lower, so that one covers the other."""
     gap = int(_FORGET / _QUAD)
-    near = cKDTree(streets.points).query_ball_point(streets.points[rows], 2 * ROAD_HALF)
-    return np.array([0.012 * any(j < row - gap for j in found) for row, found in zip(rows, near, strict=True)])
+    tree = cKDTree(streets.points)
+    near = [tree.query_ball_point(streets.points[row], 2 * ROAD_HALF) for row in rows]
+    return np.array(
+        [0.012 * any(j < row - gap for j in found) for row, found in zip(rows, near, strict=True)]
+    )
 
 
 def _band(
-    streets: Streets, rows: NDArray[np.int64], band: tuple[float, float, float, float, int, float], side: int, everything: cKDTree
+    streets: Streets,
+    rows: NDArray[np.int64],
+    band: tuple[float, float, float, float, int, float],
+    side: int,
+    everything: cKDTree,
 ) -> Mesh:
     """One lateral band on one side, left out where a carriageway or the car's way runs."""
     a, b, za, zb, material, tiles = band
@@ -135,8 +154,9 @@ def _band(
     # Long bands are judged at several offsets, short ones at their middle.
     probes = np.linspace(0.0, 1.0, max(1, round((b - a) / 2)) + 2)[1:-1]
     at = corners[:, 0, None, :2] + probes[:, None] * (corners[:, 1, None, :2] - corners[:, 0, None, :2])
-    street = everything.query(at.reshape(-1, 2))[0].reshape(len(rows), -1)
-    way = streets.route.query(at.reshape(-1, 2))[0].reshape(len(rows), -1)
+    street, way = (
+        np.reshape(t.query(at.reshape(-1, 2))[0], (len(rows), -1)) for t in (everything, streets.route)
+    )
     keep = (street.min(axis=1) > min(a, ROAD_HALF) - 0.15) & (way.min(axis=1) > 1.6)
     along = rows * _QUAD * tiles
     uv = np.stack(
@@ -150,12 +170,14 @@ def _tiles_around(points: Array, cell: float, reach: float) -> Array:
     own = np.unique(np.floor(points / cell).astype(int), axis=0)
     k = int(np.ceil(reach / cell))
     offsets = np.stack(np.meshgrid(np.arange(-k, k + 1), np.arange(-k, k + 1)), -1).reshape(-1, 2)
-    return np.unique((own[:, None] + offsets).reshape(-1, 2), axis=0) * cell
+    return np.unique((own[:, None] + offsets).reshape(-1, 2), axis=0).astype(np.float64) * cell
 
 
 def _square(corner: Array, side: float, height: float) -> Array:
     x, y = corner
-    return np.array([[x, y, height], [x + side, y, height], [x + side, y + side, height], [x, y + side, height]])
+    return np.array(
+        [[x, y, height], [x + side, y, height], [x + side, y + side, height], [x, y + side, height]]
+    )
 
 
 def _lawn(streets: Streets) -> list[Mesh]:

@@ -8,9 +8,10 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 SIZE = 1024
 
 
@@ -21,6 +22,7 @@ class Atlas:
     Attributes:
         texels, gloss: (B,) uint8, mip levels of every texture one after the other.
         table: (K, 3) int64: binary logarithm of the side, whether it has gloss, first texel.
+
     """
 
     texels: NDArray[np.uint8]
@@ -42,11 +44,12 @@ def build_atlas(textures: list[tuple[Array, Array | None]]) -> Atlas:
 
 
 def _pyramid(image: Array) -> list[NDArray[np.uint8]]:
-    levels = [np.clip(image, 0, 1).astype(np.float64)]
-    while len(levels[-1]) > 1:
-        side = len(levels[-1]) // 2
-        levels.append(levels[-1].reshape(side, 2, side, 2).mean(axis=(1, 3)))
-    return [np.round(level * 255).astype(np.uint8) for level in levels]
+    level = np.clip(image * 255.0, 0.0, 255.0).astype(np.float32)
+    levels = [level]
+    while len(level) > 1:
+        level = cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        levels.append(level)
+    return [np.rint(level).astype(np.uint8) for level in levels]
 
 
 def noise(rng: np.random.Generator, size: int = SIZE, slope: float = 1.0, finest: float = 1.0) -> Array:
@@ -61,30 +64,32 @@ def noise(rng: np.random.Generator, size: int = SIZE, slope: float = 1.0, finest
 @lru_cache(maxsize=32)
 def _field(size: int, slope: float, finest: float) -> Array:
     """One field of a kind; what differs between textures is where they begin."""
-    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
+    f = np.hypot(scipy.fft.fftfreq(size)[:, None], scipy.fft.rfftfreq(size)[None, :])
     f[0, 0] = 1.0
-    white = np.random.default_rng(size).standard_normal((size, size))
-    spectrum = np.fft.rfft2(white) * f**-slope * np.exp(-((f * finest) ** 2))
-    spectrum[0, 0] = 0.0
-    field: Array = np.fft.irfft2(spectrum, s=(size, size))
+    white = np.random.default_rng(size).standard_normal((size, size), dtype=np.float32)
+    amplitude = (f**-slope * np.exp(-((f * finest) ** 2))).astype(np.float32)
+    amplitude[0, 0] = 0.0
+    field: Array = scipy.fft.irfft2(scipy.fft.rfft2(white) * amplitude, s=(size, size))
     return field / field.std()
 
 
 def plaster(rng: np.random.Generator) -> Array:
-    """Rendered wall with stains."""
+    """Paint rendered wall with stains."""
     return 0.72 + 0.05 * noise(rng, slope=1.3) + 0.025 * noise(rng, slope=0.2, finest=2.0)
 
 
 def courses(rng: np.random.Generator, rows: int, columns: int, joint: int, contrast: float) -> Array:
     """Bricks, slabs or tiles in courses, every second one shifted by half."""
-    image = np.zeros((SIZE, SIZE))
+    image = np.zeros((SIZE, SIZE), np.float32)
     h, w = SIZE / rows, SIZE / columns
     for r in range(rows):
         shift = (r % 2) * w / 2
         for c in range(columns):
             y0, y1 = round(r * h), round((r + 1) * h) - joint
-            columns_of = (np.arange(round(c * w + shift), round((c + 1) * w + shift) - joint)) % SIZE
-            image[y0:y1, columns_of] = 0.55 + contrast * rng.standard_normal()
+            x0, x1 = round(c * w + shift), round((c + 1) * w + shift) - joint
+            level = 0.55 + contrast * rng.standard_normal()
+            image[y0:y1, x0:x1] = level
+            image[y0:y1, : max(0, x1 - SIZE)] = level  # the one that wraps around
     image = np.where(image == 0, 0.38, image)
     return image + 0.035 * noise(rng, slope=0.7, finest=1.5)
 
@@ -95,7 +100,7 @@ def grass(rng: np.random.Generator) -> Array:
 
 
 def leaves(rng: np.random.Generator, size: int = 256) -> Array:
-    """A spray of leaves on dark: bright blots of many turns."""
+    """Paint a spray of leaves on dark: bright blots of many turns."""
     image = np.full((size, size), 0.16)
     for _ in range(260):
         x, y = rng.integers(0, size, 2)
@@ -126,7 +131,7 @@ def weathering(rng: np.random.Generator) -> Array:
 
 
 def road(rng: np.random.Generator) -> Array:
-    """Carriageway 8 m wide (columns) and 24 m long (rows): wear, patches, cracks, manholes, a dashed middle line."""
+    """Carriageway 8 m wide (columns) and 24 m long (rows): wear, patches, cracks, a manhole, dashes."""
     image = 0.33 + 0.02 * noise(rng, slope=1.2) + 0.012 * noise(rng, slope=0.2, finest=1.5)
     x = (np.arange(SIZE) + 0.5) / SIZE * 8.0
     for lane in (1.75, 3.25, 4.75, 6.25):
@@ -150,16 +155,18 @@ def _patches(image: Array, rng: np.random.Generator) -> None:
 
 
 def _crack(image: Array, rng: np.random.Generator) -> None:
-    """A random walk filled with tar or left open."""
+    """Paint a random walk filled with tar or left open."""
     start = rng.uniform([80, 0], [SIZE - 80, SIZE])
     drift = rng.choice([[0.0, 5.0], [12.0, 0.3], [3.0, 3.0]])
     steps = drift + rng.normal(0, [7.0, 2.5], (rng.integers(20, 90), 2))
     line = np.round(start + np.cumsum(steps, axis=0)).astype(np.int32)
-    cv2.polylines(image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA)
+    cv2.polylines(
+        image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA
+    )
 
 
 def _manhole(image: Array, rng: np.random.Generator) -> None:
-    """An iron cover; texels are 8 mm across and 23 mm along."""
+    """Paint an iron cover; texels are 8 mm across and 23 mm along."""
     centre = (int(rng.integers(250, 780)), int(rng.integers(100, 900)))
     for scale, level in ((1.25, 0.42), (1.0, 0.16), (0.8, 0.28), (0.55, 0.17), (0.3, 0.27)):
         cv2.ellipse(image, centre, (int(42 * scale), int(14 * scale)), 0, 0, 360, level, -1, cv2.LINE_AA)
@@ -174,7 +181,7 @@ def _middle_line(image: Array, rng: np.random.Generator) -> None:
 
 
 def panorama(rng: np.random.Generator, columns: int = 4096) -> NDArray[np.float32]:
-    """What is infinitely far: (columns / 2, columns) light of sky, clouds, hills and skyline; below the horizon, ground."""
+    """Paint what is infinitely far, (columns / 2, columns): sky, clouds, wooded hills; ground below."""
     rows = columns // 2
     elevation = (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows) * 180.0
     sky = np.interp(elevation, [0, 6, 25, 90], [0.82, 0.74, 0.56, 0.42]).astype(np.float32)

@@ -29,7 +29,7 @@ class Part:
     tint: float = 1.0
 
     def placed(self) -> Mesh:
-        """The triangles in the town frame."""
+        """Return the triangles in the town frame."""
         return self.mesh.moved(self.yaw, np.array(self.at), self.scale).tinted(self.tint)
 
 
@@ -50,7 +50,7 @@ class _Plots:
 
 @dataclass(frozen=True)
 class _Site:
-    """A place beside the street: a frame whose x runs along the fence and whose y leads away from the street."""
+    """A place beside the street: x of its frame runs along the fence, y leads away from the street."""
 
     origin: Array
     yaw: float
@@ -79,7 +79,11 @@ class TownBuilder:
         self.grove, self.cars = vegetation.grove(rng), vehicles.fleet(rng)
         self.bushes = [vegetation.bush(rng) for _ in range(3)]
         self.hedges = [vegetation.hedge(rng) for _ in range(2)]
-        self.small = [furniture.lamp_post(), *(furniture.sign(rng) for _ in range(5)), vehicles.bin_and_box(rng)]
+        self.small = [
+            furniture.lamp_post(),
+            *(furniture.sign(rng) for _ in range(5)),
+            vehicles.bin_and_box(rng),
+        ]
         self.parts: list[Part] = []
 
     def build(self) -> list[Part]:
@@ -109,11 +113,13 @@ class TownBuilder:
             rows = max(4, round(width / 2 + (0.5 if kind == "urban" else 2.0)))
             if self.streets.joined[row : row + rows].all():
                 middle = row + rows // 2
-                {"urban": self._urban, "cottage": self._cottage, "park": self._park}[str(kind)](middle, side, width, rng)
+                {"urban": self._urban, "cottage": self._cottage, "park": self._park}[str(kind)](
+                    middle, side, width, rng
+                )
             row, number = row + rows, number + 1
 
     def _house(self, site: _Site, width: float, urban: bool, rng: np.random.Generator) -> bool:
-        """A house whose front is centred on a site, if there is room."""
+        """Return a house whose front is centred on a site, if there is room."""
         house = draw_house(rng, width, urban)
         low, high = (-width / 2, -1.3), (width / 2, house.depth)
         inner = site.grid((-width / 2 + 0.6, 0.0), (width / 2 - 0.6, house.depth))
@@ -126,7 +132,7 @@ class TownBuilder:
         self._house(self._site(row, side, PAVEMENT_END + rng.uniform(0.3, 1.2)), width + 1.5, True, rng)
 
     def _cottage(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
-        """A house behind a fence or hedge, with trees and bushes before it."""
+        """Return a house behind a fence or hedge, with trees and bushes before it."""
         setback = float(rng.uniform(3.0, 7.5))
         self._house(self._site(row, side, PAVEMENT_END + setback), 0.75 * width, False, rng)
         site = self._site(row, side, PAVEMENT_END + 0.15)
@@ -144,9 +150,13 @@ class TownBuilder:
         if rng.random() < 0.4:
             self._border(site, width, rng)
         for _ in range(5):
-            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.0, 16.0), 0.1), self.grove, rng)
+            self._plant(
+                site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.0, 16.0), 0.1), self.grove, rng
+            )
         for _ in range(4):
-            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(0.8, 8.0), 0.1), self.bushes, rng)
+            self._plant(
+                site.at(rng.uniform(-width / 2, width / 2), rng.uniform(0.8, 8.0), 0.1), self.bushes, rng
+            )
 
     def _border(self, site: _Site, width: float, rng: np.random.Generator) -> None:
         """Fence, railing, wall or hedge along the pavement."""
@@ -165,7 +175,11 @@ class TownBuilder:
     def _plant(self, at: tuple[float, float, float], choice: list[Mesh], rng: np.random.Generator) -> None:
         """One tree or bush, if its trunk stands free of houses and its crown clear of the way."""
         mesh = choice[int(rng.integers(len(choice)))]
-        yaw, scale, tint = rng.uniform(0, 2 * np.pi), float(rng.uniform(0.8, 1.2)), float(rng.uniform(0.6, 1.25))
+        yaw, scale, tint = (
+            rng.uniform(0, 2 * np.pi),
+            float(rng.uniform(0.8, 1.2)),
+            float(rng.uniform(0.6, 1.25)),
+        )
         place = np.array([at[:2]])
         if self.streets.clear(place, 4.0) and self.plots.take(place):
             self.parts.append(Part(mesh, float(yaw), at, scale, tint))
@@ -185,7 +199,11 @@ class TownBuilder:
             if thing < 0.25:
                 self._plant(post.at(0.0, 0.0, 0.12), self.grove[:2] + self.grove[-2:], rng)
             elif thing < 0.65:
-                self._put(self.small[int(rng.integers(len(self.small)))], post.at(rng.uniform(-1, 1), 0, 0.12), post.yaw)
+                self._put(
+                    self.small[int(rng.integers(len(self.small)))],
+                    post.at(rng.uniform(-1, 1), 0, 0.12),
+                    post.yaw,
+                )
 
     def _park_car(self, site: _Site, rng: np.random.Generator) -> None:
         yaw = site.yaw + rng.normal(0, 0.02) + np.pi * rng.integers(0, 2)

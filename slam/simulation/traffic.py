@@ -26,7 +26,7 @@ class Traffic:
         self.kinds = rng.integers(0, len(cars), count + 1)
 
     def at(self, frame: int) -> list[Mesh]:
-        """The cars to be seen around one frame, placed in the town."""
+        """Return the cars to be seen around one frame, placed in the town."""
         along = float(self.drive.along[frame])
         time = along / self.spec.speed
         # A car met at s is at s when we are there, and comes towards us before.
@@ -34,7 +34,9 @@ class Traffic:
         seen = np.flatnonzero(np.abs(places - along) < _SIGHT)
         out = [self._placed(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in seen]
         if len(self.met_at) and along % (2 * _LEAD) < _LEAD:
-            ahead = 16.0 + 9.0 * np.sin(along / 25.0) + 30.0 * max(0.0, along % (2 * _LEAD) - 0.7 * _LEAD) / _LEAD
+            ahead = (
+                16.0 + 9.0 * np.sin(along / 25.0) + 30.0 * max(0.0, along % (2 * _LEAD) - 0.7 * _LEAD) / _LEAD
+            )
             out.append(self._placed(self.kinds[-1], along + ahead, 0.1, 0.0))
         return out
 

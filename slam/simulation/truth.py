@@ -10,11 +10,15 @@ HEADING = np.radians(45.0)
 APART = 50.0  # metres of way
 
 
-def loop_truth(poses: Array, radius: float = RADIUS, heading: float = HEADING, apart: float = APART) -> NDArray[np.uint8]:
+def loop_truth(
+    poses: Array, radius: float = RADIUS, heading: float = HEADING, apart: float = APART
+) -> NDArray[np.uint8]:
     """Matrix (N, N): row = query image, column = earlier image, 1 = the same place seen the same way round.
 
-    The same place: within `radius` metres, looking within `heading` radians of each other, with at least `apart`
-    metres driven in between (so that the images just before are no revisits). poses: T_world_camera (N, 4, 4).
+    The same place: within `radius` metres, looking within `heading` radians of each other, with at least
+        `apart` metres driven in between (so that the images just before are no revisits). poses:
+        T_world_camera (N, 4,
+    4).
     """
     positions, forward = poses[:, :3, 3], poses[:, :3, 2]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])

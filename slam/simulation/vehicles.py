@@ -13,12 +13,18 @@ Array = NDArray[np.float64]
 
 # Outlines (x, z) of body and cabin from the front bumper backwards over the roof.
 _BODIES = {
-    "saloon": ([(2.2, 0.3), (2.25, 0.6), (2.1, 0.78), (0.95, 0.95), (-1.45, 0.98), (-2.2, 0.92), (-2.25, 0.35)],
-               [(1.0, 0.95), (0.3, 1.42), (-0.9, 1.42), (-1.65, 0.97)]),
-    "hatchback": ([(1.9, 0.3), (1.95, 0.6), (1.75, 0.8), (0.95, 0.98), (-1.7, 1.0), (-1.85, 0.9), (-1.85, 0.35)],
-                  [(1.0, 0.97), (0.35, 1.48), (-1.3, 1.48), (-1.75, 1.0)]),
-    "estate": ([(2.2, 0.3), (2.25, 0.62), (2.05, 0.82), (0.95, 1.0), (-2.15, 1.02), (-2.25, 0.9), (-2.25, 0.35)],
-               [(1.05, 0.98), (0.35, 1.5), (-1.85, 1.52), (-2.2, 1.02)]),
+    "saloon": (
+        [(2.2, 0.3), (2.25, 0.6), (2.1, 0.78), (0.95, 0.95), (-1.45, 0.98), (-2.2, 0.92), (-2.25, 0.35)],
+        [(1.0, 0.95), (0.3, 1.42), (-0.9, 1.42), (-1.65, 0.97)],
+    ),
+    "hatchback": (
+        [(1.9, 0.3), (1.95, 0.6), (1.75, 0.8), (0.95, 0.98), (-1.7, 1.0), (-1.85, 0.9), (-1.85, 0.35)],
+        [(1.0, 0.97), (0.35, 1.48), (-1.3, 1.48), (-1.75, 1.0)],
+    ),
+    "estate": (
+        [(2.2, 0.3), (2.25, 0.62), (2.05, 0.82), (0.95, 1.0), (-2.15, 1.02), (-2.25, 0.9), (-2.25, 0.35)],
+        [(1.05, 0.98), (0.35, 1.5), (-1.85, 1.52), (-2.2, 1.02)],
+    ),
     "van": ([(2.3, 0.35), (2.35, 0.8), (1.9, 1.15), (1.3, 1.25), (-2.4, 1.3), (-2.4, 0.4)],
             [(1.9, 1.15), (1.1, 2.0), (-2.35, 2.05), (-2.4, 1.3)]),
 }  # fmt: skip
@@ -27,11 +33,14 @@ _HALF_WIDTH = 0.87  # metres
 
 
 def car(kind: str, paint: float) -> Mesh:
-    """A car of one of `KINDS`; paint is the brightness factor of its body."""
+    """Build a car of one of `KINDS`; paint is the brightness factor of its body."""
     body, cabin = (np.array(line) for line in _BODIES[kind])
     cabin_low, cabin_high = _HALF_WIDTH - 0.03, _HALF_WIDTH - 0.17
     across = np.interp(cabin[:, 1], [1.0, cabin[:, 1].max()], [cabin_low, cabin_high])
-    parts = [_pulled(body, np.full(len(body), _HALF_WIDTH), m.PAINT, paint), _pulled(cabin, across, m.PAINT, paint)]
+    parts = [
+        _pulled(body, np.full(len(body), _HALF_WIDTH), m.PAINT, paint),
+        _pulled(cabin, across, m.PAINT, paint),
+    ]
     parts.append(_windows(cabin, across, kind))
     parts += [_wheel(x, side) for x in (body[:, 0].max() - 0.85, body[:, 0].min() + 0.8) for side in (-1, 1)]
     parts += _ends(body)
@@ -40,7 +49,7 @@ def car(kind: str, paint: float) -> Mesh:
 
 
 def _pulled(outline: Array, half_width: Array, material: int, tint: float) -> Mesh:
-    """The outline (N, 2) pulled from -half_width to half_width (N,), with both sides closed."""
+    """Build the outline (N, 2) pulled from -half_width to half_width (N,), with both sides closed."""
     left = np.column_stack([outline[:, 0], half_width, outline[:, 1]])
     right = left * [1, -1, 1]
     across = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
@@ -63,14 +72,19 @@ def _windows(cabin: Array, across: Array, kind: str) -> Mesh:
         out = 0.015 if a == 0 else -0.015
         ends = [(low, across[a] - 0.1, 0.12), (high, across[b] - 0.08, 0.88)]
         (pl, yl), (ph, yh) = ((low + (high - low) * t, y) for _, y, t in ends)
-        corner = [[pl[0] + out, -yl, pl[1]], [pl[0] + out, yl, pl[1]], [ph[0] + out, yh, ph[1]], [ph[0] + out, -yh, ph[1]]]
+        corner = [
+            [pl[0] + out, -yl, pl[1]],
+            [pl[0] + out, yl, pl[1]],
+            [ph[0] + out, yh, ph[1]],
+            [ph[0] + out, -yh, ph[1]],
+        ]
         parts.append(quads(np.array([corner]), np.zeros((1, 4, 2)), m.GLASS, 0.1))
     panes = [(0.12, 0.48), (0.53, 0.88)] if kind != "van" else [(0.05, 0.3)]
-    for a, b in panes:
+    for start, end in panes:
         for side in (-1, 1):
-            low = [x0 + (x3 - x0) * t for t in (a, b)]
-            high = [x1 + (x2 - x1) * t for t in (a, b)]
-            yl, yh = side * (across[0] + 0.01 - 0.02), side * (across[1] + 0.03)
+            low = [x0 + (x3 - x0) * t for t in (start, end)]
+            high = [x1 + (x2 - x1) * t for t in (start, end)]
+            yl, yh = side * (across[0] - 0.01), side * (across[1] + 0.03)
             zl, zh = max(z0, z3) + 0.06, min(z1, z2) - 0.07
             corner = [[low[0], yl, zl], [low[1], yl, zl], [high[1], yh, zh], [high[0], yh, zh]]
             parts.append(quads(np.array([corner]), np.zeros((1, 4, 2)), m.GLASS, 0.1))
@@ -81,8 +95,15 @@ def _wheel(x: float, side: int) -> Mesh:
     """Tyre and rim as discs on the car's side."""
     a = np.linspace(0, 2 * np.pi, 13)
     parts = []
-    for radius, out, material, tint in ((0.32, 0.012, m.RUBBER, 0.12), (0.2, 0.02, m.METAL, 0.8), (0.06, 0.03, m.RUBBER, 0.3)):
-        ring = np.stack([x + radius * np.cos(a), np.full_like(a, side * (_HALF_WIDTH + out)), 0.32 + radius * np.sin(a)], 1)
+    for radius, out, material, tint in (
+        (0.32, 0.012, m.RUBBER, 0.12),
+        (0.2, 0.02, m.METAL, 0.8),
+        (0.06, 0.03, m.RUBBER, 0.3),
+    ):
+        ring = np.stack(
+            [x + radius * np.cos(a), np.full_like(a, side * (_HALF_WIDTH + out)), 0.32 + radius * np.sin(a)],
+            1,
+        )
         centre = np.broadcast_to([x, side * (_HALF_WIDTH + out), 0.32], (12, 3))
         fan = np.stack([ring[:-1], ring[1:], centre], axis=1)
         parts.append(triangles(fan, fan[:, :, [0, 2]], material, tint))
@@ -103,11 +124,15 @@ def _ends(body: Array) -> list[Mesh]:
 
 def fleet(rng: np.random.Generator, count: int = 14) -> list[Mesh]:
     """Cars of all kinds and shades, dark ones and light ones."""
-    shades = rng.permutation(np.concatenate([rng.uniform(0.05, 0.25, count // 2), rng.uniform(0.6, 1.5, count - count // 2)]))
+    shades = rng.permutation(
+        np.concatenate([rng.uniform(0.05, 0.25, count // 2), rng.uniform(0.6, 1.5, count - count // 2)])
+    )
     return [car(KINDS[i % len(KINDS)], float(shade)) for i, shade in enumerate(shades)]
 
 
 def bin_and_box(rng: np.random.Generator) -> Mesh:
-    """A dust bin and a grey cabinet, as stand on pavements."""
-    cabinet = boxes(np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2)))
+    """Build a dust bin and a grey cabinet, as stand on pavements."""
+    cabinet = boxes(
+        np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2))
+    )
     return join([boxes(np.array([[0, 0, 0]]), np.array([[0.55, 0.6, 1.05]]), m.PAINT, 0.25), cabinet])

@@ -1,0 +1,54 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slam.simulation.camera_effects import build_sensor, camera_row, gain, smear
+from slam.simulation.spec import DriveSpec
+
+SPEC = DriveSpec(width=160, height=64)
+
+
+def test_a_standing_camera_does_not_smear():
+    image = np.random.default_rng(0).random((64, 160), dtype=np.float32)
+    out = smear(image, np.full_like(image, 5.0), np.zeros((3, 4)), camera_row(SPEC.camera))
+    np.testing.assert_array_equal(out, image)
+
+
+def test_near_things_smear_more_than_far_ones():
+    stripes = np.tile((np.arange(160) % 16 < 8).astype(np.float32), (64, 1))
+    step = np.zeros((3, 4))
+    step[0, 3] = 0.2  # sideways
+    near, far = (
+        smear(stripes, np.full_like(stripes, z), step, camera_row(SPEC.camera)) for z in (3.0, 200.0)
+    )
+    assert near[:, 20:140].std() < 0.8 * far[:, 20:140].std()
+
+
+def test_a_clean_camera_only_counts_light():
+    sensor = build_sensor(dataclasses.replace(SPEC, clean=True), 0)
+    light = np.linspace(0, 1, 64 * 160, dtype=np.float32).reshape(64, 160)
+    grey = sensor.expose(light, np.full_like(light, 9.0), np.eye(4), 1.0, 0)
+    np.testing.assert_array_equal(grey, np.rint(light * 255))
+
+
+def test_the_calibration_error_stays_within_half_its_size_in_each_camera():
+    spec = DriveSpec(rectification_error=1.0)
+    for side in (0, 1):
+        sensor = build_sensor(spec, side)
+        x, y = np.meshgrid(np.arange(spec.width), np.arange(spec.height))
+        assert np.abs(sensor.map_x - x).max() == pytest.approx(0.5, abs=1e-3)
+        assert np.abs(sensor.map_y - y).max() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_noise_differs_between_frames_and_sides_but_not_between_runs():
+    light = np.full((64, 160), 0.4, np.float32)
+    depth = np.full_like(light, 20.0)
+    shots = [build_sensor(SPEC, 0).expose(light, depth, np.eye(4), 1.0, frame) for frame in (3, 4, 3)]
+    assert (shots[0] != shots[1]).any()
+    np.testing.assert_array_equal(shots[0], shots[2])
+
+
+def test_exposure_works_against_the_light():
+    dark, bright = np.full((8, 8), 0.1, np.float32), np.full((8, 8), 0.8, np.float32)
+    assert gain(SPEC, dark, 1.0) > gain(SPEC, bright, 1.0)
