@@ -1,6 +1,7 @@
 """Descriptors of two images paired off: each the other's nearest, and clearly so."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
@@ -10,7 +11,8 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
     """Pairs (K, 2) of rows of first (N, D) and second (M, D) that are each other's nearest neighbours.
 
     Args:
-        first, second: descriptors of unit length.
+        first: descriptors of unit length.
+        second: the like of another image.
         ratio: the nearest must be closer than ratio times the second nearest in second (Lowe, IJCV 2004, section 7.1);
             1 keeps all mutual pairs.
 
@@ -19,14 +21,40 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
     """
     if len(first) == 0 or len(second) == 0:
         return np.empty((0, 2), np.intp)
-    similarity = first @ second.T
-    rows = np.arange(len(first))
-    nearest = similarity.argmax(axis=1)
-    mutual = similarity.argmax(axis=0)[nearest] == rows
-    best = similarity[rows, nearest]
-    similarity[rows, nearest] = -np.inf
-    runner_up = similarity.max(axis=1)
+    nearest, best, runner_up, back = _nearest_both_ways(first, np.ascontiguousarray(second.T))
     # of unit vectors: distance^2 = 2 - 2 similarity
     clear = np.maximum(1 - best, 0) <= ratio**2 * (1 - runner_up)
-    keep = np.flatnonzero(mutual & clear)
+    keep = np.flatnonzero((back[nearest] == np.arange(len(first))) & clear)
     return np.stack([keep, nearest[keep]], axis=1)
+
+
+@njit(cache=True)
+def _nearest_both_ways(
+    first: Floats, second_columns: Floats
+) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
+    """Nearest in second, its similarity and the runner-up's for each of first (N, D); nearest in first for each of second.
+
+    second_columns: (D, M), transposed so that the inner loop runs over neighbours in memory. A compiled loop, as so small
+    a product gains nothing from the threads of a BLAS and waits for them wherever the machine is busy.
+    """
+    n, m = len(first), second_columns.shape[1]
+    nearest, back = np.zeros(n, np.intp), np.zeros(m, np.intp)
+    best, runner_up = np.full(n, -np.inf, np.float32), np.full(n, -np.inf, np.float32)
+    best_back = np.full(m, -np.inf, np.float32)
+    similarity = np.empty(m, np.float32)
+    for i in range(n):
+        similarity[:] = 0
+        for k in range(first.shape[1]):
+            weight = first[i, k]
+            row = second_columns[k]
+            for j in range(m):
+                similarity[j] += weight * row[j]
+        for j in range(m):
+            value = similarity[j]
+            if value > best[i]:
+                nearest[i], best[i], runner_up[i] = j, value, best[i]
+            elif value > runner_up[i]:
+                runner_up[i] = value
+            if value > best_back[j]:
+                back[j], best_back[j] = i, value
+    return nearest, best, runner_up, back

@@ -68,9 +68,9 @@ def nearest_words(query: Floats, words: Floats) -> Indices:
 def count_votes(hit: Indices, words: Words, locations: int) -> Ballot:
     """Let each word hit, given as distinct indices (N,), vote once for each location where it was seen.
 
-    Each location is hit with probability p = its words / all words (eq. 5); its votes are binomial (eq. 4). In the paper
-    a word votes as often as it is hit. But what makes many descriptors of an image hit one word, a repeated window or
-    the sky, is no chance of its own each time, and the binomial test would take them for independent.
+    Each location is hit with probability p = its words / all words (eq. 5); its votes are binomial (eq. 4). In the
+    paper a word votes as often as it is hit. But what makes many descriptors of an image hit one word, a repeated
+    window or the sky, is no chance of its own each time, and the binomial test would take them for independent.
     """
     votes = count_covering(words.first[hit], words.last[hit], locations)
     share = count_covering(words.first, words.last, locations) / max(len(words), 1)

@@ -49,7 +49,7 @@ def truth_from_poses(T_world_camera: Array, timestamps: Array, rule: SamePlace |
 def load_truth(path: Path) -> Truth:
     """Truth matrix (N, N) from a file: .npz with `truth`, or a MATLAB .mat with one square matrix.
 
-    A matrix stored for both directions of time keeps its lower triangle; one stored in the upper triangle only is turned.
+    A matrix for both directions of time keeps its lower triangle; one with an upper triangle only is turned.
 
     Raises:
         ValueError: the file holds no such matrix.
@@ -57,7 +57,7 @@ def load_truth(path: Path) -> Truth:
     matrix = _matrix_in(path)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ValueError(f"{path}: expected a square truth matrix (N, N), found {matrix.shape}")
-    truth = matrix > 0
+    truth = matrix.astype(np.float64) > 0
     lower, upper = np.tril(truth, -1), np.triu(truth, 1)
     return lower if lower.any() or not upper.any() else np.ascontiguousarray(upper.T)
 

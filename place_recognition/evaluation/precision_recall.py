@@ -1,7 +1,8 @@
 """Precision and recall of recognised places over all thresholds of the score.
 
-Precision = TP / (TP + FP), recall = TP / (queries that have a true match). One detection a query at most: the belief's
-match, if it was verified. A detection for a query without a true match is false, a query with neither counts for nothing.
+Precision = TP / (TP + FP), recall = TP / (queries that have a true match). A query has one detection at most:
+its belief's match, if it was verified. A detection for a query without a true match is false; a query with neither
+counts for nothing.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """SURF: blobs found by the determinant of the Hessian, described by Haar wavelets.
 
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008. Written here because the patent-era module
-is not in OpenCV's wheels and every threshold of the bag of tracked words presupposes these 64 numbers of unit length.
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008. Written here because the once patented
+module is not in OpenCV's wheels and every threshold of the bag of tracked words presupposes these 64 numbers of unit length.
 Upright: a car's camera does not roll, and what need not be estimated cannot be estimated wrongly.
 """
 
@@ -98,12 +98,12 @@ def check_grey(image: NDArray[np.uint8]) -> None:
 
 
 def layer_sizes(octaves: int) -> list[int]:
-    """Sides of all box filters of the first octaves, pixels, increasing: 9, 15, 21, 27, then 39, 51, then 75, 99, ..."""
+    """Sides of all box filters of the first octaves, increasing, pixels: 9, 15, 21, 27, then 39, 51, ..."""
     return sorted({size for triple in _triples(octaves) for size in triple})
 
 
 def _triples(octaves: int) -> list[tuple[int, int, int]]:
-    """Filter sizes below, at and above each searched scale: two searched scales an octave, evenly spaced sizes in it."""
+    """Filter sizes below, at and above each searched scale: two scales an octave, evenly spaced sizes in it."""
     triples = []
     for octave in range(octaves):
         step = 6 * 2**octave
@@ -117,7 +117,7 @@ def _responses(peaks: Ints, layers: Floats) -> Floats:
 
 
 def _refine(cubes: Floats) -> NDArray[np.float64]:
-    """Offsets (N, 3) in x, y and layer of the maximum of the parabola through each (N, 3, 3, 3) cube; 0 where it is flat."""
+    """Offsets (N, 3) in x, y and layer to the top of the parabola in each cube (N, 3, 3, 3); 0 where it is flat."""
     cubes = cubes.transpose(0, 3, 2, 1).astype(np.float64)  # peak, x, y, layer
     centre = cubes[:, 1, 1, 1]
     gradient, curvature = np.empty((len(cubes), 3)), np.empty((len(cubes), 3, 3))
@@ -131,7 +131,7 @@ def _refine(cubes: Floats) -> NDArray[np.float64]:
             curvature[:, a, b] = curvature[:, b, a] = mixed / 4
     flat = np.abs(np.linalg.det(curvature)) < 1e-9
     curvature[flat], gradient[flat] = np.eye(3), 0
-    return -np.linalg.solve(curvature, gradient[..., None])[..., 0]
+    return np.asarray(-np.linalg.solve(curvature, gradient[..., None])[..., 0], np.float64)
 
 
 def _rank_in_square(squares: Ints, width: int) -> NDArray[np.intp]:

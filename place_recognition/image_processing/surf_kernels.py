@@ -19,7 +19,9 @@ CROSS_WEIGHT = 0.912  # makes up for the boxes' poor fit to the mixed Gaussian d
 
 
 @njit(cache=True)
-def _second_difference_down(integral: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints) -> None:
+def _second_difference_down(
+    integral: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints
+) -> None:
     """Three boxes one above the other, weighted 1, -2, 1, at each of the n = len(out) places one pixel apart.
 
     rows: where the boxes begin and end; columns: where the first place's boxes begin and end.
@@ -54,9 +56,7 @@ def _second_difference_across(
 
 
 @njit(cache=True)
-def _difference_of_pair(
-    integral: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints
-) -> None:
+def _difference_of_pair(integral: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints) -> None:
     """Left box minus right box, with a gap between them; see _second_difference_down."""
     n = len(out)
     top, bottom = integral[rows[0]], integral[rows[1]]
@@ -69,7 +69,7 @@ def _difference_of_pair(
 
 @njit(cache=True)
 def hessian_determinants(integral: Ints, size: int, out: Floats) -> None:
-    """Determinants of the Hessian by box filters of one size, into out (H, W) float32; 0 where the filter leaves the image.
+    """Determinants of the Hessian by box filters of one size, into out (H, W) float32; 0 at the rim.
 
     Args:
         integral: of the grey image.
@@ -82,7 +82,12 @@ def hessian_determinants(integral: Ints, size: int, out: Floats) -> None:
     out[height - half :] = 0
     out[:, :half] = 0
     out[:, half + n :] = 0
-    xx, yy, upper, lower = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    xx, yy, upper, lower = (
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+    )
     scale, cross = np.float32(1.0 / (size * size)), np.float32(CROSS_WEIGHT)
     x = half  # column of the first pixel with a whole filter
     outer = (x - half, x - middle, x + middle + 1, x + half + 1)
@@ -101,17 +106,13 @@ def hessian_determinants(integral: Ints, size: int, out: Floats) -> None:
 
 @njit(cache=True)
 def _is_peak(below: Floats, layer: Floats, above: Floats, pixel: tuple[int, int]) -> bool:
-    """Whether a pixel exceeds its 26 neighbours; of equal ones the first in reading order counts as higher."""
+    """Whether no neighbour in its own layer or above exceeds a pixel, and none below reaches it."""
     y, x = pixel
     value = layer[y, x]
-    for dy in range(-1, 2):  # its own layer first: that is where most pixels fail
-        for dx in range(-1, 2):
-            other = layer[y + dy, x + dx]
-            if other > value or (other == value and (dy < 0 or (dy == 0 and dx < 0))):
-                return False
     for dy in range(-1, 2):
         for dx in range(-1, 2):
-            if below[y + dy, x + dx] >= value or above[y + dy, x + dx] > value:
+            i, j = y + dy, x + dx
+            if layer[i, j] > value or above[i, j] > value or below[i, j] >= value:
                 return False
     return True
 
@@ -133,16 +134,19 @@ def find_peaks(below: Floats, layer: Floats, above: Floats, threshold: float) ->
     """Pixels (N, 2) int32, row and column, where a layer peaks in its 3 x 3 x 3 neighbourhood, in reading order.
 
     Args:
-        below, layer, above: (H, W) determinants at three neighbouring scales.
+        below: (H, W) determinants at the next smaller scale.
+        layer: (H, W) determinants at the scale searched.
+        above: (H, W) determinants at the next larger scale.
         threshold: least determinant of a peak.
     """
     rows, columns = layer.shape
-    found = np.empty((rows * columns // 4 + 1, 2), np.int32)  # two peaks are never neighbours
+    found = np.empty((rows * columns // 2 + 1, 2), np.int32)  # no two peaks share a side
     marks = np.empty(columns - 2, np.uint8)
     count = 0
     for y in range(1, rows - 1):
         _mark_row(layer, y, threshold, marks)
         for i in range(columns - 2):
+            # most pixels are turned down by their mark
             if marks[i] and _is_peak(below, layer, above, (y, i + 1)):
                 found[count, 0], found[count, 1] = y, i + 1
                 count += 1
@@ -189,7 +193,7 @@ def _haar_row(integral: Ints, rows: Ints, columns: Ints, weights: Floats, sums: 
 
 @njit(cache=True)
 def _sample_spans(centre: float, scale: float, limit: int) -> Ints:
-    """Integral coordinates (SAMPLES, 3) int32 of begin, middle and end of each sample's wavelet; -1 where it leaves the image."""
+    """Integral coordinates (SAMPLES, 3) of each wavelet's begin, middle and end; -1 where it leaves the image."""
     spans = np.empty((SAMPLES, 3), np.int32)
     radius = max(1, int(scale + 0.5))
     for i in range(SAMPLES):

@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
+from place_recognition.image_processing.guided_tracking import (
+    GuidedTrackingConfig,
+    optical_flow,
+    select_guided,
+)
 from place_recognition.map.growing import GrowingArray
 
 Floats = NDArray[np.float32]
@@ -67,7 +71,7 @@ class FeatureTracks:
 
     @property
     def longest(self) -> int:
-        """Images that the longest track has lasted, the latest included, but for the few that outlast all others; 0 without.
+        """Images that the longest track has lasted, but for the few that outlast all others; 0 without tracks.
 
         The paper takes the very longest. A speck on the lens or a cloud straight ahead never leaves the view, and one
         such track would keep the whole map from being searched.
@@ -99,7 +103,8 @@ class FeatureTracks:
         word = lost & (self._lengths >= self.config.least_length)
         lengths = self._lengths[word]
         last = np.full(len(lengths), self._location, np.int64)
-        return Words(self._sums[word] / lengths[:, None].astype(np.float32), last - lengths + 1, last)
+        means = (self._sums[word] / lengths[:, None]).astype(np.float32)
+        return Words(means, last - lengths + 1, last)
 
     def _continue(self, chosen: Indices, features: LocalFeatures) -> None:
         going, feature = np.flatnonzero(chosen >= 0), chosen[chosen >= 0]

@@ -1,9 +1,13 @@
 """Place recognition by a bag of tracked words: a vocabulary made while driving, votes, and a test of chance.
 
 Tsintotas, Bampis, Gasteratos, 'Probabilistic Appearance-Based Place Recognition Through Bag of Tracked Words',
-RA-L 4(2) 2019. Two things go beyond the paper. Neighbouring images share most of their words, so the location with
-the most votes is often several images off: the one among its neighbours that matches best is taken. And the search
-area keeps a way and a number of images away from the query, because on a slow stretch tracks break while the view stays.
+RA-L 4(2) 2019. What differs from the paper, each for a reason found on real drives:
+* Neighbouring images share most of their words, so the location with the most votes is often several images off: the
+  one among its neighbours that matches best is taken.
+* The search area keeps a way and a number of images away from the query too: where one drives slowly or stands, tracks
+  break while the view stays. And not the very longest track counts, but nearly (`FeatureTracks.longest`).
+* Each word votes once (`count_votes`).
+* In a small map nothing is improbable enough: many inliers make up for it (`sure_inliers`).
 """
 
 import math
@@ -15,7 +19,7 @@ from numpy.typing import NDArray
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.votes import Ballot, count_votes, nearest_words
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.growing import GrowingArray
 from place_recognition.map.image_store import ImageStore
@@ -146,7 +150,7 @@ class TrackedWords:
         )
 
     def _refine(self, voted: int, horizon: int) -> int:
-        """Of the locations next to the voted one, which has most matches with the latest image; itself if it has as many."""
+        """Location near the voted one with the most matches to the latest image; of equal ones the nearest."""
         query = self._images[len(self._ids) - 1].strongest(self.config.compared).descriptors
         reach = self.config.neighbours
         near = range(max(voted - reach, 0), min(voted + reach, horizon) + 1)
