@@ -4,7 +4,7 @@ Online with iSAM2 (Kaess et al., IJRR 2012), and at the end a robust batch that 
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -26,12 +26,20 @@ class PoseGraphConfig:
     """What the graph believes about odometry and loops."""
 
     drift: DriftBudget = field(default_factory=DriftBudget)  # how wrong odometry may be over a distance
+    # Added to every loop: one stated to be exact bends odometry round itself, be it true or false.
+    loop_sigma_rad: float = 2e-3  # of rotation, radians
+    loop_sigma_m: float = 0.05  # of translation, metres
     gate_chi2: float = 34.0  # 99.999 % of 6 dof: a loop further from odometry than this is none
     inlier_chi2: float = 22.5  # 99.9 % of 6 dof: a loop further from the optimised map than this is false
     online_width: float = 4.0  # Huber width of a loop online, sigmas
     relinearize_threshold: float = 0.1  # change of a pose that has it linearised again, rad or m
     relinearize_skip: int = 10  # updates between looks at that threshold
     settle_updates: int = 1  # further updates right after a loop
+
+    def softened(self, closure: LoopClosure) -> LoopClosure:
+        """Give a loop the covariance that the graph believes."""
+        floor = np.diag(np.repeat(np.square([self.loop_sigma_rad, self.loop_sigma_m]), 3))
+        return replace(closure, covariance=closure.covariance + floor)
 
 
 class PoseGraph:
@@ -59,7 +67,7 @@ class PoseGraph:
 
     @property
     def loops(self) -> tuple[LoopClosure, ...]:
-        """All loops in the order added, gated out or not: the batch may reconsider them."""
+        """All loops as they were added and in that order, gated out or not: the batch may reconsider them."""
         return tuple(self._loops)
 
     @property
@@ -95,11 +103,12 @@ class PoseGraph:
             GraphError: a frame is not in the graph, or the covariance is not positive definite.
         """
         self._check(closure)
-        gate = self._gate(closure)
+        soft = self.config.softened(closure)
+        gate = self._gate(soft)
         self._loops.append(closure)
         self._gates.append(gate)
         if gate.passed:
-            self._waiting.graph.add(solver.loop_factor(closure, "huber", self.config.online_width))
+            self._waiting.graph.add(solver.loop_factor(soft, "huber", self.config.online_width))
             self._waiting.loops += 1
         return gate
 
@@ -142,7 +151,8 @@ class PoseGraph:
 
     def _problem(self) -> solver.GraphProblem:
         gate = np.array([gate.residual**2 for gate in self._gates])
-        return solver.GraphProblem(self._chain.poses, self._motions, self._loops, gate)
+        soft = [self.config.softened(closure) for closure in self._loops]
+        return solver.GraphProblem(self._chain.poses, self._motions, soft, gate)
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):

@@ -2,8 +2,8 @@
 
 Errors are moved to the world frame, where they add up: the covariance of the chain i..j is the difference of
 two prefix sums. Three parts are summed: what the odometry states, a random walk and a bias that lasts all the
-way. The last two are needed because frame-to-frame covariances know nothing of errors that persist: measured on
-real drives, the squared error after fifty frames is ten to a thousand times what they add up to.
+way. The last two are needed because frame-to-frame covariances know nothing of errors that persist: on real
+drives the squared error after fifty frames is ten to a thousand times what they add up to.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,7 @@ class DriftBudget:
 
     translation: float = 0.01  # metres of position for a metre of way
     rotation: float = 1e-4  # radians of direction for a metre of way
-    correlation_m: float = (
-        50.0  # way over which such an error keeps its sign, besides the lasting bias, metres
-    )
+    correlation_m: float = 10.0  # way over which passing errors keep their sign, metres
 
     @property
     def variances(self) -> Array:
