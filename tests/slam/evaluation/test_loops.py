@@ -64,9 +64,9 @@ def test_a_measured_loop_may_be_wrong_by_three_metres_and_ten_degrees(error: lis
     assert is_true_loop(truth, 121, 20, T_match_query) is true
 
 
-def test_a_right_measurement_of_a_far_place_is_no_loop() -> None:
+def test_a_right_measurement_is_a_true_loop_from_however_far() -> None:
     truth = line(np.array([0.0, 30.0]))
-    assert not is_true_loop(truth, 1, 0, se3.inverse(truth[0]) @ truth[1])
+    assert is_true_loop(truth, 1, 0, se3.inverse(truth[0]) @ truth[1])
 
 
 def test_a_loop_measured_from_the_wrong_side_is_false() -> None:
