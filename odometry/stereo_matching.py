@@ -75,11 +75,9 @@ def refine_right(
     """Places (N, 2) in the right image, starting at a guess (N, 2); NaN where the match does not hold."""
     config = config or StereoMatchingConfig()
     left, right = images
-    tracker = TrackingConfig(window_px=config.window_px, levels=1)
+    tracker = TrackingConfig(window_px=config.window_px, levels=0)
     places, found = lucas_kanade((left, right), pixels, guess, tracker)
-    back, returned = lucas_kanade(
-        (right, left), places, pixels, TrackingConfig(window_px=config.window_px, levels=0)
-    )
+    back, returned = lucas_kanade((right, left), places, pixels, tracker)
     good = found & returned & inside(places, right)
     good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
     good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
