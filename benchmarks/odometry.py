@@ -3,7 +3,7 @@
     python benchmarks/odometry.py ROOT 05 06 01 [--threads 2]
 
 ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and, for the drift, `poses/NN.txt`. Images are decoded
-before the clock starts. Drift is the error of the last position over the way driven, with no alignment; "nees"
+before the clock starts. Drift is the error of the last position over the way driven, unaligned; "nees"
 is the squared error of the end pose over what the composed covariances allow (6 is honest). "cpu" is the
 processor time of all threads, which a busy machine disturbs less than the clock.
 """
@@ -90,8 +90,9 @@ def report(root: Path, name: str) -> None:
     measured = [m for m in motions[1:] if not m.predicted]
     truth = root / "poses" / f"{name}.txt"
     print(f"\n{name}: {len(poses)} frames  {describe_drift(poses, covariance, truth)}")
+    tracks = np.mean([len(m.inliers) for m in measured])
     print(
-        f"    predicted {len(motions) - 1 - len(measured)}  tracks {np.mean([len(m.inliers) for m in measured]):.0f}"
+        f"    predicted {len(motions) - 1 - len(measured)}  tracks {tracks:.0f}"
         f"  inliers {100 * np.mean([m.inliers.mean() for m in measured]):.0f} %"
         f"  residual {np.median([m.residual_px for m in measured]):.3f} px"
     )

@@ -4,18 +4,26 @@ Unknowns, in this order: the motion as a left perturbation `exp(xi) @ T_second_f
 then the rectification error (12). Everything is in pixels.
 """
 
-# numba compiles these from plain loops; the types are those of the only call.
-# mypy: disable-error-code="no-untyped-def"
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 _MOTION, _TERMS = 6, 6
 _STATES = _MOTION + 2 * _TERMS
 
 
 @njit(cache=True)
-def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectification, scale):
+def accumulate(
+    camera: Array,
+    rays: Array,
+    measured: Array,
+    inverse_depth: Array,
+    T_second_first: Array,
+    rectification: Array,
+    scale: float,
+) -> tuple[Array, Array, Array, Array, Array]:
     """Sum the normal equations of all points, each with its depth eliminated and its robust weight.
 
     Args:
@@ -55,7 +63,7 @@ def accumulate(camera, rays, measured, inverse_depth, T_second_first, rectificat
 
 
 @njit(cache=True)
-def _dot(a, b):
+def _dot(a: Array, b: Array) -> float:
     """Inner product of two vectors (6,), of any stride."""
     total = 0.0
     for k in range(6):
@@ -64,7 +72,7 @@ def _dot(a, b):
 
 
 @njit(cache=True)
-def _add(H, b, J, residual, weight):
+def _add(H: Array, b: Array, J: Array, residual: Array, weight: float) -> None:
     """Add one point's six weighted rows to the upper half of H and to b."""
     for m in range(6):
         for j in range(_STATES):
@@ -76,7 +84,7 @@ def _add(H, b, J, residual, weight):
 
 
 @njit(cache=True)
-def _eliminate(H, b, row, offset, curvature):
+def _eliminate(H: Array, b: Array, row: Array, offset: float, curvature: float) -> None:
     """Take the share of one depth out of the upper half of H and out of b: its Schur complement."""
     for j in range(_STATES):
         scaled = curvature * row[j]
@@ -86,7 +94,17 @@ def _eliminate(H, b, row, offset, curvature):
 
 
 @njit(cache=True)
-def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual, J, Jd):
+def _residuals(
+    camera: Array,
+    ray: Array,
+    measured: Array,
+    inverse_depth: float,
+    T: Array,
+    rectification: Array,
+    residual: Array,
+    J: Array,
+    Jd: Array,
+) -> None:
     """Residuals (6,), measured minus predicted; derivatives J (6, 18), and Jd (6,) by the inverse depth."""
     fx, fy, cx, cy, baseline = camera
     J[:] = 0.0
@@ -114,7 +132,9 @@ def _residuals(camera, ray, measured, inverse_depth, T, rectification, residual,
 
 
 @njit(cache=True)
-def _subtract_rectification(rectification, x, y, residual, J, first):
+def _subtract_rectification(
+    rectification: Array, x: float, y: float, residual: Array, J: Array, first: int
+) -> None:
     """Take the error field at the ray (x, y, 1) out of residuals `first` and next; set its derivatives."""
     terms = (1.0, x, y, x * x, x * y, y * y)
     for k in range(_TERMS):
@@ -125,7 +145,7 @@ def _subtract_rectification(rectification, x, y, residual, J, first):
 
 
 @njit(cache=True)
-def _motion_rows(camera, x, y, nearness, J):
+def _motion_rows(camera: Array, x: float, y: float, nearness: float, J: Array) -> None:
     """Set the derivatives by the motion of a point at (x, y) and inverse depth `nearness`, second camera."""
     fx, fy, _, _, baseline = camera
     dx = (-x * y, 1.0 + x * x, -y, nearness, 0.0, -x * nearness)

@@ -49,9 +49,14 @@ def doubt(estimate: TwoViewEstimate | None, T_expected: Array | None, config: Pl
         return f"only {agree} of {len(estimate.inliers)} points agree on one motion"
     if estimate.noise_px > config.noise_px:
         return f"the points agree only to {estimate.noise_px:.1f} px"
-    if T_expected is None or ratio >= config.sure_ratio:
+    if T_expected is None or is_sure(estimate, config):
         return ""
     return jump(estimate.T_first_second, T_expected, config)
+
+
+def is_sure(estimate: TwoViewEstimate, config: PlausibilityConfig) -> bool:
+    """Whether so many tracks agree that no expectation counts against them."""
+    return float(np.mean(estimate.inliers)) >= config.sure_ratio
 
 
 def jump(T: Array, T_expected: Array, config: PlausibilityConfig) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from odometry.plausibility import PlausibilityConfig, doubt, jump
+from odometry.plausibility import PlausibilityConfig, doubt, is_sure, jump
 from odometry.rectification import Rectification, RectificationConfig
 from odometry.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.tracking import TrackingConfig, detect, follow, inside
@@ -87,26 +87,27 @@ class StereoOdometry:
             self._restart(self._observe(left, right))
             return _motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), "")
         expected = self._T_reference_previous @ self._expected_motion()
-        tracks, estimate = self._measure(self._reference, left, right, expected)
-        reason = doubt(estimate, None if self._velocity is None else expected, self._config.plausibility)
-        if estimate is None or reason:
-            return self._extrapolate(left, right, reason)
-        return self._accept(left, right, tracks, estimate)
+        for tracking in (self._config.tracking, self._config.tracking.wider()):
+            tracks, estimate = self._measure(self._reference, (left, right), expected, tracking)
+            reason = doubt(estimate, None if self._velocity is None else expected, self._config.plausibility)
+            if estimate is not None and not reason:
+                return self._accept(left, right, tracks, estimate)
+        return self._extrapolate(left, right, reason)
 
     def _expected_motion(self) -> Array:
         """T_previous_current (4, 4) at constant velocity; identity while nothing was measured."""
         return np.eye(4) if self._velocity is None else se3.exp(self._velocity)
 
     def _measure(
-        self, reference: _View, left: Image, right: Image, expected: Array
+        self, reference: _View, pair: tuple[Image, Image], expected: Array, tracking: TrackingConfig
     ) -> tuple[StereoTracks, TwoViewEstimate | None]:
         """Tracks and the motion they tell, near the expected T_reference_current or wherever they lead."""
-        tracks = self._follow(reference, left, right, expected)
+        tracks = self._follow(reference, pair, expected, tracking)
         estimate = self._estimate(tracks, expected)
         if estimate is None or not jump(estimate.T_first_second, expected, self._config.plausibility):
             return tracks, estimate
         # Tracks that had to be found far from where they were looked for are few: look again where they are.
-        again = self._follow(reference, left, right, estimate.T_first_second)
+        again = self._follow(reference, pair, estimate.T_first_second, tracking)
         second = self._estimate(again, estimate.T_first_second)
         if second is None or second.inliers.sum() < estimate.inliers.sum():
             return tracks, estimate
@@ -121,14 +122,16 @@ class StereoOdometry:
                     f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
                 )
 
-    def _follow(self, reference: _View, left: Image, right: Image, guess: Array) -> StereoTracks:
+    def _follow(
+        self, reference: _View, pair: tuple[Image, Image], guess: Array, tracking: TrackingConfig
+    ) -> StereoTracks:
         """Look for the reference's points in the new pair where the guess puts them."""
         ahead, shift = self._predict(reference, guess)
-        second_left = follow((reference.left, left), reference.pixels_left, ahead, self._config.tracking)
+        second_left = follow((reference.left, pair[0]), reference.pixels_left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
         kept = np.flatnonzero(np.isfinite(start[:, 0]))
-        second_right = refine_right((left, right), second_left[kept], start[kept], self._config.matching)
+        second_right = refine_right(pair, second_left[kept], start[kept], self._config.matching)
         matched = np.isfinite(second_right[:, 0])
         kept, second_right = kept[matched], second_right[matched]
         return StereoTracks(
@@ -152,13 +155,15 @@ class StereoOdometry:
         if len(tracks) < self._config.plausibility.tracks:
             return None
         estimate = estimate_motion(tracks, self.rectification, guess, self._config.adjustment)
-        if np.mean(estimate.inliers) >= self._config.plausibility.sure_ratio:
+        if not doubt(estimate, None, self._config.plausibility) and is_sure(
+            estimate, self._config.plausibility
+        ):
             return estimate
         other = ransac_motion(tracks, self.rectification)
         if other is None:
             return estimate
         second = estimate_motion(tracks, self.rectification, other, self._config.adjustment)
-        return max(estimate, second, key=lambda found: int(found.inliers.sum()))
+        return min(estimate, second, key=lambda found: found.noise_px)
 
     def _accept(self, left: Image, right: Image, tracks: StereoTracks, estimate: TwoViewEstimate) -> Motion:
         T_previous_current = se3.inverse(self._T_reference_previous) @ estimate.T_first_second

@@ -17,6 +17,7 @@ from odometry.tracking import TrackingConfig, inside, lucas_kanade
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Half = NDArray[np.float32]
 
 _RADIUS = 4  # of the window of the search, pixels at half size
 _BEHIND = 1  # shifts below zero that are searched too, pixels at half size
@@ -74,11 +75,9 @@ def refine_right(
     """Places (N, 2) in the right image, starting at a guess (N, 2); NaN where the match does not hold."""
     config = config or StereoMatchingConfig()
     left, right = images
-    tracker = TrackingConfig(window_px=config.window_px, levels=1)
+    tracker = TrackingConfig(window_px=config.window_px, levels=0)
     places, found = lucas_kanade((left, right), pixels, guess, tracker)
-    back, returned = lucas_kanade(
-        (right, left), places, pixels, TrackingConfig(window_px=config.window_px, levels=0)
-    )
+    back, returned = lucas_kanade((right, left), places, pixels, tracker)
     good = found & returned & inside(places, right)
     good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
     good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
@@ -86,7 +85,7 @@ def refine_right(
     return np.where(good[:, None], places, np.nan)
 
 
-def _half(image: Image) -> NDArray[np.float32]:
+def _half(image: Image) -> Half:
     """Average each two by two pixels."""
     height, width = image.shape
     half = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -94,7 +93,7 @@ def _half(image: Image) -> NDArray[np.float32]:
 
 
 @njit(cache=True)
-def _search(pixels, left, mirrored, max_disparity, uniqueness):  # type: ignore[no-untyped-def]
+def _search(pixels: Array, left: Half, mirrored: Half, max_disparity: int, uniqueness: float) -> Array:
     """Shift (N,), left less right, of the best match of pixels (N, 2), whole pixels; NaN where not unique."""
     shifts = np.full(len(pixels), np.nan)
     sums = np.empty(max_disparity + _BEHIND, dtype=np.float32)
@@ -109,7 +108,7 @@ def _search(pixels, left, mirrored, max_disparity, uniqueness):  # type: ignore[
 
 
 @njit(cache=True)
-def _differences(left, mirrored, u, v, sums):  # type: ignore[no-untyped-def]
+def _differences(left: Half, mirrored: Half, u: int, v: int, sums: Half) -> None:
     """Sum the absolute differences of windows around (u, v) and (u - shift, v), shifts from -_BEHIND up.
 
     Single precision is exact for these sums. The right image is mirrored so that the innermost loop runs
@@ -125,7 +124,7 @@ def _differences(left, mirrored, u, v, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _unique_minimum(sums, uniqueness):  # type: ignore[no-untyped-def]
+def _unique_minimum(sums: Half, uniqueness: float) -> float:
     """Shift with the smallest sum, NaN where another one, not beside it, does nearly as well."""
     best = np.argmin(sums)
     for k in range(len(sums)):

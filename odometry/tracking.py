@@ -5,7 +5,7 @@ Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi,
 predicted place, and a track is believed when following it back ends where it began.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -40,6 +40,10 @@ class TrackingConfig:
     window_px: int = 11
     levels: int = 3
     return_px: float = 0.5
+
+    def wider(self) -> "TrackingConfig":
+        """Make a config of about four times the reach, and time, for when nothing is known of the motion."""
+        return replace(self, window_px=2 * self.window_px - 1, levels=self.levels + 1)
 
 
 def detect(image: Image, tracked: Array, config: TrackingConfig) -> Array:

@@ -183,6 +183,14 @@ def test_real_drives_end_where_they_should(clip, name, bound):
     assert drift(motions, truth) < bound
 
 
+@pytest.mark.parametrize("name", ["05", "06", "01"])
+def test_real_drives_are_measured_at_two_images_a_second(clip, name):
+    camera, pairs, truth = clip(name)
+    motions = tracked(camera, pairs[::5])
+    assert not any(m.predicted for m in motions)
+    assert drift(motions, truth[: 5 * len(motions) : 5]) < 0.04
+
+
 def test_a_real_drive_with_missing_and_black_images_is_bridged(clip):
     camera, pairs, truth = clip("06", 30)
     black = (blank(camera, 0),) * 2
