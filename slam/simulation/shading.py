@@ -64,13 +64,17 @@ def _along(
     blur = max(short, long / _MAX_TAPS) * (1 << power)
     if blur <= 1.0:
         return _bilinear(texels, start, power, u, v) / np.float32(255.0)
+    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
     level = min(np.log2(blur), power - 0.001)
-    whole = int(level)
+    if taps > 2:
+        level = np.floor(
+            level + 0.5
+        )  # at grazing angles the seam between levels is lost in the taps' own blur
+    whole = min(int(level), power - 1)
     for _ in range(whole):
         start += 1 << (2 * power)
         power -= 1
     part = np.float32(level - whole)
-    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
     total = np.float32(0.0)
     for k in range(taps):
         t = (k + 0.5) / taps - 0.5
@@ -84,7 +88,7 @@ def _along(
 
 @njit(cache=True, error_model="numpy")
 def _grain(texels: Buffer, start: int, power: int, u: float, v: float, short: float, long: float) -> Any:
-    """Brightness 0..1 of a detail texture: one look-up at the level of the footprint's mean width."""
+    """Brightness 0..1 of a texture by one look-up at the level of the footprint's mean width."""
     blur = np.sqrt(short * long) * (1 << power)
     # Levels change half way between powers of two; grain is too faint for the seam to show.
     while blur > 1.41 and power > 0:
@@ -192,7 +196,7 @@ def _paint(
         value = tint * _along(texels, textures[k, 2], textures[k, 0], u, v, du, dv, short, long)
         shine = table[m, GLOSS]
         if textures[k, 1]:
-            shine = max(shine, float(_along(gloss, textures[k, 2], textures[k, 0], u, v, du, dv, long, long)))
+            shine = max(shine, float(_grain(gloss, textures[k, 2], textures[k, 0], u, v, short, long)))
         strength = table[m, DETAIL_STRENGTH]
         if strength > 0.0:
             k = int(table[m, DETAIL])
