@@ -131,7 +131,11 @@ def _dormer(h: House, x: float, rise: float) -> Mesh:
 def _cornice(h: House) -> Mesh:
     low = np.array([[-0.05, -0.28, h.eaves - 0.35], [-0.02, -0.1, STOREY + 0.3]])
     return boxes(
-        low, low + np.array([[h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]]), m.PLASTER, h.tint * 1.1, 3.0
+        low,
+        low + np.array([[h.width + 0.1, 0.28, 0.25], [h.width + 0.04, 0.1, 0.16]]),
+        m.PLASTER,
+        h.tint * 1.1,
+        3.0,
     )
 
 

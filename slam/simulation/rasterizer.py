@@ -102,9 +102,13 @@ def _fill(e: Buffer, box: Buffer, triangle: int, inverse_depth: Buffer, ids: Buf
     """Write one triangle into the sample buffers (H, W, 4) where it is nearest."""
     height, width = ids.shape[:2]
     a, b = e[3, 0], e[3, 1]
-    for y in range(max(0, int(np.floor(box[2]))), min(height - 1, int(np.ceil(box[3]))) + 1):
-        left, right = _span(e, y, max(0.0, np.floor(box[0])), min(width - 1.0, np.ceil(box[1])))
-        for x in range(max(0, int(np.floor(left))), int(np.ceil(min(right, width - 1.0))) + 1):
+    # No sample lies farther than 0.375 from its pixel's centre.
+    first, last = max(0.0, np.ceil(box[0] - 0.375)), min(width - 1.0, np.floor(box[1] + 0.375))
+    for y in range(max(0, int(np.ceil(box[2] - 0.375))), min(height - 1, int(np.floor(box[3] + 0.375))) + 1):
+        left, right = first, last
+        if last - first > 4.0:
+            left, right = _span(e, y, first, last)
+        for x in range(int(np.ceil(left)), int(np.floor(right)) + 1):
             bits = _covered(e, x, y)
             if bits == 0:
                 continue

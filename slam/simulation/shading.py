@@ -1,11 +1,7 @@
-"""What a visible triangle looks like: compiled texture look-up, shadow and light.
+"""What a visible triangle looks like: compiled paint, shadow and light.
 
-Textures are mip-mapped (Williams, Pyramidal parametrics, 1983) and looked up along the longer axis of the
-pixel's footprint, so that road and facades seen at a grazing angle neither flicker nor blur away. An image
-row is
-shaded in passes over its samples: compiled passes with few arrays each are several times faster than one
-call per
-sample.
+An image row is shaded in passes over its samples: compiled passes with few arrays each are several times faster
+than one call per sample.
 """
 
 from typing import Any
@@ -14,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from slam.simulation.lookup import along, grain
 from slam.simulation.rasterizer import SAMPLE_X, SAMPLE_Y
 
 Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
@@ -26,72 +23,8 @@ SUN, AMBIENT, HAZE = 3, 4, 5
 # value, gloss.
 _D, _P, _Z, _SHARE, _VALUE, _GLOSS = 0, 3, 6, 7, 8, 9
 WORK_ROWS = 10
-_MAX_TAPS = 4.0
 _HAZE_LENGTH = 900.0  # metres after which 1/e of the contrast is left
 _SHADOW_BIAS = 0.12  # metres, against surfaces shadowing themselves
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _bilinear(texels: Buffer, start: int, power: int, u: float, v: float) -> Any:
-    """Value 0..255 at (u, v) tiles of the square level that starts at `start`, 2^power wide."""
-    size = 1 << power
-    x, y = u * size - 0.5, v * size - 0.5
-    fx, fy = np.floor(x), np.floor(y)
-    ax, ay = np.float32(x - fx), np.float32(y - fy)
-    mask = size - 1
-    x0, y0 = np.int64(fx) & mask, np.int64(fy) & mask
-    x1 = (x0 + 1) & mask
-    below, above = start + (y0 << power), start + (((y0 + 1) & mask) << power)
-    a, b = np.float32(texels[below + x0]), np.float32(texels[below + x1])
-    c, d = np.float32(texels[above + x0]), np.float32(texels[above + x1])
-    low = a + ax * (b - a)
-    return low + ay * (c + ax * (d - c) - low)
-
-
-@njit(cache=True, error_model="numpy")
-def _along(
-    texels: Buffer,
-    start: int,
-    power: int,
-    u: float,
-    v: float,
-    du: float,
-    dv: float,
-    short: float,
-    long: float,
-) -> Any:
-    """Brightness 0..1 averaged over a footprint centred on (u, v): long axis (du, dv), lengths in tiles."""
-    blur = max(short, long / _MAX_TAPS) * (1 << power)
-    if blur <= 1.0:
-        return _bilinear(texels, start, power, u, v) / np.float32(255.0)
-    level = min(np.log2(blur), power - 0.001)
-    whole = int(level)
-    for _ in range(whole):
-        start += 1 << (2 * power)
-        power -= 1
-    part = np.float32(level - whole)
-    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
-    total = np.float32(0.0)
-    for k in range(taps):
-        t = (k + 0.5) / taps - 0.5
-        fine = _bilinear(texels, start, power, u + t * du, v + t * dv)
-        if part > 0.05:
-            coarse = _bilinear(texels, start + (1 << (2 * power)), power - 1, u + t * du, v + t * dv)
-            fine += part * (coarse - fine)
-        total += fine
-    return total / np.float32(255.0 * taps)
-
-
-@njit(cache=True, error_model="numpy")
-def _grain(texels: Buffer, start: int, power: int, u: float, v: float, short: float, long: float) -> Any:
-    """Brightness 0..1 of a detail texture: one look-up at the level of the footprint's mean width."""
-    blur = np.sqrt(short * long) * (1 << power)
-    # Levels change half way between powers of two; grain is too faint for the seam to show.
-    while blur > 1.41 and power > 0:
-        blur *= 0.5
-        start += 1 << (2 * power)
-        power -= 1
-    return _bilinear(texels, start, power, u, v) / np.float32(255.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -189,10 +122,10 @@ def _paint(
         u = g0 * work[_P, i] + g1 * work[_P + 1, i] + g2 * work[_P + 2, i] + attributes[t, 3]
         v = g4 * work[_P, i] + g5 * work[_P + 1, i] + g6 * work[_P + 2, i] + attributes[t, 7]
         k = int(table[m, TEXTURE])
-        value = tint * _along(texels, textures[k, 2], textures[k, 0], u, v, du, dv, short, long)
+        value = tint * along(texels, textures[k, 2], textures[k, 0], u, v, du, dv, short, long)
         shine = table[m, GLOSS]
         if textures[k, 1]:
-            shine = max(shine, float(_along(gloss, textures[k, 2], textures[k, 0], u, v, du, dv, long, long)))
+            shine = max(shine, float(grain(gloss, textures[k, 2], textures[k, 0], u, v, short, long)))
         strength = table[m, DETAIL_STRENGTH]
         if strength > 0.0:
             k = int(table[m, DETAIL])
@@ -200,8 +133,8 @@ def _paint(
             most = max(su, sv)
             # Each tint starts elsewhere, so that equal houses are stained differently.
             u, v = u * su + 37.0 * tint, v * sv + 37.0 * tint
-            grain = _grain(texels, textures[k, 2], textures[k, 0], u, v, most * short, most * long)
-            value *= 1.0 + strength * (2.0 * grain - 1.0)
+            spots = grain(texels, textures[k, 2], textures[k, 0], u, v, most * short, most * long)
+            value *= 1.0 + strength * (2.0 * spots - 1.0)
         work[_VALUE, i], work[_GLOSS, i] = value, shine
 
 
