@@ -53,8 +53,9 @@ def test_determinants_equal_those_of_directly_summed_boxes():
 def test_determinants_are_zero_where_the_filter_leaves_the_image():
     out = np.ones((40, 41), np.float32)
     kernels.hessian_determinants(cv2.integral(textured_world(41, seed=1, height=40)), 9, out)
-    assert not out[:4].any() and not out[-4:].any() and not out[:, :4].any() and not out[:, -4:].any()
     assert out[4:-4, 4:-4].all()
+    out[4:-4, 4:-4] = 0
+    assert not out.any()
 
 
 @pytest.mark.parametrize("sigma", [2.3, 3.0, 3.6, 5.0])

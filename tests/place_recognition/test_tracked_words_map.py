@@ -70,9 +70,20 @@ def test_a_word_is_the_mean_of_its_tracks_descriptors_and_spans_its_images():
 def test_a_track_that_is_too_short_leaves_no_word():
     image = textured_world(200, seed=2, height=200)
     tracks = FeatureTracks(TrackConfig(least_length=3))
+    lasting = [[40, 40], [150, 40]]
+    tracks.advance(image, features_at(lasting, np.eye(3)[:2]))
+    for _ in range(2):
+        tracks.advance(image, features_at([*lasting, [100, 150]], np.eye(3)))
+    tracks.advance(image, features_at(lasting, np.eye(3)[:2]))
+    assert len(tracks.advance(image, features_at([], np.empty((0, 3))))) == 2
+
+
+def test_where_nothing_stays_long_two_images_make_a_word():
+    image = textured_world(200, seed=2, height=200)
+    tracks = FeatureTracks(TrackConfig(least_length=3))
     for _ in range(2):
         tracks.advance(image, features_at([[100, 100]], [[1, 0]]))
-    assert len(tracks.advance(image, features_at([], np.empty((0, 2))))) == 0
+    assert len(tracks.advance(image, features_at([], np.empty((0, 2))))) == 1
 
 
 def test_ended_tracks_make_room_for_the_strongest_unused_features():
