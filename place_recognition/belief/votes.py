@@ -6,16 +6,18 @@ Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammaln, xlog1py, xlogy
 
+from place_recognition.belief.matching import add_products
 from place_recognition.map.tracked_words import Words, count_covering
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-BLOCK = 4096  # words compared at a time: their products stay in the cache
+BLOCK = 128  # words compared at a time: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Ballot:
         return int(candidates[order[0]])
 
 
+@njit(cache=True)
 def nearest_words(query: Floats, words: Floats) -> Indices:
     """Index (N,) of the word (K, D) at the least Euclidean distance of each query descriptor (N, D); exact.
 
@@ -54,14 +57,18 @@ def nearest_words(query: Floats, words: Floats) -> Indices:
     nearest = np.zeros(len(query), np.int64)
     best = np.full(len(query), -np.inf, np.float32)
     for begin in range(0, len(words), BLOCK):
-        block = words[begin : begin + BLOCK]
+        block = np.ascontiguousarray(words[begin : begin + BLOCK].T)
         # |q - w|^2 is least where q.w - |w|^2 / 2 is greatest
-        closeness = query @ block.T
-        closeness -= 0.5 * np.einsum("ij,ij->i", block, block)
-        index = closeness.argmax(axis=1)
-        value = closeness[np.arange(len(query)), index]
-        better = value > best
-        nearest[better], best[better] = begin + index[better], value[better]
+        penalty = np.zeros(block.shape[1], np.float32)
+        for k in range(len(block)):
+            penalty -= np.float32(0.5) * block[k] * block[k]
+        closeness = np.empty_like(penalty)
+        for i in range(len(query)):
+            closeness[:] = penalty
+            add_products(query[i], block, closeness)
+            index = closeness.argmax()
+            if closeness[index] > best[i]:
+                nearest[i], best[i] = begin + index, closeness[index]
     return nearest
 
 

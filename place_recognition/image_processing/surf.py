@@ -1,7 +1,7 @@
 """SURF: blobs found by the determinant of the Hessian, described by Haar wavelets.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008. Written here because the once patented
-module is not in OpenCV's wheels and every threshold of the bag of tracked words presupposes these 64 numbers of unit length.
+module is not in OpenCV's wheels, and every threshold of the bag of tracked words presupposes these 64 numbers.
 Upright: a car's camera does not roll, and what need not be estimated cannot be estimated wrongly.
 """
 

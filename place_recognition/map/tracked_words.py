@@ -27,7 +27,7 @@ class TrackConfig:
 
     Attributes:
         points: tracked at a time, nu in the paper.
-        least_length: images a track must last to become a word, rho in the paper.
+        least_length: images a track must last to become a word, rho in the paper; fewer, but two, where none lasts so long.
         longest_share: quantile of the tracks' lengths that stands for the longest, c(t) in the paper.
         guided: when a feature continues a track.
     """
@@ -99,8 +99,12 @@ class FeatureTracks:
         self._lengths = np.empty(0, np.int64)
 
     def _ended(self, lost: NDArray[np.bool_]) -> Words:
-        """Words of the lost tracks that lasted long enough; they were last seen at the location so far."""
-        word = lost & (self._lengths >= self.config.least_length)
+        """Words of the lost tracks that lasted long enough; they were last seen at the location so far.
+
+        Where nothing stays in view for as long as it should, as in a corridor seen every two seconds, what stays longest
+        has to do; but one image is no track.
+        """
+        word = lost & (self._lengths >= min(self.config.least_length, max(self.longest, 2)))
         lengths = self._lengths[word]
         last = np.full(len(lengths), self._location, np.int64)
         means = (self._sums[word] / lengths[:, None]).astype(np.float32)

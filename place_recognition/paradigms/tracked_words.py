@@ -7,6 +7,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
 * The search area keeps a way and a number of images away from the query too: where one drives slowly or stands, tracks
   break while the view stays. And not the very longest track counts, but nearly (`FeatureTracks.longest`).
 * Each word votes once (`count_votes`).
+* Where tracks are short, the best of them become words all the same (`TrackConfig.least_length`).
 * In a small map nothing is improbable enough: many inliers make up for it (`sure_inliers`).
 """
 

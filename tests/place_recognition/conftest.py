@@ -1,0 +1,6 @@
+"""Puts the helpers beside the tests into reach."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))

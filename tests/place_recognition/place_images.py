@@ -1,0 +1,38 @@
+"""Images that the tests of this folder look at."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+
+def textured_world(width: int, seed: int, height: int = 240) -> Image:
+    """A strip (height, width) of blobs of many sizes, the same for the same seed."""
+    rng = np.random.default_rng(seed)
+    world = np.zeros((height, width), np.float32)
+    for sigma in (1.5, 3.0, 6.0, 12.0):
+        layer = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), sigma)
+        world += layer / layer.std()
+    return np.clip(128 + 30 * world, 0, 255).astype(np.uint8)
+
+
+def sliding_view(world: Image, starts: list[int], width: int = 320) -> list[Image]:
+    """Windows of a world that begin at the given columns: a camera that moves sideways."""
+    return [np.ascontiguousarray(world[:, s : s + width]) for s in starts]
+
+
+def kitti_images(root: Path, sequence: str, frames: range) -> list[Image]:
+    """Left images of a KITTI clip."""
+    folder = root / "kitti_clips" / "sequences" / sequence / "image_0"
+    return [cv2.imread(str(folder / f"{k:06d}.png"), cv2.IMREAD_GRAYSCALE) for k in frames]
+
+
+def changed(image: Image, seed: int) -> Image:
+    """The image as a second pass would see it: moved a little, darker, noisy."""
+    rng = np.random.default_rng(seed)
+    height, width = image.shape
+    moved = cv2.warpAffine(image, np.float32([[1.01, 0, -6], [0, 1.01, 3]]), (width, height), borderMode=2)
+    return np.clip(0.85 * moved + rng.normal(0, 2, moved.shape), 0, 255).astype(np.uint8)

@@ -1,0 +1,113 @@
+"""Votes, chance and geometry say what they should."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
+from place_recognition.belief.matching import mutual_matches
+from place_recognition.belief.votes import Ballot, count_votes, log_binomial, nearest_words
+from place_recognition.map.tracked_words import Words
+
+
+def unit(rng, n, d=64):
+    rows = rng.normal(size=(n, d)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def two_views(rng, n):
+    """Pixels of n points in two cameras that differ by a turn and a step."""
+    points = rng.uniform([-4, -2, 5], [4, 2, 20], (n, 3))
+    angle = 0.1
+    R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    moved = points @ R.T + [0.8, 0.1, 0.3]
+    return [(700 * p[:, :2] / p[:, 2:] + [600, 180]).astype(np.float32) for p in (points, moved)]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 200), st.integers(0, 200), st.floats(0, 1))
+def test_log_binomial_agrees_with_scipy(x, extra, p):
+    expected = binom.logpmf(x, x + extra, p)
+    assert log_binomial(np.array([x]), x + extra, np.array([p]))[0] == pytest.approx(expected, rel=1e-9, abs=1e-7)
+
+
+def test_nearest_words_are_those_that_scipy_finds():
+    rng = np.random.default_rng(0)
+    query, words = unit(rng, 60), unit(rng, 9000) * rng.uniform(0.8, 1, (9000, 1)).astype(np.float32)
+    from scipy.spatial.distance import cdist
+
+    np.testing.assert_array_equal(nearest_words(query, words), cdist(query, words).argmin(axis=1))
+
+
+def test_each_word_hit_votes_once_for_each_image_it_spans():
+    words = Words(np.zeros((4, 2), np.float32), np.array([0, 1, 1, 3]), np.array([1, 1, 2, 4]))
+    ballot = count_votes(np.array([0, 2]), words, 6)
+    np.testing.assert_array_equal(ballot.votes, [1, 2, 1, 0, 0, 0])
+    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5, 0.5, 0.5, 0])
+    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1, 1, 1, 0]) / 4))
+
+
+def test_the_most_votes_win_among_the_improbable():
+    ballot = Ballot(np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90]))
+    assert ballot.best(log_threshold=-20) == 2
+    assert ballot.best(log_threshold=-100) == 0
+
+
+def test_fewer_votes_than_expected_are_no_match_however_improbable():
+    assert Ballot(np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
+
+
+def test_mutual_matches_undo_a_shuffle():
+    rng = np.random.default_rng(1)
+    first, order = unit(rng, 80), rng.permutation(80)
+    pairs = mutual_matches(first, first[order])
+    np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
+    assert len(pairs) == 80
+
+
+def test_mutual_matches_agree_with_a_plain_search():
+    rng = np.random.default_rng(2)
+    first, second = unit(rng, 50, 8), unit(rng, 40, 8)
+    distance = np.linalg.norm(first[:, None] - second[None], axis=2)
+    nearest, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    expected = [(i, nearest[i]) for i in range(50) if back[nearest[i]] == i]
+    np.testing.assert_array_equal(mutual_matches(first, second, ratio=1), expected)
+    clear = [(i, j) for i, j in expected if distance[i, j] <= 0.8 * np.partition(distance[i], 1)[1]]
+    np.testing.assert_array_equal(mutual_matches(first, second, ratio=0.8), clear)
+
+
+def test_an_image_without_features_matches_nothing():
+    assert mutual_matches(np.empty((0, 64), np.float32), unit(np.random.default_rng(0), 5)).shape == (0, 2)
+
+
+def test_matches_of_a_rigid_scene_are_proved_and_outliers_named():
+    rng = np.random.default_rng(3)
+    first, second = two_views(rng, 100)
+    second[:30] = rng.uniform([0, 0], [1200, 360], (30, 2))
+    agree = epipolar_inliers(first, second, VerificationConfig())
+    assert agree[30:].mean() > 0.95
+    assert agree[:30].mean() < 0.2
+
+
+def test_verification_is_the_same_each_time():
+    first, second = two_views(np.random.default_rng(4), 60)
+    first += np.random.default_rng(5).normal(0, 1, first.shape).astype(np.float32)
+    masks = [epipolar_inliers(first, second, VerificationConfig()) for _ in range(3)]
+    np.testing.assert_array_equal(masks[0], masks[1])
+    np.testing.assert_array_equal(masks[0], masks[2])
+
+
+@pytest.mark.parametrize("count", [0, 3, 8, 40])
+def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(count):
+    same = np.full((count, 2), 5, np.float32)
+    agree = epipolar_inliers(same, same, VerificationConfig())
+    assert agree is None or len(agree) == count
+
+
+def test_random_matches_rarely_look_rigid():
+    rng = np.random.default_rng(6)
+    config = VerificationConfig(least_inliers=20)
+    pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
+    assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)

@@ -1,0 +1,140 @@
+"""Truth and its measures."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from place_recognition.evaluation.ground_truth import SamePlace, load_truth, truth_from_poses
+from place_recognition.evaluation.precision_recall import accepted_counts, judge, precision_recall
+from place_recognition.recognizer import Belief
+
+
+def belief(query, match, score, verified=True):
+    return Belief(query, match, score, accepted=verified and score > 5, verified=verified)
+
+
+def circle(laps, images, radius):
+    """Poses (N, 4, 4) of a camera that looks where it goes, round a circle in the x-z plane."""
+    angles = np.linspace(0, 2 * np.pi * laps, images)
+    poses = np.tile(np.eye(4), (images, 1, 1))
+    poses[:, 0, 3], poses[:, 2, 3] = radius * np.cos(angles), radius * np.sin(angles)
+    poses[:, 0, 2], poses[:, 2, 2] = -np.sin(angles), np.cos(angles)
+    return poses
+
+
+def test_a_second_lap_sees_the_places_of_the_first():
+    truth = truth_from_poses(circle(2, 201, 50)[:-1], np.arange(200.0), SamePlace(radius=1, gap=40))
+    np.testing.assert_array_equal(np.argwhere(truth), [[i, i - 100] for i in range(100, 200)])
+
+
+def test_the_way_back_is_the_same_place_only_if_headings_do_not_matter():
+    poses = circle(0.25, 30, 50)
+    back = poses[::-1].copy()
+    back[:, :3, 2] *= -1
+    both, times = np.concatenate([poses, back]), np.arange(60.0)
+    assert not truth_from_poses(both, times, SamePlace(1, 90 - 1e-6, 5)).any()
+    assert truth_from_poses(both, times, SamePlace(1, 180, 5)).any()
+
+
+def test_the_time_between_is_kept():
+    truth = truth_from_poses(np.tile(np.eye(4), (10, 1, 1)), 10.0 * np.arange(10), SamePlace(1, 45, 40))
+    query, match = np.nonzero(truth)
+    assert (query - match).min() == 4
+
+
+def test_poses_without_as_many_times_are_refused():
+    with pytest.raises(ValueError, match=r"expected poses \(3, 4, 4\)"):
+        truth_from_poses(np.tile(np.eye(4), (2, 1, 1)), np.arange(3.0))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_truth_survives_both_kinds_of_file_in_both_triangles(tmp_path, turned):
+    truth = np.tril(np.random.default_rng(0).random((9, 9)) > 0.7, -1)
+    stored = truth.T if turned else truth
+    savemat(tmp_path / "a.mat", {"truth": stored.astype(np.uint8)})
+    np.savez(tmp_path / "a.npz", truth=stored)
+    for name in ("a.mat", "a.npz"):
+        np.testing.assert_array_equal(load_truth(tmp_path / name), truth)
+
+
+def test_a_file_without_a_truth_matrix_is_named(tmp_path):
+    np.savez(tmp_path / "b.npz", loops=np.eye(3))
+    (tmp_path / "c.mat").write_text("no matrix")
+    with pytest.raises(ValueError, match=r"b\.npz: expected an array named truth, found loops"):
+        load_truth(tmp_path / "b.npz")
+    with pytest.raises(ValueError, match=r"c\.mat: expected a MATLAB file"):
+        load_truth(tmp_path / "c.mat")
+    with pytest.raises(ValueError, match=r"expected a truth file \.npz or \.mat"):
+        load_truth(tmp_path / "d.txt")
+
+
+@pytest.mark.parametrize(("name", "images", "rows"), [("KITTI00", 4541, 851), ("KITTI06", 1101, 272)])
+def test_the_authors_matrices_have_the_rows_they_are_known_for(test_data, name, images, rows):
+    truth = load_truth(test_data / "loop_ground_truth" / f"groundTruth{name}.mat")
+    assert truth.shape == (images, images)
+    assert truth.any(axis=1).sum() == rows
+
+
+def test_precision_and_recall_by_hand():
+    truth = np.zeros((6, 6), bool)
+    truth[3, 0] = truth[4, 1] = truth[5, 2] = True
+    beliefs = [belief(3, 0, 9), belief(4, 2, 7), belief(5, 2, 7), belief(2, 0, 1), belief(1, None, 0)]
+    curve = precision_recall(beliefs, truth)
+    np.testing.assert_array_equal(curve.thresholds, [9, 7, 1])
+    np.testing.assert_allclose(curve.precision, [1, 2 / 3, 2 / 4])
+    np.testing.assert_allclose(curve.recall, [1 / 3, 2 / 3, 2 / 3])
+    assert (curve.recall_at_full_precision, curve.threshold_at_full_precision) == (pytest.approx(1 / 3), 9)
+    assert curve.average_precision == pytest.approx(1 / 3 + 1 / 3 * 2 / 3)
+    assert accepted_counts(beliefs, truth) == (2, 1)
+
+
+def test_a_tie_of_a_right_and_a_wrong_detection_gives_no_full_precision():
+    truth = np.eye(4, k=-2) > 0
+    curve = precision_recall([belief(2, 0, 5), belief(3, 0, 5)], truth)
+    assert curve.recall_at_full_precision == 0
+    assert curve.threshold_at_full_precision is None
+
+
+def test_a_match_that_failed_its_verification_is_no_detection():
+    truth = np.eye(4, k=-2) > 0
+    curve = precision_recall([belief(2, 0, 5), belief(3, 0, 9, verified=False)], truth)
+    assert curve.recall_at_full_precision == 0.5
+
+
+def test_tolerance_forgives_so_many_columns():
+    truth = np.zeros((9, 9), bool)
+    truth[8, 3] = True
+    near = [belief(8, match, 5) for match in range(8)]
+    np.testing.assert_array_equal(judge(near, truth, tolerance=2), [False, True, True, True, True, True, False, False])
+
+
+def test_nothing_detected_is_no_error():
+    curve = precision_recall([], np.zeros((3, 3), bool))
+    assert (curve.average_precision, curve.recall_at_full_precision) == (0, 0)
+
+
+def test_a_query_that_the_truth_does_not_know_is_refused():
+    with pytest.raises(ValueError, match="expected query and earlier match below 3, got 5 and 1"):
+        judge([belief(5, 1, 2)], np.zeros((3, 3), bool))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_curve_agrees_with_a_plain_count_at_each_threshold(seed):
+    rng = np.random.default_rng(seed)
+    truth = np.tril(rng.random((20, 20)) > 0.6, -1)
+    queries = np.arange(1, 20)
+    beliefs = [belief(int(q), int(rng.integers(q)), float(rng.integers(6)), bool(rng.random() > 0.2)) for q in queries]
+    average, recall, best = 0.0, 0.0, 0.0
+    rows = max(int(truth.any(axis=1).sum()), 1)
+    for threshold in sorted({b.score for b in beliefs if b.verified}, reverse=True):
+        taken = [b for b in beliefs if b.verified and b.score >= threshold]
+        hits = sum(bool(truth[b.query, b.match]) for b in taken)
+        average += hits / len(taken) * (hits / rows - recall)
+        recall = hits / rows
+        best = max(best, recall) if hits == len(taken) else best
+    curve = precision_recall(beliefs, truth)
+    assert curve.average_precision == pytest.approx(average)
+    assert curve.recall_at_full_precision == pytest.approx(best)

@@ -1,0 +1,72 @@
+"""The bag of tracked words on real drives."""
+
+import numpy as np
+import pytest
+from place_images import changed, kitti_images, sliding_view, textured_world
+
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.tracked_words import TrackedWords
+
+
+def beliefs_of(images, way=None):
+    recognizer = TrackedWords(SharedFeatures(Surf()))
+    ways = np.full(len(images), np.nan) if way is None else way
+    return recognizer, [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(ways[i]))]
+
+
+@pytest.fixture(scope="module")
+def drives(test_data):
+    """Two drives one after the other, and their frames in between as another, changed pass."""
+    frames = [kitti_images(test_data, "07", range(80)), kitti_images(test_data, "05", range(60))]
+    first = [image for images in frames for image in images[::2]]
+    second = [changed(image, seed) for images in frames for seed, image in enumerate(images[1::2])]
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def revisit(drives):
+    """A recogniser that has seen both passes, and its beliefs."""
+    return beliefs_of(drives[0] + drives[1])
+
+
+def test_a_second_pass_through_a_changed_camera_is_recognised(drives, revisit):
+    first, beliefs = drives[0], revisit[1]
+    offsets = np.array([b.query - len(first) - b.match if b.accepted else 99 for b in beliefs[len(first) :]])
+    assert np.mean(np.abs(offsets) <= 2) > 0.95
+
+
+def test_ever_new_places_are_not_recognised(drives, revisit):
+    assert not any(b.accepted for b in revisit[1][: len(drives[0])])
+
+
+def test_a_camera_that_backs_home_finds_the_places_of_its_way_out(test_data):
+    frames = kitti_images(test_data, "05", range(60))
+    order = [*range(0, 60, 2), *range(59, 0, -2)]
+    _, beliefs = beliefs_of([frames[k] for k in order], way=np.arange(60.0))
+    accepted = [b for b in beliefs if b.accepted]
+    assert len(accepted) > 10
+    assert all(abs(order[b.query] - order[b.match]) <= 5 for b in accepted)
+
+
+def test_a_match_keeps_the_least_way_from_its_query():
+    images = sliding_view(textured_world(700, seed=3), list(range(0, 360, 9)))
+    way = 0.5 * np.arange(80)
+    _, beliefs = beliefs_of(images + images, way)
+    matched = [b for b in beliefs if b.match is not None]
+    assert matched
+    assert all(way[b.query] - way[b.match] >= 20 for b in matched)
+
+
+def test_the_votes_of_an_image_go_to_the_place_it_matches(drives, revisit):
+    recognizer, beliefs = revisit
+    query = len(drives[0]) + 20
+    ids, votes = recognizer.similarity_row(query)
+    assert votes.min() > 0
+    assert abs(ids[votes.argmax()] - beliefs[query].match) <= 6
+
+
+def test_asking_for_the_votes_of_an_unseen_image_is_refused():
+    recognizer, _ = beliefs_of([np.zeros((100, 100), np.uint8)])
+    with pytest.raises(ValueError, match="expected the id of an image that was observed, got 7"):
+        recognizer.similarity_row(7)
