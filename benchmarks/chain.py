@@ -1,7 +1,7 @@
 """The whole chain on one drive: frames a second, where the time goes, and what the loops brought.
 
-    python benchmarks/chain.py ~/.cache/revisit/demo-0
-    python benchmarks/chain.py ~/kitti/dataset --sequence 05 --no-record
+python benchmarks/chain.py ~/.cache/revisit/demo-0
+python benchmarks/chain.py ~/kitti/dataset --sequence 05 --no-record
 """
 
 import argparse

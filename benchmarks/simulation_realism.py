@@ -66,9 +66,7 @@ def follow(a: Array, b: Array, points: Array) -> tuple[Array, Array]:
     return there, good
 
 
-def motion(
-    before: tuple[Array, Array], now: tuple[Array, Array], K: Array, baseline: float, tally: Tally
-) -> Array:
+def motion(before: tuple[Array, Array], now: tuple[Array, Array], K: Array, baseline: float, tally: Tally) -> Array:
     """T_before_now (4, 4) between two stereo pairs."""
     points = detect(before[0])
     right, stereo = follow(before[0], before[1], points)

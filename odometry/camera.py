@@ -35,9 +35,7 @@ class StereoCamera:
     def __post_init__(self) -> None:
         numbers = np.array([self.fx, self.fy, self.cx, self.cy, self.baseline])
         if not np.isfinite(numbers).all() or min(self.fx, self.fy, self.baseline) <= 0:
-            raise ValueError(
-                f"expected finite intrinsics with positive focal lengths and baseline, got {self}"
-            )
+            raise ValueError(f"expected finite intrinsics with positive focal lengths and baseline, got {self}")
 
     @property
     def K(self) -> Array:
@@ -61,6 +59,4 @@ class StereoCamera:
         """
         pixels, disparity = np.asarray(pixels_left, dtype=np.float64), np.asarray(disparity, dtype=np.float64)
         z = self.fx * self.baseline / np.where(disparity > 0, disparity, np.nan)
-        return np.stack(
-            [(pixels[:, 0] - self.cx) * z / self.fx, (pixels[:, 1] - self.cy) * z / self.fy, z], axis=1
-        )
+        return np.stack([(pixels[:, 0] - self.cx) * z / self.fx, (pixels[:, 1] - self.cy) * z / self.fy, z], axis=1)

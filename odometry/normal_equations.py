@@ -45,9 +45,7 @@ def accumulate(
     chi2, rows, offset = np.empty(n), np.empty((n, _STATES)), np.empty(n)
     residual, J, Jd = np.empty(6), np.zeros((6, _STATES)), np.zeros(6)
     for i in range(n):
-        _residuals(
-            camera, rays[i], measured[i], inverse_depth[i], T_second_first, rectification, residual, J, Jd
-        )
+        _residuals(camera, rays[i], measured[i], inverse_depth[i], T_second_first, rectification, residual, J, Jd)
         curvature = Jd @ Jd
         for k in range(_STATES):
             rows[i, k] = _dot(Jd, J[:, k]) / curvature
@@ -132,9 +130,7 @@ def _residuals(
 
 
 @njit(cache=True)
-def _subtract_rectification(
-    rectification: Array, x: float, y: float, residual: Array, J: Array, first: int
-) -> None:
+def _subtract_rectification(rectification: Array, x: float, y: float, residual: Array, J: Array, first: int) -> None:
     """Take the error field at the ray (x, y, 1) out of residuals `first` and next; set its derivatives."""
     terms = (1.0, x, y, x * x, x * y, y * y)
     for k in range(_TERMS):

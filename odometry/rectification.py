@@ -77,9 +77,7 @@ class Rectification:
         """Disparity (N,), pixels, that a perfect pair would have shown at pixels (N, 2) of the left image."""
         return disparity + self.errors(pixels_left)[:, 0]
 
-    def learned(
-        self, coefficients: Array, information: Array, config: RectificationConfig
-    ) -> "Rectification":
+    def learned(self, coefficients: Array, information: Array, config: RectificationConfig) -> "Rectification":
         """Take over coefficients (12,) with the information (12, 12) that one frame gave about them."""
         known = np.linalg.inv(self.covariance) + information / config.repeats
         covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(2 * TERMS)

@@ -18,7 +18,7 @@ from odometry.camera import StereoCamera
 from odometry.motion import Motion
 from odometry.plausibility import PlausibilityConfig, doubt, is_sure, jump
 from odometry.rectification import Rectification, RectificationConfig
-from odometry.stereo_matching import StereoMatchingConfig, match_right, refine_right
+from odometry.stereo_matching import StereoMatchingConfig, match_right, match_rows, refine_right
 from odometry.tracking import TrackingConfig, detect, follow, inside
 from odometry.two_views import AdjustmentConfig, StereoTracks, TwoViewEstimate, estimate_motion, ransac_motion
 
@@ -113,6 +113,14 @@ class StereoOdometry:
             return tracks, estimate
         return again, second
 
+    def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
+        """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
+
+        NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
+        """
+        matched = match_rows(left, right, pixels, self._config.matching)
+        return self.rectification.correct(pixels, matched)
+
     def _check(self, left: Image, right: Image) -> None:
         expected = (self._camera.height, self._camera.width)
         for side, image in (("left", left), ("right", right)):
@@ -134,9 +142,7 @@ class StereoOdometry:
         second_right = refine_right(pair, second_left[kept], start[kept], self._config.matching)
         matched = np.isfinite(second_right[:, 0])
         kept, second_right = kept[matched], second_right[matched]
-        return StereoTracks(
-            reference.pixels_left[kept], reference.pixels_right[kept], second_left[kept], second_right
-        )
+        return StereoTracks(reference.pixels_left[kept], reference.pixels_right[kept], second_left[kept], second_right)
 
     def _predict(self, reference: _View, guess: Array) -> tuple[Array, Array]:
         """Where the points (N, 2) should be in the new left image, and right less left (N, 2), pixels."""
@@ -155,9 +161,7 @@ class StereoOdometry:
         if len(tracks) < self._config.plausibility.tracks:
             return None
         estimate = estimate_motion(tracks, self.rectification, guess, self._config.adjustment)
-        if not doubt(estimate, None, self._config.plausibility) and is_sure(
-            estimate, self._config.plausibility
-        ):
+        if not doubt(estimate, None, self._config.plausibility) and is_sure(estimate, self._config.plausibility):
             return estimate
         other = ransac_motion(tracks, self.rectification)
         if other is None:
@@ -224,9 +228,7 @@ def _motion(
     """Assemble the answer, with tracks where there was a measurement."""
     if tracks is None or estimate is None:
         nothing = np.zeros((0, 2))
-        return Motion(
-            T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan")
-        )
+        return Motion(T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan"))
     return Motion(
         T,
         covariance,

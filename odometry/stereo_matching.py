@@ -53,9 +53,7 @@ def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingC
     return pixels[:, 0] - match_right(left, right, pixels, config)[:, 0]
 
 
-def match_right(
-    left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None
-) -> Array:
+def match_right(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
     """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where no match is reliable."""
     config = config or StereoMatchingConfig()
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)

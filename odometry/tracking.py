@@ -127,9 +127,7 @@ def _fill_cells(
 ) -> NDArray[np.intp]:
     """Choose the indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
     cells = config.columns * config.rows
-    capacity = (
-        -(-config.corners // cells) * 2
-    )  # sky and road leave cells empty: others may hold twice the share
+    capacity = -(-config.corners // cells) * 2  # sky and road leave cells empty: others may hold twice the share
     cell = _cell(pixels, shape, config)
     room = np.maximum(capacity - np.bincount(_cell(tracked, shape, config), minlength=cells), 0)
     order = np.lexsort((-strength, cell))

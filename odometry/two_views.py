@@ -24,9 +24,7 @@ Array = NDArray[np.float64]
 # Quantiles of chi squared with five degrees of freedom: six measurements less one depth.
 _MEDIAN, _LIMIT = 4.351, 15.09
 _NEAREST = 0.3  # m; nothing is seen closer
-_DAMPING = (
-    1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
-)
+_DAMPING = 1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,7 @@ class StereoTracks:
         The tracker finds each of them by itself: the second right place starts from the second left one and
         inherits its error, their difference does not.
         """
-        return np.concatenate(
-            [self.first_right, self.second_left, self.second_right - self.second_left], axis=1
-        )
+        return np.concatenate([self.first_right, self.second_left, self.second_right - self.second_left], axis=1)
 
 
 @dataclass(frozen=True)
@@ -119,9 +115,7 @@ def ransac_motion(tracks: StereoTracks, rectification: Rectification) -> Array |
     """T_first_second (4, 4) that most tracks agree with, by minimal samples (P3P), or None."""
     camera = rectification.camera
     disparity = tracks.first_left[:, 0] - tracks.first_right[:, 0]
-    points = camera.triangulate(
-        tracks.first_left, np.maximum(rectification.correct(tracks.first_left, disparity), 0.5)
-    )
+    points = camera.triangulate(tracks.first_left, np.maximum(rectification.correct(tracks.first_left, disparity), 0.5))
     try:
         found, w, t, _ = cv2.solvePnPRansac(
             points,
@@ -135,11 +129,7 @@ def ransac_motion(tracks: StereoTracks, rectification: Rectification) -> Array |
     except cv2.error:
         return None
     T_second_first = se3.pose(cv2.Rodrigues(w)[0], t.ravel()) if found else None
-    return (
-        None
-        if T_second_first is None or not np.isfinite(T_second_first).all()
-        else se3.inverse(T_second_first)
-    )
+    return None if T_second_first is None or not np.isfinite(T_second_first).all() else se3.inverse(T_second_first)
 
 
 class _Problem:
@@ -163,9 +153,7 @@ class _Problem:
         H[6:, 6:] += self._prior_information
         b[6:] += self._prior_information @ (self._rectification - self._prior.coefficients)
         change = np.linalg.solve(H + _DAMPING * np.eye(len(H)), -b).astype(np.float64)
-        self._inverse_depth = self._bounded(
-            self._inverse_depth - self._depth_offset - self._depth_rows @ change
-        )
+        self._inverse_depth = self._bounded(self._inverse_depth - self._depth_offset - self._depth_rows @ change)
         self._T_second_first = se3.exp(change[:6]) @ self._T_second_first
         self._rectification = self._rectification + change[6:]
         return change[:6]

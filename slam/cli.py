@@ -91,7 +91,9 @@ def simulate(
 def run(
     source: Annotated[Path, typer.Argument(help="Root of a recorded drive in KITTI odometry layout.")],
     out: Out,
-    sequence: Annotated[str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")] = None,
+    sequence: Annotated[
+        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    ] = None,
     paradigm: Annotated[str | None, typer.Option(help="Place recogniser: tracked-words.")] = None,
     robust: Annotated[str | None, typer.Option(help="Back end: none, huber, dcs, gnc.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,

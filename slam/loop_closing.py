@@ -157,14 +157,10 @@ class LoopCloser:
 
     def _recall(self, index: int) -> Landmarks:
         if index not in self._known:
-            raise ValueError(
-                f"expected a frame that was remembered, got {index}; call remember({index}, ...) first"
-            )
+            raise ValueError(f"expected a frame that was remembered, got {index}; call remember({index}, ...) first")
         return self._known[index]
 
-    def _doubt(
-        self, forward: RelativePose | None, backward: RelativePose | None, pixels: NDArray[np.float32]
-    ) -> str:
+    def _doubt(self, forward: RelativePose | None, backward: RelativePose | None, pixels: NDArray[np.float32]) -> str:
         """Why not to believe a pose; empty where there is no reason."""
         if forward is None or backward is None:
             return "no relative pose stands out among the landmark matches"
@@ -186,4 +182,3 @@ class LoopCloser:
         size = np.array([self._camera.width, self._camera.height])
         cell = np.clip(4 * pixels / size, 0, 3).astype(np.int64)
         return len(np.unique(cell @ [1, 4]))
-

@@ -37,9 +37,7 @@ class GeometryConfig:
     systematic_rad_per_m: float = 4e-4  # and for each metre between the cameras
     systematic_m: float = 0.005  # of translation, metres
     systematic_m_per_m: float = 0.01  # and for each metre between the cameras
-    systematic_disparity_px: float = (
-        0.2  # of all disparities alike; what it does depends on how far landmarks are
-    )
+    systematic_disparity_px: float = 0.2  # of all disparities alike; what it does depends on how far landmarks are
 
     def systematic(self, T_a_b: Array) -> Array:
         """Covariance (6, 6), rotation first, of these errors in a pose (4, 4)."""
@@ -131,9 +129,7 @@ def _refined(
 class _System:
     """The linearised errors of matched landmarks: (u, v, d) in b as predicted from a, whitened."""
 
-    def __init__(
-        self, camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig
-    ) -> None:
+    def __init__(self, camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> None:
         self._camera, self._points_a = camera, points_a
         self._noise = np.diag(np.square([config.sigma_px, config.sigma_px, config.sigma_disparity_px]))
         self._measured = _stereo_pixels(camera, points_b)

@@ -30,11 +30,12 @@ def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
     if config.paradigm not in PARADIGMS:
         raise ConfigError(f"unknown paradigm {config.paradigm!r}; known: {', '.join(PARADIGMS)}")
     features = SharedFeatures(Surf(config.features))
+    odometry = StereoOdometry(camera, config.odometry)
     return Parts(
-        odometry=StereoOdometry(camera, config.odometry),
+        odometry=odometry,
         features=features,
         recognizer=PARADIGMS[config.paradigm](features, config),
-        loop_closer=LoopCloser(camera, features, config.loop_closing),
+        loop_closer=LoopCloser(camera, features, config.loop_closing, odometry.disparity),
         graph=PoseGraph(config.pose_graph),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import Truth
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
 from slam.evaluation.loops import LoopRule, revisit_matrix
 from slam.system import LoopAttempt

@@ -35,9 +35,7 @@ def motion_factor(current: int, T_previous_current: Array, covariance: Array) ->
     return gtsam.BetweenFactorPose3(current - 1, current, gtsam.Pose3(T_previous_current), noise)
 
 
-def loop_factor(
-    closure: LoopClosure, kernel: str | None = None, width: float = 0.0
-) -> gtsam.BetweenFactorPose3:
+def loop_factor(closure: LoopClosure, kernel: str | None = None, width: float = 0.0) -> gtsam.BetweenFactorPose3:
     """Factor of a loop, plain or under a robust kernel (`huber`: width in sigmas, `dcs`: a chi-square)."""
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(closure.covariance)
     if kernel is not None:
@@ -99,9 +97,7 @@ class GraphProblem:
         Roughly solved steps are enough for weights: the same verdicts in a third of the time.
         """
         graph, first = self._graph(use), self._motions.size()
-        start = gtsam.LevenbergMarquardtOptimizer(
-            graph, to_values(self.odometry), _tolerance(_ROUGH)
-        ).optimize()
+        start = gtsam.LevenbergMarquardtOptimizer(graph, to_values(self.odometry), _tolerance(_ROUGH)).optimize()
         params = gtsam.GncLMParams(_tolerance(_ROUGH))
         params.setKnownInliers(list(range(first)))
         optimizer = gtsam.GncLMOptimizer(graph, start, params)
@@ -128,9 +124,7 @@ class GraphProblem:
 
     @staticmethod
     def _levenberg(graph: gtsam.NonlinearFactorGraph, start: Array) -> Array:
-        return to_poses(
-            gtsam.LevenbergMarquardtOptimizer(graph, to_values(start), _tolerance(_FINE)).optimize()
-        )
+        return to_poses(gtsam.LevenbergMarquardtOptimizer(graph, to_values(start), _tolerance(_FINE)).optimize())
 
 
 def _tolerance(relative: float) -> gtsam.LevenbergMarquardtParams:

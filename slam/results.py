@@ -185,4 +185,3 @@ def _timing(stage_ms: dict[str, Array]) -> dict[str, dict[str, float]]:
 def _peak_memory_mb() -> float:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
-

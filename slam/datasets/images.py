@@ -87,14 +87,11 @@ def read_times(path: Path, count: int) -> Array:
     times = read_numbers(path, 1)[:, 0]
     if len(times) != count:
         raise DataError(
-            f"{path}: expected {count} times, one for each image, found {len(times)};"
-            " copy the whole recording again"
+            f"{path}: expected {count} times, one for each image, found {len(times)}; copy the whole recording again"
         )
     if (np.diff(times) <= 0).any():
         at = int(np.argmax(np.diff(times) <= 0)) + 1
-        raise DataError(
-            f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; mend that line"
-        )
+        raise DataError(f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; mend that line")
     return times
 
 
@@ -102,9 +99,7 @@ def _times(path: Path, count: int, fps: float | None) -> Array:
     if path.is_file():
         return read_times(path, count)
     if fps is None or not fps > 0:
-        raise DataError(
-            f"{path}: expected the times of {count} images, found none; give images a second with --fps"
-        )
+        raise DataError(f"{path}: expected the times of {count} images, found none; give images a second with --fps")
     return np.arange(count) / fps
 
 

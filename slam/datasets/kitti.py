@@ -106,13 +106,9 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
     try:
         lines = pykitti.utils.read_calib_file(str(path))
     except OSError as error:
-        raise DataError(
-            f"{path}: expected the calibration, found {error.strerror}; unpack it there"
-        ) from None
+        raise DataError(f"{path}: expected the calibration, found {error.strerror}; unpack it there") from None
     except ValueError:
-        raise DataError(
-            f"{path}: expected only lines such as 'P0: 12 numbers', found others; remove them"
-        ) from None
+        raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found others; remove them") from None
     P_left, P_right = (_projection(path, f"P{camera}", lines) for camera in cameras)
     _check_pair(path, cameras, P_left, P_right)
     return P_left, P_right
@@ -121,9 +117,7 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
 def _check_pair(path: Path, cameras: tuple[int, int], P_left: Array, P_right: Array) -> None:
     # Disparity is depth only where both cameras share intrinsics; a tenth of a per cent is a rounded file.
     if not np.allclose(P_left[:, :3], P_right[:, :3], rtol=1e-3):
-        raise DataError(
-            f"{path}: expected the same intrinsics in P{cameras[0]} and P{cameras[1]}; rectify the images"
-        )
+        raise DataError(f"{path}: expected the same intrinsics in P{cameras[0]} and P{cameras[1]}; rectify the images")
     if P_left[0, 3] <= P_right[0, 3]:
         raise DataError(
             f"{path}: expected P{cameras[1]} to the right of P{cameras[0]} (4th number smaller), found"
@@ -133,19 +127,13 @@ def _check_pair(path: Path, cameras: tuple[int, int], P_left: Array, P_right: Ar
 
 def _projection(path: Path, name: str, lines: dict[str, Array]) -> Array:
     if name not in lines:
-        raise DataError(
-            f"{path}: expected a line '{name}: 12 numbers', found none; copy the calibration again"
-        )
+        raise DataError(f"{path}: expected a line '{name}: 12 numbers', found none; copy the calibration again")
     numbers = lines[name]
     if len(numbers) != 12:
-        raise DataError(
-            f"{path}: expected 12 numbers in {name}, found {len(numbers)}; copy the calibration again"
-        )
+        raise DataError(f"{path}: expected 12 numbers in {name}, found {len(numbers)}; copy the calibration again")
     P = numbers.reshape(3, 4)
     if not np.isfinite(P).all() or min(P[0, 0], P[1, 1]) <= 0:
-        raise DataError(
-            f"{path}: expected finite numbers and positive focal lengths in {name}; mend that line"
-        )
+        raise DataError(f"{path}: expected finite numbers and positive focal lengths in {name}; mend that line")
     return P
 
 

@@ -52,9 +52,7 @@ def find_sequence(root: Path, sequence: str | None) -> Path:
 def _choose(root: Path, folders: dict[str, Path], sequence: str | None) -> Path:
     names = ", ".join(folders)
     if not folders:
-        raise DataError(
-            f"{root}: expected sequences/XX/image_0/000000.png, found none; name the folder above it"
-        )
+        raise DataError(f"{root}: expected sequences/XX/image_0/000000.png, found none; name the folder above it")
     if sequence is None and len(folders) > 1:
         raise DataError(f"{root}: expected one sequence, found {names}; choose one with --sequence")
     name = next(iter(folders)) if sequence is None else sequence
@@ -82,9 +80,7 @@ def find_images(sequence: Path) -> StereoFiles:
     if present:
         left, right = (sequence / f"image_{camera}" for camera in present[0])
         return _stereo_files(present[0], left, right)
-    raise DataError(
-        f"{sequence}: expected the folder image_0 or image_2, found neither; unpack the images there"
-    )
+    raise DataError(f"{sequence}: expected the folder image_0 or image_2, found neither; unpack the images there")
 
 
 def _stereo_files(cameras: tuple[int, int], left: Path, right: Path) -> StereoFiles:
@@ -99,18 +95,14 @@ def _stereo_files(cameras: tuple[int, int], left: Path, right: Path) -> StereoFi
         )
     for one, other in zip(left_files, right_files, strict=True):
         if int(one.stem) != int(other.stem):
-            raise DataError(
-                f"{right}: expected {one.name} as in {left.name}, found {other.name}; unpack both again"
-            )
+            raise DataError(f"{right}: expected {one.name} as in {left.name}, found {other.name}; unpack both again")
     return StereoFiles(cameras, left_files, right_files)
 
 
 def _numbered_images(folder: Path) -> tuple[Path, ...]:
     files = [file for file in folder.glob("*.png") if not file.name.startswith(".")]
     if not files:
-        raise DataError(
-            f"{folder}: expected images 000000.png, 000001.png, ..., found none; unpack the images there"
-        )
+        raise DataError(f"{folder}: expected images 000000.png, 000001.png, ..., found none; unpack the images there")
     for file in sorted(files):
         if not file.stem.isdecimal():
             raise DataError(f"{file}: expected a name like 000000.png; rename or remove this image")

@@ -74,9 +74,7 @@ def is_same_place(truth: Array, query: int, match: int, rule: LoopRule | None = 
     return float(np.linalg.norm(truth[query, :3, 3] - truth[match, :3, 3])) <= rule.near_m
 
 
-def is_true_loop(
-    truth: Array, query: int, match: int, T_match_query: Array, rule: LoopRule | None = None
-) -> bool:
+def is_true_loop(truth: Array, query: int, match: int, T_match_query: Array, rule: LoopRule | None = None) -> bool:
     """Whether a measured loop is true: its pose (4, 4), metres, agrees with `truth` (N, 4, 4).
 
     How far apart the two cameras stood does not matter: down a straight street one sees a place from afar, and

@@ -52,9 +52,7 @@ def read_cloud(path: Path) -> Cloud:
         cloud = open3d.io.read_point_cloud(path)
     points, colours = np.asarray(cloud.points), np.asarray(cloud.colors)
     if len(colours) != len(points):
-        raise DataError(
-            f"{path}: expected a colour for each point, found {len(colours)}; export the map again"
-        )
+        raise DataError(f"{path}: expected a colour for each point, found {len(colours)}; export the map again")
     return Cloud(points.copy(), np.rint(255.0 * colours.reshape(-1, 3).mean(axis=1)).astype(np.uint8))
 
 

@@ -68,9 +68,7 @@ def _wall(h: House, origin: Array, along: Array, shift: int) -> Mesh:
     if h.storeys == 1:
         return street
     tiles = np.array([u0, 0, u1, (h.storeys - 1) / 3])
-    return join(
-        [street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)]
-    )
+    return join([street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)])
 
 
 def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
@@ -82,9 +80,7 @@ def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
             parts.append(_wall(h, origin, along, 1))
         else:
             tiles = np.array([0, 0, h.depth / 5, h.eaves / 5])
-            parts.append(
-                panel(origin, along, Z * h.eaves, int(rng.choice([m.PLASTER, m.BRICK])), tiles, h.tint)
-            )
+            parts.append(panel(origin, along, Z * h.eaves, int(rng.choice([m.PLASTER, m.BRICK])), tiles, h.tint))
     return join([*parts, _wall(h, w + d, -w, 2)])
 
 
@@ -122,9 +118,7 @@ def _dormer(h: House, x: float, rise: float) -> Mesh:
     """Build a window in the roof."""
     z = h.eaves + 0.25 * rise
     low, high = np.array([x, 0.22 * h.depth, z - 0.4]), np.array([x + 1.5, 0.5 * h.depth, z + 1.2])
-    face = panel(
-        [x + 0.15, 0.215 * h.depth, z], [1.2, 0, 0], [0, 0, 1.0], m.GLASS, np.array([0, 0, 1, 1]), 0.15
-    )
+    face = panel([x + 0.15, 0.215 * h.depth, z], [1.2, 0, 0], [0, 0, 1.0], m.GLASS, np.array([0, 0, 1, 1]), 0.15)
     return join([boxes(low, high, m.SLATE, 0.9), face])
 
 

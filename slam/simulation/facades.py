@@ -37,9 +37,7 @@ def ground_front(rng: np.random.Generator) -> tuple[Array, Array]:
         box = (column * bay + 24, 0, (column + 1) * bay - 24, SIZE)
         if kind == "window":
             # Texels are four times wider than high here.
-            _window(
-                albedo, gloss, ((column + 0.5) * bay, 0.45 * SIZE), (style[0], style[1] * 3, style[2]), rng
-            )
+            _window(albedo, gloss, ((column + 0.5) * bay, 0.45 * SIZE), (style[0], style[1] * 3, style[2]), rng)
         elif kind != "wall":
             {"door": _door, "shop": _shop, "gate": _gate}[str(kind)](albedo, gloss, box, rng)
     albedo[int(0.88 * SIZE) :] *= 0.6 + 0.06 * noise(rng)[int(0.88 * SIZE) :]
@@ -91,9 +89,7 @@ def _window(
         _shutters(albedo, (x, y, w, h), float(rng.uniform(0.15, 0.5)))
 
 
-def _curtain(
-    albedo: Array, gloss: Array, window: tuple[float, float, float, float], rng: np.random.Generator
-) -> None:
+def _curtain(albedo: Array, gloss: Array, window: tuple[float, float, float, float], rng: np.random.Generator) -> None:
     """Curtains at the sides, a blind half down, flowers on the sill, or nothing."""
     x, y, w, h = window
     kind, level = rng.integers(0, 5), float(rng.uniform(0.35, 0.75))
@@ -174,9 +170,7 @@ def _shop(albedo: Array, gloss: Array, box: tuple[int, int, int, int], rng: np.r
 def _letters(word: str, height: int, width: int) -> Array:
     """Paint a word in strokes of 1 on 0."""
     paper = np.zeros((height, width), np.uint8)
-    cv2.putText(
-        paper, word, (6, int(0.8 * height)), cv2.FONT_HERSHEY_DUPLEX, height / 35, 255, 4, cv2.LINE_AA
-    )
+    cv2.putText(paper, word, (6, int(0.8 * height)), cv2.FONT_HERSHEY_DUPLEX, height / 35, 255, 4, cv2.LINE_AA)
     return paper / 255.0
 
 

@@ -46,9 +46,7 @@ def _bars(length: float, spacing: float, size: Array, z: float) -> tuple[Array, 
 
 def _pickets(length: float, tint: float) -> Mesh:
     low, high = _bars(length, 0.14, np.array([0.08, 0.02, 0.95]), 0.05)
-    rails = boxes(
-        [[0, 0.02, 0.3], [0, 0.02, 0.75]], [[length, 0.06, 0.38], [length, 0.06, 0.83]], m.WOOD, tint
-    )
+    rails = boxes([[0, 0.02, 0.3], [0, 0.02, 0.75]], [[length, 0.06, 0.38], [length, 0.06, 0.83]], m.WOOD, tint)
     posts = boxes(*_bars(length, 2.4, np.array([0.12, 0.12, 1.1]), 0.0), m.WOOD, tint)
     return join([boxes(low, high, m.WOOD, 1.4 * tint), rails, posts])
 

@@ -50,9 +50,7 @@ def along(
     taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
     level = min(np.log2(blur), power - 0.001)
     if taps > 2:
-        level = np.floor(
-            level + 0.5
-        )  # at grazing angles the seam between levels is lost in the taps' own blur
+        level = np.floor(level + 0.5)  # at grazing angles the seam between levels is lost in the taps' own blur
     whole = min(int(level), power - 1)
     for _ in range(whole):
         start += 1 << (2 * power)

@@ -64,9 +64,7 @@ def _painted(seed: int) -> Materials:
     images += [(facades.advertisement(rng), None) for _ in range(POSTERS)]
     first = len(images)
     images += [(image, None) for image in _plain(rng)]
-    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(
-        first, first + 12
-    )
+    tiles, slate, slabs, lawn, spray, needles, bark, wall, brick, grain, stains, flat = range(first, first + 12)
     rows = [_row(i, stains, (0.9, 0.7), 0.5) for i in range(FRONTS)]
     rows += [_row(FRONTS + i, stains, (0.9, 0.25), 0.5) for i in range(FRONTS)]
     rows += [_row(ROAD + i, grain, (6.4, 19.2), 0.8) for i in range(ROADS)]

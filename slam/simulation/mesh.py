@@ -81,9 +81,7 @@ def panel(
     return quads(np.array([[o, o + r, o + r + u, o + u]]), uv[None], material, tint)
 
 
-def boxes(
-    low: ArrayLike, high: ArrayLike, material: int, tint: float | Array = 1.0, tile: float = 1.0
-) -> Mesh:
+def boxes(low: ArrayLike, high: ArrayLike, material: int, tint: float | Array = 1.0, tile: float = 1.0) -> Mesh:
     """Axis-aligned boxes between `low` and `high` (N, 3), metres, open below; a tile covers `tile` metres."""
     ends = np.stack([np.atleast_2d(np.asarray(end, dtype=np.float64)) for end in (low, high)])  # (2, N, 3)
     # Each face as corners (x end, y end, z end), and the two axes that its texture follows.

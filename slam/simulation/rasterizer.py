@@ -42,9 +42,7 @@ def _bounds(v: Buffer, box: Buffer) -> bool:
         j = (i + 1) % 3
         if (z >= _NEAR) != (v[j, 2] >= _NEAR):
             t = (_NEAR - z) / (v[j, 2] - z)
-            _extend(
-                box, (v[i, 0] + t * (v[j, 0] - v[i, 0])) / _NEAR, (v[i, 1] + t * (v[j, 1] - v[i, 1])) / _NEAR
-            )
+            _extend(box, (v[i, 0] + t * (v[j, 0] - v[i, 0])) / _NEAR, (v[i, 1] + t * (v[j, 1] - v[i, 1])) / _NEAR)
     return box[0] <= box[1]
 
 
@@ -143,9 +141,7 @@ def rasterize(corners: Buffer, ranges: Buffer, P: Buffer, inverse_depth: Buffer,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rasterize_from_sun(
-    corners: Buffer, axes: Buffer, origin: Buffer, cell: float, height_map: Buffer
-) -> None:
+def rasterize_from_sun(corners: Buffer, axes: Buffer, origin: Buffer, cell: float, height_map: Buffer) -> None:
     """Height towards the sun of the nearest surface, for each cell of a plane square to the sun.
 
     corners: (T, 3, 3) float32; axes: (3, 3) rows right, up, towards the sun; origin: (2,) of the map's
@@ -157,11 +153,7 @@ def rasterize_from_sun(
     for t in range(len(corners)):
         for i in range(3):
             for k in range(3):
-                q[i, k] = (
-                    axes[k, 0] * corners[t, i, 0]
-                    + axes[k, 1] * corners[t, i, 1]
-                    + axes[k, 2] * corners[t, i, 2]
-                )
+                q[i, k] = axes[k, 0] * corners[t, i, 0] + axes[k, 1] * corners[t, i, 1] + axes[k, 2] * corners[t, i, 2]
             q[i, 0] = (q[i, 0] - origin[0]) / cell
             q[i, 1] = (q[i, 1] - origin[1]) / cell
         _fill_height(q, rows, columns, height_map)

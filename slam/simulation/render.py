@@ -158,20 +158,14 @@ def in_view(stage: Stage, moment: Moment, camera: StereoCamera, T_town_camera: A
     pick = np.concatenate([np.arange(first, last) for first, last in ranges] or [np.zeros(0, np.int64)])
     extra = build_scene(moment.moving) if moment.moving else None
     leaves = stage.materials.table[scene.material[pick], LEAF] > 0
-    arrays = [
-        (_blown(scene.corners[pick], leaves, pick, moment.wind), scene.attributes[pick], scene.material[pick])
-    ]
+    arrays = [(_blown(scene.corners[pick], leaves, pick, moment.wind), scene.attributes[pick], scene.material[pick])]
     if extra is not None:
         arrays.insert(0, (extra.corners, extra.attributes, extra.material))
     corners, attributes, material = (np.concatenate(column) for column in zip(*arrays, strict=True))
-    return Scene(
-        corners, attributes, material, np.array([[0, len(material)]]), scene.centres[:0], scene.radii[:0]
-    )
+    return Scene(corners, attributes, material, np.array([[0, len(material)]]), scene.centres[:0], scene.radii[:0])
 
 
-def _blown(
-    corners: NDArray[np.float32], leaves: NDArray[np.bool_], number: Array, wind: float | None
-) -> Image:
+def _blown(corners: NDArray[np.float32], leaves: NDArray[np.bool_], number: Array, wind: float | None) -> Image:
     """Triangles (N, 3, 3), those of leaves displaced by the wind at a time, each in its own rhythm."""
     if wind is None:
         return corners
@@ -218,9 +212,7 @@ def _visible(scene: Scene, P: Array, centre: Array, camera: StereoCamera) -> NDA
     forward = P[2, :3]
     # Normals of the planes through the camera and the first and last column and row.
     u, v = P[0, :3], P[1, :3]
-    planes = np.stack(
-        [forward, u + forward, camera.width * forward - u, v + forward, camera.height * forward - v]
-    )
+    planes = np.stack([forward, u + forward, camera.width * forward - u, v + forward, camera.height * forward - v])
     planes /= np.linalg.norm(planes, axis=1, keepdims=True)
     inside = ((scene.centres - centre) @ planes.T > -scene.radii[:, None] - camera.baseline - 0.1).all(axis=1)
     keep = np.flatnonzero(inside)

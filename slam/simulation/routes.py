@@ -62,9 +62,7 @@ class Way:
             y, headings = np.vstack([y, y[:1]]), np.append(headings, headings[0] + turn)
             x = np.mod(x, len(self.points))
         grid = np.arange(len(y))
-        return np.stack([np.interp(x, grid, y[:, 0]), np.interp(x, grid, y[:, 1])], 1), np.interp(
-            x, grid, headings
-        )
+        return np.stack([np.interp(x, grid, y[:, 0]), np.interp(x, grid, y[:, 1])], 1), np.interp(x, grid, headings)
 
     def shifted(self, left: float) -> "Way":
         """Return the parallel line `left` metres to the left, resampled evenly."""
@@ -183,9 +181,7 @@ def _later_lap(base: Way, spec: DriveSpec, lap: int, before: Array) -> Array:
     if not spec.reverse:
         return points
     heading = np.arctan2(*(before[-1] - before[-2])[::-1])
-    return np.vstack(
-        [_turn_round(before[-1] + STEP * np.array([np.cos(heading), np.sin(heading)]), heading), points]
-    )
+    return np.vstack([_turn_round(before[-1] + STEP * np.array([np.cos(heading), np.sin(heading)]), heading), points])
 
 
 def _turn_round(at: Array, heading: float) -> Array:

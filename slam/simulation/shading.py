@@ -192,9 +192,7 @@ def _light(
             # Schlick's approximation of Fresnel's law, softened.
             cosine = 1.0 + facing / np.sqrt(dx * dx + dy * dy + dz * dz)
             mirror = work[_GLOSS, i] * (0.12 + 0.88 * cosine * cosine * cosine * cosine)
-            value += mirror * (
-                _sky(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz) - value
-            )
+            value += mirror * (_sky(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz) - value)
         fade = np.exp(-work[_Z, i] / _HAZE_LENGTH)
         work[_VALUE, i] = value * fade + light[HAZE] * (1.0 - fade)
 

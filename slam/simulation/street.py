@@ -136,9 +136,7 @@ def _sunk(streets: Streets, rows: NDArray[np.int64]) -> Array:
     gap = int(_FORGET / _QUAD)
     tree = cKDTree(streets.points)
     near = [tree.query_ball_point(streets.points[row], 2 * ROAD_HALF) for row in rows]
-    return np.array(
-        [0.012 * any(j < row - gap for j in found) for row, found in zip(rows, near, strict=True)]
-    )
+    return np.array([0.012 * any(j < row - gap for j in found) for row, found in zip(rows, near, strict=True)])
 
 
 def _band(
@@ -154,9 +152,7 @@ def _band(
     # Long bands are judged at several offsets, short ones at their middle.
     probes = np.linspace(0.0, 1.0, max(1, round((b - a) / 2)) + 2)[1:-1]
     at = corners[:, 0, None, :2] + probes[:, None] * (corners[:, 1, None, :2] - corners[:, 0, None, :2])
-    street, way = (
-        np.reshape(t.query(at.reshape(-1, 2))[0], (len(rows), -1)) for t in (everything, streets.route)
-    )
+    street, way = (np.reshape(t.query(at.reshape(-1, 2))[0], (len(rows), -1)) for t in (everything, streets.route))
     keep = (street.min(axis=1) > min(a, ROAD_HALF) - 0.15) & (way.min(axis=1) > 1.6)
     along = rows * _QUAD * tiles
     uv = np.stack(
@@ -175,9 +171,7 @@ def _tiles_around(points: Array, cell: float, reach: float) -> Array:
 
 def _square(corner: Array, side: float, height: float) -> Array:
     x, y = corner
-    return np.array(
-        [[x, y, height], [x + side, y, height], [x + side, y + side, height], [x, y + side, height]]
-    )
+    return np.array([[x, y, height], [x + side, y, height], [x + side, y + side, height], [x, y + side, height]])
 
 
 def _lawn(streets: Streets) -> list[Mesh]:

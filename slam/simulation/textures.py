@@ -160,9 +160,7 @@ def _crack(image: Array, rng: np.random.Generator) -> None:
     drift = rng.choice([[0.0, 5.0], [12.0, 0.3], [3.0, 3.0]])
     steps = drift + rng.normal(0, [7.0, 2.5], (rng.integers(20, 90), 2))
     line = np.round(start + np.cumsum(steps, axis=0)).astype(np.int32)
-    cv2.polylines(
-        image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA
-    )
+    cv2.polylines(image, [line[:, None]], False, float(rng.uniform(0.1, 0.2)), int(rng.integers(2, 6)), cv2.LINE_AA)
 
 
 def _manhole(image: Array, rng: np.random.Generator) -> None:

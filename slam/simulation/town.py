@@ -150,13 +150,9 @@ class TownBuilder:
         if rng.random() < 0.4:
             self._border(site, width, rng)
         for _ in range(5):
-            self._plant(
-                site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.0, 16.0), 0.1), self.grove, rng
-            )
+            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.0, 16.0), 0.1), self.grove, rng)
         for _ in range(4):
-            self._plant(
-                site.at(rng.uniform(-width / 2, width / 2), rng.uniform(0.8, 8.0), 0.1), self.bushes, rng
-            )
+            self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(0.8, 8.0), 0.1), self.bushes, rng)
 
     def _border(self, site: _Site, width: float, rng: np.random.Generator) -> None:
         """Fence, railing, wall or hedge along the pavement."""

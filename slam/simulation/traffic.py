@@ -34,9 +34,7 @@ class Traffic:
         seen = np.flatnonzero(np.abs(places - along) < _SIGHT)
         out = [self._placed(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in seen]
         if len(self.met_at) and along % (2 * _LEAD) < _LEAD:
-            ahead = (
-                16.0 + 9.0 * np.sin(along / 25.0) + 30.0 * max(0.0, along % (2 * _LEAD) - 0.7 * _LEAD) / _LEAD
-            )
+            ahead = 16.0 + 9.0 * np.sin(along / 25.0) + 30.0 * max(0.0, along % (2 * _LEAD) - 0.7 * _LEAD) / _LEAD
             out.append(self._placed(self.kinds[-1], along + ahead, 0.1, 0.0))
         return out
 

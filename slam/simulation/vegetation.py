@@ -29,10 +29,7 @@ def _blob(rng: np.random.Generator, count: int, radii: Array) -> Array:
 def broadleaf(rng: np.random.Generator, height: float = 8.0, sprays: int = 2200, size: float = 0.3) -> Mesh:
     """Grow a tree of `height` metres whose crown is a heap of blobs, darker inside."""
     trunk = 0.28 * height
-    blobs = [
-        np.array([*rng.normal(0, 0.13 * height, 2), trunk + rng.uniform(0.1, 0.62) * height])
-        for _ in range(11)
-    ]
+    blobs = [np.array([*rng.normal(0, 0.13 * height, 2), trunk + rng.uniform(0.1, 0.62) * height]) for _ in range(11)]
     centre = np.array([0.0, 0.0, trunk + 0.36 * height])
     each = [b + _blob(rng, sprays // 11, np.array([0.16, 0.16, 0.12]) * height) for b in blobs]
     points = np.concatenate(each)
@@ -66,12 +63,8 @@ def conifer(rng: np.random.Generator, height: float = 11.0, sprays: int = 1800) 
     whorl = 0.02 * height * np.sin(level * 75)
     z = 0.1 * height + level * 0.9 * height - 0.25 * reach + whorl
     points = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], axis=1)
-    tint = (0.35 + 0.9 * reach / np.maximum((1 - level) * 0.24 * height, 1e-3)) * rng.uniform(
-        0.7, 1.2, sprays
-    )
-    return join(
-        [_sprays(points, 0.34, m.NEEDLE, tint, rng), prism(0.02 * height, 0.004 * height, height, m.BARK)]
-    )
+    tint = (0.35 + 0.9 * reach / np.maximum((1 - level) * 0.24 * height, 1e-3)) * rng.uniform(0.7, 1.2, sprays)
+    return join([_sprays(points, 0.34, m.NEEDLE, tint, rng), prism(0.02 * height, 0.004 * height, height, m.BARK)])
 
 
 def sapling(rng: np.random.Generator) -> Mesh:
@@ -80,9 +73,7 @@ def sapling(rng: np.random.Generator) -> Mesh:
     tint = rng.uniform(0.6, 1.4, len(points))
     stake = prism(0.03, 0.03, 1.8, m.WOOD, 4).moved(0.0, np.array([0.35, 0.1, 0.0]))
     branches = [_branch(np.array([0, 0, 1.8]), points[i], 0.018) for i in range(0, 60, 5)]
-    return join(
-        [_sprays(points, 0.14, m.LEAF, tint, rng), prism(0.05, 0.02, 3.6, m.BARK, 5), stake, *branches]
-    )
+    return join([_sprays(points, 0.14, m.LEAF, tint, rng), prism(0.05, 0.02, 3.6, m.BARK, 5), stake, *branches])
 
 
 def bush(rng: np.random.Generator) -> Mesh:

@@ -132,7 +132,5 @@ def fleet(rng: np.random.Generator, count: int = 14) -> list[Mesh]:
 
 def bin_and_box(rng: np.random.Generator) -> Mesh:
     """Build a dust bin and a grey cabinet, as stand on pavements."""
-    cabinet = boxes(
-        np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2))
-    )
+    cabinet = boxes(np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2)))
     return join([boxes(np.array([[0, 0, 0]]), np.array([[0.55, 0.6, 1.05]]), m.PAINT, 0.25), cabinet])

@@ -25,9 +25,7 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise OutputError(
-            f"{path}: cannot be written, {reason}; choose another folder or make room"
-        ) from error
+        raise OutputError(f"{path}: cannot be written, {reason}; choose another folder or make room") from error
     finally:
         temporary.unlink(missing_ok=True)
 

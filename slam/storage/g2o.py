@@ -49,9 +49,7 @@ class Graph3D:
     information: Array
 
 
-def chain_graph(
-    poses: Array, odometry: Sequence[tuple[Array, Array]], closures: Sequence[LoopClosure]
-) -> Graph3D:
+def chain_graph(poses: Array, odometry: Sequence[tuple[Array, Array]], closures: Sequence[LoopClosure]) -> Graph3D:
     """Make a graph of poses (N, 4, 4), N - 1 motions (4, 4) with covariances (6, 6), and loops."""
     ids = np.arange(len(poses), dtype=np.int64)
     ends = np.array([(c.match, c.query) for c in closures], dtype=np.int64).reshape(-1, 2)
@@ -89,9 +87,7 @@ def read_g2o(path: Path) -> Graph3D:
         numbers = _parsed(path, number, kind, values)
         (vertices if kind == "VERTEX_SE3:QUAT" else edges).append(numbers)
     if not vertices:
-        raise GraphError(
-            f"{path}: expected VERTEX_SE3:QUAT lines, found none; is this a 3D graph in g2o format?"
-        )
+        raise GraphError(f"{path}: expected VERTEX_SE3:QUAT lines, found none; is this a 3D graph in g2o format?")
     nodes, links = np.array(vertices), np.array(edges).reshape(-1, 30)
     graph = Graph3D(
         ids=nodes[:, 0].astype(np.int64),
@@ -109,9 +105,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise GraphError(
-            f"{path}: expected a pose graph in g2o format, could not read it: {error}"
-        ) from error
+        raise GraphError(f"{path}: expected a pose graph in g2o format, could not read it: {error}") from error
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
         if words and words[0] in _SIZES:
@@ -122,9 +116,7 @@ def _parsed(path: Path, number: int, kind: str, words: list[str]) -> Array:
     """Check the numbers of one line."""
     where = f"{path}, line {number}: {kind}"
     if len(words) != _SIZES[kind]:
-        raise GraphError(
-            f"{where} has {len(words)} numbers, expected {_SIZES[kind]}; was the file cut short?"
-        )
+        raise GraphError(f"{where} has {len(words)} numbers, expected {_SIZES[kind]}; was the file cut short?")
     ids = _IDS[kind]
     try:
         numbers = np.array([*map(int, words[:ids]), *map(float, words[ids:])], dtype=np.float64)
@@ -139,9 +131,7 @@ def _parsed(path: Path, number: int, kind: str, words: list[str]) -> Array:
 def _check(path: Path, graph: Graph3D) -> None:
     known, counts = np.unique(graph.ids, return_counts=True)
     if counts.max() > 1:
-        raise GraphError(
-            f"{path}: pose {known[counts.argmax()]} is there {counts.max()} times, expected once"
-        )
+        raise GraphError(f"{path}: pose {known[counts.argmax()]} is there {counts.max()} times, expected once")
     spectrum = np.linalg.eigvalsh(graph.information)
     bad = np.flatnonzero((spectrum < -_ROUNDING * np.abs(spectrum).max(axis=1, keepdims=True)).any(axis=1))
     if bad.size:

@@ -56,16 +56,13 @@ class RunFolder:
         if held and not overwrite:
             what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
             raise OutputError(
-                f"{path}: expected a new or empty folder, found {what};"
-                " choose another folder or give --overwrite"
+                f"{path}: expected a new or empty folder, found {what}; choose another folder or give --overwrite"
             )
         staging = path / f"{_STAGING}{uuid4().hex[:8]}"
         try:
             staging.mkdir(parents=True)
         except OSError as error:
-            raise OutputError(
-                f"{path}: cannot be written, {error.strerror}; choose another folder"
-            ) from error
+            raise OutputError(f"{path}: cannot be written, {error.strerror}; choose another folder") from error
         return cls(path, staging, created)
 
     def commit(self) -> None:
@@ -83,9 +80,7 @@ class RunFolder:
             earlier.mkdir()
             _move_all(self._moves(earlier))
         except OSError as error:
-            raise OutputError(
-                f"{self.final}: cannot be replaced, {error.strerror}; close what uses it"
-            ) from error
+            raise OutputError(f"{self.final}: cannot be replaced, {error.strerror}; close what uses it") from error
         shutil.rmtree(earlier, ignore_errors=True)
         self._discard()
         self.path = self.final
@@ -94,9 +89,7 @@ class RunFolder:
         new = sorted(self.path.iterdir())
         names = RESULTS | {item.name for item in new}
         old = sorted(item for item in self.final.iterdir() if item.name in names)
-        return [(item, earlier / item.name) for item in old] + [
-            (item, self.final / item.name) for item in new
-        ]
+        return [(item, earlier / item.name) for item in old] + [(item, self.final / item.name) for item in new]
 
     def _discard(self) -> None:
         shutil.rmtree(self.path, ignore_errors=True)

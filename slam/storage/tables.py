@@ -134,9 +134,7 @@ def _text(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, float):
         return repr(float(value))
-    return " ".join(
-        str(value).splitlines()
-    )  # one line a row, for grep and for readers that stumble over breaks
+    return " ".join(str(value).splitlines())  # one line a row, for grep and for readers that stumble over breaks
 
 
 def _read(path: Path, columns: Sequence[str]) -> tuple[Sequence[str], list[dict[str, str]]]:
@@ -148,9 +146,7 @@ def _read(path: Path, columns: Sequence[str]) -> tuple[Sequence[str], list[dict[
         raise DataError(f"{path}: expected a table of a run, found {error}; run again") from None
     missing = [name for name in columns if name not in header]
     if missing:
-        raise DataError(
-            f"{path}: expected the columns {', '.join(columns)}, found no {missing[0]}; run again"
-        )
+        raise DataError(f"{path}: expected the columns {', '.join(columns)}, found no {missing[0]}; run again")
     return header, rows
 
 

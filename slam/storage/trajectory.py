@@ -64,8 +64,7 @@ def read_tum(path: Path) -> tuple[Array, Array]:
     lengths = np.linalg.norm(rows[:, 4:], axis=1)
     if (lengths < 1e-6).any():
         raise DataError(
-            f"{path}, pose {int(np.argmin(lengths))}: expected a unit quaternion, found zeros;"
-            " write the file again"
+            f"{path}, pose {int(np.argmin(lengths))}: expected a unit quaternion, found zeros; write the file again"
         )
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
@@ -85,9 +84,7 @@ def read_trajectory(path: Path) -> tuple[Array | None, Array]:
         return read_tum(path)
     if columns == 12:
         return None, read_kitti(path)
-    raise DataError(
-        f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them"
-    )
+    raise DataError(f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them")
 
 
 def _write_rows(path: Path, rows: Array) -> None:

@@ -120,9 +120,7 @@ def _read_clip(root: Path, name: str, count: int) -> Clip:
     files = sorted((folder / "image_0").glob("*.png"))[:count]
     pairs = [(cv2.imread(str(f), 0), cv2.imread(str(folder / "image_1" / f.name), 0)) for f in files]
     height, width = pairs[0][0].shape
-    camera = StereoCamera(
-        left[0, 0], left[1, 1], left[0, 2], left[1, 2], -right[0, 3] / right[0, 0], width, height
-    )
+    camera = StereoCamera(left[0, 0], left[1, 1], left[0, 2], left[1, 2], -right[0, 3] / right[0, 0], width, height)
     poses = np.tile(np.eye(4), (len(files), 1, 1))
     poses[:, :3] = np.loadtxt(root / "poses" / f"{name}.txt").reshape(-1, 3, 4)[: len(files)]
     return camera, pairs, poses

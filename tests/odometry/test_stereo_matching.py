@@ -69,7 +69,5 @@ def test_repeating_patterns_are_not_matched():
 
 def test_pixels_outside_or_at_the_edge_are_nan_and_none_give_none():
     left, right = render(lambda u, v: 10.0 + 0.0 * u)
-    assert np.isnan(
-        match_rows(left, right, np.array([[-5.0, 10.0], [1e6, 10.0], [0.0, 0.0], [479.0, 239.0]]))
-    ).all()
+    assert np.isnan(match_rows(left, right, np.array([[-5.0, 10.0], [1e6, 10.0], [0.0, 0.0], [479.0, 239.0]]))).all()
     assert match_rows(left, right, np.zeros((0, 2))).shape == (0,)

@@ -35,9 +35,7 @@ def test_exact_measurements_give_the_exact_motion(camera, simulate):
 def test_errors_are_as_large_as_the_covariance_says(camera, simulate, rectification):
     rng, nees = np.random.default_rng(1), []
     for _ in range(120):
-        estimate = estimate_motion(
-            simulate(camera, MOTION, rng), Rectification.unknown(camera, rectification), MOTION
-        )
+        estimate = estimate_motion(simulate(camera, MOTION, rng), Rectification.unknown(camera, rectification), MOTION)
         nees.append(error(estimate) @ np.linalg.solve(estimate.covariance, error(estimate)))
     assert 4.0 < np.mean(nees) < 9.0
 
@@ -55,10 +53,7 @@ def test_errors_stay_so_among_outliers(camera, simulate):
 def test_the_way_has_no_bias_whatever_the_depth(camera, simulate, depths):
     rng = np.random.default_rng(3)
     unknown = Rectification.unknown(camera, EXACT)
-    errors = [
-        error(estimate_motion(simulate(camera, MOTION, rng, depths=depths), unknown, MOTION))
-        for _ in range(150)
-    ]
+    errors = [error(estimate_motion(simulate(camera, MOTION, rng, depths=depths), unknown, MOTION)) for _ in range(150)]
     mean, deviation = np.mean(errors, axis=0), np.std(errors, axis=0) / np.sqrt(len(errors))
     assert np.all(np.abs(mean) < 3.5 * deviation)
 

@@ -250,10 +250,7 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
     P = {words[0]: np.array(words[1:], float).reshape(3, 4) for words in lines if words}
     K, baseline = P["P0:"], -P["P1:"][0, 3] / P["P1:"][0, 0]
     images = [
-        [
-            cv2.imread(str(folder / side / f"{k:06d}.png"), cv2.IMREAD_GRAYSCALE)
-            for side in ("image_0", "image_1")
-        ]
+        [cv2.imread(str(folder / side / f"{k:06d}.png"), cv2.IMREAD_GRAYSCALE) for side in ("image_0", "image_1")]
         for k in (0, 3, 20, 23)
     ]
     height, width = images[0][0].shape

@@ -26,9 +26,7 @@ class Drive:
     motions: list[np.ndarray]
     loops: list[LoopClosure]
 
-    def graph(
-        self, loops: list[LoopClosure] | None = None, config: PoseGraphConfig | None = None
-    ) -> PoseGraph:
+    def graph(self, loops: list[LoopClosure] | None = None, config: PoseGraphConfig | None = None) -> PoseGraph:
         """Fill a pose graph with the motions and then with loops (the drive's own, unless given)."""
         graph = PoseGraph(config)
         for T in self.motions:
@@ -227,9 +225,7 @@ def test_a_loop_to_a_frame_that_is_not_there_is_an_error() -> None:
 
 @pytest.mark.parametrize("bad", [np.zeros((6, 6)), np.full((6, 6), np.nan), np.eye(3), -np.eye(6)])
 def test_a_covariance_that_is_none_is_an_error(bad: np.ndarray) -> None:
-    with pytest.raises(
-        GraphError, match="motion to frame 1: expected a finite, positive definite covariance"
-    ):
+    with pytest.raises(GraphError, match="motion to frame 1: expected a finite, positive definite covariance"):
         PoseGraph().add_odometry(np.eye(4), bad)
 
 

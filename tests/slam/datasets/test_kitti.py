@@ -99,9 +99,7 @@ def test_numbering_may_start_anywhere(root: Path, folder: Path) -> None:
     assert len(open_kitti(root)) == 3
 
 
-def test_colour_images_become_grey_with_their_own_calibration(
-    tmp_path: Path, write_drive: WriteDrive
-) -> None:
+def test_colour_images_become_grey_with_their_own_calibration(tmp_path: Path, write_drive: WriteDrive) -> None:
     write_drive(tmp_path, cameras=(2, 3))
     drive = open_kitti(tmp_path)
     assert drive.has_right
@@ -109,9 +107,7 @@ def test_colour_images_become_grey_with_their_own_calibration(
     assert drive.camera.baseline == pytest.approx(0.41)
 
 
-def test_a_complete_pair_is_preferred_to_a_single_grey_camera(
-    tmp_path: Path, write_drive: WriteDrive
-) -> None:
+def test_a_complete_pair_is_preferred_to_a_single_grey_camera(tmp_path: Path, write_drive: WriteDrive) -> None:
     write_drive(tmp_path, cameras=(0, 2, 3))
     assert open_kitti(tmp_path).files.cameras == (2, 3)
 
@@ -142,9 +138,7 @@ def test_grey_comes_first_where_there_is_everything(root: Path, folder: Path) ->
     assert open_kitti(root).files.cameras == (0, 1)
 
 
-@pytest.mark.parametrize(
-    ("sequence", "count", "stereo"), [("05", 60, True), ("06", 51, True), ("07", 160, False)]
-)
+@pytest.mark.parametrize(("sequence", "count", "stereo"), [("05", 60, True), ("06", 51, True), ("07", 160, False)])
 def test_real_clips_open(test_data: Path, sequence: str, count: int, stereo: bool) -> None:
     drive = open_drive(test_data / "kitti_clips", sequence)
     assert (len(drive), drive.has_right) == (count, stereo)

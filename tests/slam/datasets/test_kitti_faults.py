@@ -168,9 +168,7 @@ def test_an_image_of_another_size_is_named_when_it_is_read(root: Path, folder: P
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[::-1]])
-def test_a_damaged_image_is_named_when_it_is_read(
-    root: Path, folder: Path, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_image_is_named_when_it_is_read(root: Path, folder: Path, damage: Callable[[bytes], bytes]) -> None:
     path = folder / "image_1" / "000002.png"
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(DataError, match=r"image_1/000002.png: expected an image"):

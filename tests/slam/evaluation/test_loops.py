@@ -115,9 +115,7 @@ def test_revisits_are_those_of_a_plain_loop() -> None:
     assert find_revisits(truth, rule).tolist() == expected
 
 
-@pytest.mark.parametrize(
-    ("sequence", "has_loops"), [("05", True), ("07", True), ("01", False), ("04", False)]
-)
+@pytest.mark.parametrize(("sequence", "has_loops"), [("05", True), ("07", True), ("01", False), ("04", False)])
 def test_kitti_has_the_revisits_it_is_known_for(test_data: Path, sequence: str, has_loops: bool) -> None:
     revisits = find_revisits(read_kitti(test_data / "kitti_poses" / f"{sequence}.txt"))
     assert revisits.any() == has_loops

@@ -130,9 +130,7 @@ def test_the_kitti_rule_agrees_on_a_real_drive(test_data: Path) -> None:
 def test_ate_of_a_real_drive_is_evos(test_data: Path) -> None:
     truth = read_kitti(test_data / "kitti_poses" / "07.txt")
     estimate = noisy(truth, seed=0)
-    assert absolute_trajectory_error(estimate, truth) == pytest.approx(
-        evo_ate(estimate, truth, False), rel=1e-9
-    )
+    assert absolute_trajectory_error(estimate, truth) == pytest.approx(evo_ate(estimate, truth, False), rel=1e-9)
 
 
 def test_a_perfect_trajectory_has_no_error() -> None:
@@ -182,9 +180,7 @@ def test_one_camera_is_judged_after_scaling() -> None:
     estimate[:, :3, 3] *= 0.2
     errors = trajectory_errors(estimate, truth, "sim3")
     assert errors.ate_alignment == "sim3"
-    assert (errors.ate_m, errors.t_rel_percent, errors.end_error_m) == pytest.approx(
-        (0.0, 0.0, 0.0), abs=1e-9
-    )
+    assert (errors.ate_m, errors.t_rel_percent, errors.end_error_m) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
 def test_a_camera_that_stands_has_errors_but_no_percentage() -> None:

@@ -19,9 +19,7 @@ def test_near_things_smear_more_than_far_ones():
     stripes = np.tile((np.arange(160) % 16 < 8).astype(np.float32), (64, 1))
     step = np.zeros((3, 4))
     step[0, 3] = 0.2  # sideways
-    near, far = (
-        smear(stripes, np.full_like(stripes, z), step, camera_row(SPEC.camera)) for z in (3.0, 200.0)
-    )
+    near, far = (smear(stripes, np.full_like(stripes, z), step, camera_row(SPEC.camera)) for z in (3.0, 200.0))
     assert near[:, 20:140].std() < 0.8 * far[:, 20:140].std()
 
 

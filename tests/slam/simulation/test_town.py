@@ -56,9 +56,7 @@ def test_alike_streets_repeat_their_houses():
     def houses(alike):
         spec = DriveSpec(length=500, alike=alike)
         parts = TownBuilder(spec, plan_drive(spec)).build()
-        return len(
-            {part.mesh.corners.tobytes() for part in parts if m.UPPER <= part.mesh.material[0] < m.ROAD}
-        )
+        return len({part.mesh.corners.tobytes() for part in parts if m.UPPER <= part.mesh.material[0] < m.ROAD})
 
     assert houses(True) < 0.6 * houses(False)
 

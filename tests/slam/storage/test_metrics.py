@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 from slam.errors import DataError
 from slam.storage.metrics import SCHEMA, read_metrics, write_metrics
 
-leaves = (
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
-)
-values = st.recursive(
-    leaves, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=10
-)
+leaves = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+values = st.recursive(leaves, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=10)
 names = st.text().filter(lambda name: name not in ("notes", "schema"))
 
 

@@ -1,6 +1,6 @@
 """Drift and time of the stereo odometry on drives in KITTI's layout.
 
-    python benchmarks/odometry.py ROOT 05 06 01 [--threads 2]
+    python benchmarks/odometry_drift.py ROOT 05 06 01 [--threads 2]
 
 ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and, for the drift, `poses/NN.txt`. Images are decoded
 before the clock starts. Drift is the error of the last position over the way driven, unaligned; "nees"
@@ -9,20 +9,16 @@ processor time of all threads, which a busy machine disturbs less than the clock
 """
 
 import argparse
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-# This file is called like the package it measures: keep its folder out of the search path.
-sys.path = [entry for entry in sys.path if Path(entry or ".").resolve() != Path(__file__).resolve().parent]
+import cv2
+import numpy as np
 
-import cv2  # noqa: E402
-import numpy as np  # noqa: E402
-
-from odometry import StereoCamera, StereoOdometry, se3, stereo  # noqa: E402
+from odometry import StereoCamera, StereoOdometry, se3, stereo
 
 STAGES = ("detect", "follow", "match_right", "refine_right", "estimate_motion", "ransac_motion")
 times: dict[str, list[float]] = defaultdict(list)  # stage: milliseconds of every frame
@@ -54,8 +50,7 @@ def drive(folder: Path) -> tuple[np.ndarray, np.ndarray, list[Any]]:
     odometry, poses, covariance, motions = None, [np.eye(4)], np.zeros((6, 6)), []
     for file in files:
         left, right = (
-            cv2.imread(str(folder / side / file.name), cv2.IMREAD_GRAYSCALE)
-            for side in ("image_0", "image_1")
+            cv2.imread(str(folder / side / file.name), cv2.IMREAD_GRAYSCALE) for side in ("image_0", "image_1")
         )
         odometry = odometry or StereoOdometry(read_camera(folder, left.shape))
         for stage in (*STAGES, "frame", "cpu"):
@@ -103,9 +98,7 @@ def report(root: Path, name: str) -> None:
 
 def main() -> None:
     """Parse the command line and measure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--threads", type=int, default=2)

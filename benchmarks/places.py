@@ -1,6 +1,6 @@
 """How well and how fast places are recognised: a table for one folder of images with a truth file.
 
-    python -m benchmarks.place_recognition IMAGES TRUTH [--way METRES_PER_IMAGE] [--poses FILE]
+    python benchmarks/places.py IMAGES TRUTH [--way METRES_PER_IMAGE] [--poses FILE]
 
 IMAGES is a folder of images in the natural order of their names, or a KITTI sequence folder, which holds image_0.
 TRUTH is a .npz with `truth` or the authors' .mat.
