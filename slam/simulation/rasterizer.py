@@ -1,10 +1,8 @@
 """Which triangle is seen where: compiled rasterisation with four samples a pixel.
 
-Edges are planes through the eye (Olano and Greer, Triangle scan conversion using 2D homogeneous
-coordinates, 1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in
-the image, so
-triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges, so there are no
-cracks.
+Edges are planes through the eye (Olano and Greer, Triangle scan conversion using 2D homogeneous coordinates,
+1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image, so
+triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges: no cracks.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 """What a visible triangle looks like: compiled paint, shadow and light.
 
-An image row is shaded in passes over its samples: compiled passes with few arrays each are several times faster
-than one call per sample.
+An image row is shaded in passes over its samples: compiled passes with few arrays each are several times
+faster than one call per sample.
 """
 
 from typing import Any

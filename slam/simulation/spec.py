@@ -36,8 +36,8 @@ class DriveSpec:
         alike: houses and gardens repeat along the way, so that different places look the same.
         moving_cars: cars met a lap of 360 m, and one that drives ahead for a while; 0 for none.
         rectification_error: peak disagreement of the images with their calibration, pixels at KITTI's size;
-            the default moves odometry as far as real rigs' do (Kreso and Segvic, Improving the egomotion
-            estimation by correcting the calibration bias, 2015, find errors of this size in KITTI).
+            the default was chosen by measurement, so that plain odometry drifts nearly as on real streets
+            (`benchmarks/simulation_realism.py`); its effect varies with the seed.
         max_frames: stop after so many frames; 0 for the whole drive.
         clean: leave out noise, blur, vignetting, calibration errors, exposure changes and wind.
         depth: also write depth maps of the left camera (uint16 PNG, metres x 256, 0 = none).
