@@ -27,7 +27,7 @@ class TrackConfig:
 
     Attributes:
         points: tracked at a time, nu in the paper.
-        least_length: images a track must last to become a word, rho in the paper; fewer, but two, where none lasts so long.
+        least_length: images a track must last to become a word, rho in the paper; less where none lasts so long.
         longest_share: quantile of the tracks' lengths that stands for the longest, c(t) in the paper.
         guided: when a feature continues a track.
     """
@@ -101,8 +101,8 @@ class FeatureTracks:
     def _ended(self, lost: NDArray[np.bool_]) -> Words:
         """Words of the lost tracks that lasted long enough; they were last seen at the location so far.
 
-        Where nothing stays in view for as long as it should, as in a corridor seen every two seconds, what stays longest
-        has to do; but one image is no track.
+        Where nothing stays in view for as long as it should, as in a corridor seen every two seconds, what stays
+        longest has to do; but one image is no track.
         """
         word = lost & (self._lengths >= min(self.config.least_length, max(self.longest, 2)))
         lengths = self._lengths[word]
