@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from slam.errors import ConfigError, RevisitError
+from slam.simulation.spec import DriveSpec
 
 app = typer.Typer(
     name="revisit",
@@ -48,43 +49,37 @@ def demo(
 def simulate(
     shape: Annotated[str, typer.Argument(help="circle, figure-eight, blocks, or the path of a KITTI pose file.")],
     out: Out,
-    laps: Annotated[int, typer.Option(min=1, help="Laps to drive.")] = 2,
-    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = 360.0,
-    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = 0,
-    width: Annotated[int, typer.Option(help="Image width, pixels.")] = 1241,
-    height: Annotated[int, typer.Option(help="Image height, pixels.")] = 376,
+    laps: Annotated[int, typer.Option(help="Laps to drive.")] = DriveSpec.laps,
+    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = DriveSpec.length,
+    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = DriveSpec.seed,
+    speed: Annotated[float, typer.Option(help="Of the car, metres a second.")] = DriveSpec.speed,
+    frame_rate: Annotated[float, typer.Option(help="Stereo pairs a second.")] = DriveSpec.frame_rate,
+    width: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.width,
+    height: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.height,
     lateral_offset: Annotated[float, typer.Option(help="Sideways shift of later laps, metres.")] = 0.0,
-    reverse: Annotated[bool, typer.Option("--reverse", help="Drive later laps the opposite way.")] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Drive every second lap the opposite way.")] = False,
     relight: Annotated[bool, typer.Option("--relight", help="Drive later laps in other light.")] = False,
     alike: Annotated[bool, typer.Option("--alike", help="Make streets alike (perceptual aliasing).")] = False,
-    rectification_error: Annotated[float, typer.Option(help="Error of the rectification, pixels.")] = 0.0,
+    moving_cars: Annotated[int, typer.Option(help="Cars met on 360 m.")] = DriveSpec.moving_cars,
+    rectification_error: Annotated[
+        float, typer.Option(help="Peak error of the calibration, pixels at KITTI's size.")
+    ] = DriveSpec.rectification_error,
+    max_frames: Annotated[int, typer.Option(help="Stop after so many frames; 0 drives all the way.")] = 0,
+    clean: Annotated[bool, typer.Option("--clean", help="Leave out noise, blur, wind and changes of exposure.")] = False,
     depth: Annotated[bool, typer.Option("--depth", help="Write the true depth of each image too.")] = False,
 ) -> None:
     """Render a drive through a procedural town: KITTI layout, stereo, exact ground truth.
 
     Example: revisit simulate circle --laps 2 --length 360 --out data/circle
     """
+    settings = {name: value for name, value in locals().items() if name != "out"}
     from slam.progress import progress_bar
-    from slam.simulation import DriveSpec
     from slam.simulation import simulate as render
 
-    spec = DriveSpec(
-        shape=shape,
-        laps=laps,
-        length=length,
-        seed=seed,
-        width=width,
-        height=height,
-        lateral_offset=lateral_offset,
-        reverse=reverse,
-        relight=relight,
-        alike=alike,
-        rectification_error=rectification_error,
-        depth=depth,
-    )
     with progress_bar(Console(stderr=True), "Rendering") as progress:
-        folder = render(spec, out, progress)
-    Console().print(f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR")
+        folder = render(DriveSpec(**settings), out, progress)
+    message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command()
