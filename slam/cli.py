@@ -64,8 +64,11 @@ def simulate(
     rectification_error: Annotated[
         float, typer.Option(help="Peak error of the calibration, pixels at KITTI's size.")
     ] = DriveSpec.rectification_error,
+    lens_error: Annotated[
+        float, typer.Option(help="Distortion that calibration has left, pixels at 45 degrees, at KITTI's size.")
+    ] = DriveSpec.lens_error,
     max_frames: Annotated[int, typer.Option(help="Stop after so many frames; 0 drives all the way.")] = 0,
-    clean: Annotated[bool, typer.Option("--clean", help="Leave out noise, blur, wind and changes of exposure.")] = False,
+    clean: Annotated[bool, typer.Option("--clean", help="Leave out noise, blur, wind and camera faults.")] = False,
     depth: Annotated[bool, typer.Option("--depth", help="Write the true depth of each image too.")] = False,
 ) -> None:
     """Render a drive through a procedural town: KITTI layout, stereo, exact ground truth.

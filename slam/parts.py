@@ -14,6 +14,7 @@ from slam.keyframes import KeyFrameSelector
 from slam.loop_closing import LoopCloser
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
+from slam.robust import back_end
 from slam.system import Parts
 
 PARADIGMS: dict[str, Callable[[SharedFeatures, RunConfig], PlaceRecognizer]] = {
@@ -21,14 +22,20 @@ PARADIGMS: dict[str, Callable[[SharedFeatures, RunConfig], PlaceRecognizer]] = {
 }
 
 
-def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
-    """All parts for one camera.
+def check_names(config: RunConfig) -> RunConfig:
+    """Pass on a configuration whose names all exist.
 
     Raises:
-        ConfigError: the configuration names a paradigm that does not exist.
+        ConfigError: an unknown paradigm or back end; the message lists the known ones.
     """
     if config.paradigm not in PARADIGMS:
-        raise ConfigError(f"unknown paradigm {config.paradigm!r}; known: {', '.join(PARADIGMS)}")
+        raise ConfigError(f"unknown paradigm '{config.paradigm}': expected one of {', '.join(PARADIGMS)}")
+    back_end(config.robust)
+    return config
+
+
+def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
+    """All parts for one camera, of a configuration whose names have been checked."""
     features = SharedFeatures(Surf(config.features))
     odometry = StereoOdometry(camera, config.odometry)
     return Parts(

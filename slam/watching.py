@@ -34,7 +34,7 @@ class Watcher:
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
     def _show_loop(self, attempt: LoopAttempt, processed: Processed) -> None:
-        with_pair = processed.frame.index - self._last_pair >= _PAIR_EVERY
+        with_pair = attempt.closed and processed.frame.index - self._last_pair >= _PAIR_EVERY
         if with_pair:
             self._last_pair = processed.frame.index
         poses = self._slam.parts.graph.poses() if with_pair else np.empty((0, 4, 4))

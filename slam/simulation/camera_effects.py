@@ -22,6 +22,7 @@ _VIGNETTE = 0.22  # light lost in the far corner
 _READ_NOISE, _SHOT_NOISE = 1.1, 0.012  # grey values; variance per grey value
 _TARGET, _REACTION = 0.36, 0.75  # mean light the exposure control aims at, and how far it gets
 _STEP_SECONDS = 9.0  # mean time between jumps of the exposure
+_DECENTERING = 0.4  # of the lens error is not radial
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Sensor:
         image = smear(light, depth, (motion[:3] - np.eye(3, 4)) * share, camera_row(camera))
         sigma = _DEFOCUS * max(camera.width / 1241.0, 0.5)
         image = cv2.GaussianBlur(image, (0, 0), sigma) * self.vignette
-        if self.spec.rectification_error:
+        if self.spec.rectification_error or self.spec.lens_error:
             image = cv2.remap(image, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         # The right camera of a real pair is never quite as bright as the left one.
         grey = image * np.float32(255.0 * gain * (1.0, 1.03)[self.side])
@@ -73,13 +74,10 @@ def camera_row(camera: StereoCamera) -> Array:
 
 
 def build_sensor(spec: DriveSpec, side: int) -> Sensor:
-    """Draw the lasting faults of one camera: smooth shifts up to half the rectification error each."""
+    """Draw the lasting faults of one camera: its own calibration error, and the lens error that both share."""
     x, y = np.meshgrid(np.arange(spec.width, dtype=np.float64), np.arange(spec.height, dtype=np.float64))
     a, b = 2 * x / spec.width - 1, 2 * y / spec.height - 1
-    terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, a * a * a])
-    shifts = np.tensordot(spec.rng(11, side).normal(size=(2, len(terms))), terms, axes=1)
-    peak = 0.5 * spec.rectification_error * spec.width / 1241.0
-    shifts *= peak / np.abs(shifts).max(axis=(1, 2), keepdims=True)
+    shifts = _rectification_shifts(spec, side, a, b) + _lens_shifts(spec, x, y)
     vignette = 1.0 - _VIGNETTE * (a * a + 0.3 * b * b) / 1.3
     return Sensor(
         spec,
@@ -88,6 +86,30 @@ def build_sensor(spec: DriveSpec, side: int) -> Sensor:
         (y + shifts[1]).astype(np.float32),
         vignette.astype(np.float32),
     )
+
+
+def _rectification_shifts(spec: DriveSpec, side: int, a: Array, b: Array) -> Array:
+    """Smooth shifts (2, H, W), pixels, up to half the rectification error; a and b run from -1 to 1 over the image."""
+    terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, a * a * a])
+    shifts = np.tensordot(spec.rng(11, side).normal(size=(2, len(terms))), terms, axes=1)
+    peak = 0.5 * spec.rectification_error * spec.width / 1241.0
+    return np.asarray(shifts * peak / np.abs(shifts).max(axis=(1, 2), keepdims=True))
+
+
+def _lens_shifts(spec: DriveSpec, x: Array, y: Array) -> Array:
+    """What calibration left of the lens's distortion (2, H, W), pixels (Brown, Decentering Distortion of Lenses, 1966).
+
+    Radial, and decentering in a direction of its own. The same in both cameras, which are of one make: a pair
+    cannot see it by comparing its two images, and so it turns into drift.
+    """
+    camera = spec.camera
+    x, y = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    squared = x * x + y * y
+    angle = spec.rng(13).uniform(0.0, 2.0 * np.pi)
+    p, q = _DECENTERING * np.sin(angle), _DECENTERING * np.cos(angle)
+    across = -squared * x + q * (squared + 2 * x * x) + 2 * p * x * y
+    down = -squared * y + p * (squared + 2 * y * y) + 2 * q * x * y
+    return np.stack([across, down]) * (spec.lens_error * spec.width / 1241.0)
 
 
 def gain(spec: DriveSpec, light: Image, time: float) -> float:

@@ -1,0 +1,66 @@
+"""Each belief has one row, and the row says what became of it."""
+
+import numpy as np
+
+from place_recognition.recognizer import Belief
+from slam.ledger import write_ledger
+from slam.loop_closing import LoopClosure, Rejection
+from slam.record import LoopRow
+from slam.robust import LoopGate, Optimized
+from slam.system import LoopAttempt
+
+PASSED = LoopGate(True, 0.5, "drift explains it")
+
+
+def closure(query: int, match: int) -> LoopClosure:
+    return LoopClosure(query, match, np.eye(4), np.eye(6), inliers=40, matches=60)
+
+
+def optimized(*kept: bool) -> Optimized:
+    verdicts = np.array(kept, dtype=bool)
+    reasons = tuple("kept" if keep else "left out" for keep in kept)
+    return Optimized(np.eye(4)[None], verdicts * 1.0, np.full(len(kept), 1.5), verdicts, reasons, 2.0, 1.0, 0.1)
+
+
+def ledger(*attempts: LoopAttempt, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
+    return write_ledger(attempts, optimized(*kept), lambda query, match, closure: None)
+
+
+def test_a_belief_without_a_match_has_no_row():
+    assert ledger(LoopAttempt(Belief(3, None, 0.0, False), None, None)) == ()
+
+
+def test_a_belief_that_was_not_accepted_says_why():
+    (low,) = ledger(LoopAttempt(Belief(9, 1, 2.5, False), None, None))
+    (unproved,) = ledger(LoopAttempt(Belief(9, 1, 20.0, False, inliers=5, verified=False), None, None))
+    assert low.reason == "not accepted: score 2.5 is below the recogniser's threshold"
+    assert unproved.reason == "not accepted: 5 matches agree with one epipolar geometry, too few"
+
+
+def test_a_rejection_hands_on_its_numbers_and_its_reason():
+    (row,) = ledger(LoopAttempt(Belief(9, 1, 20.0, True), Rejection("too far", 12, 7), None))
+    assert (row.matches, row.inliers, row.verified, row.reason) == (12, 7, False, "too far")
+
+
+def test_each_closure_gets_its_own_verdict_though_others_failed_in_between():
+    rows = ledger(
+        LoopAttempt(Belief(8, 1, 20.0, True), closure(8, 1), PASSED),
+        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
+        LoopAttempt(Belief(10, 3, 20.0, True), closure(10, 3), PASSED),
+        kept=(False, True),
+    )
+    assert [row.in_graph for row in rows] == [False, False, True]
+    assert [row.reason for row in rows] == ["left out", "no", "kept"]
+    assert all(row.verified == (row.query != 9) for row in rows)
+
+
+def test_rows_are_in_the_order_of_the_queries_however_late_the_answer_came():
+    late, early = Belief(4, 0, 1.0, False), Belief(9, 1, 1.0, False)
+    assert [row.query for row in ledger(LoopAttempt(early, None, None), LoopAttempt(late, None, None))] == [4, 9]
+
+
+def test_the_judge_sees_the_measured_pose_of_a_closure():
+    seen = []
+    attempt = LoopAttempt(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
+    write_ledger([attempt], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
+    assert attempt.geometry in seen
