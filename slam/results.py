@@ -61,7 +61,7 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
     odometry = np.array(log.odometry)
     record = DriveRecord(
-        name=drive.name,
+        name=f"{Path(str(provenance['source'])).resolve().name} {drive.name}",
         timestamps=table.timestamps,
         odometry=odometry,
         online=np.array(log.online),

@@ -53,18 +53,20 @@ class _Panel:
 
 
 def before_after(record: DriveRecord) -> Figure:
-    """Draw the drive in plan view (x to the right, z up, metres): odometry alone, and corrected by its loops.
+    """Draw the drive in plan view (x to the right, z up, metres) and its height: odometry alone, and corrected.
 
     Where there is ground truth both estimates are laid over it by the same alignment as their ATE.
     """
     panels = _panels(record)
     centre, half = _window(panels)
-    figure = _canvas(half[1] / half[0])
-    for ax, panel in zip(figure.subplots(1, 2, sharex=True, sharey=True), panels, strict=True):
+    figure, (left, right), profiles = _canvas(half[1] / half[0])
+    for ax, panel in zip((left, right), panels, strict=True):
         _draw(ax, panel, record)
         _frame(ax, centre, half)
-    left, right = figure.axes
+    for ax, panel in zip(profiles, panels, strict=True):
+        _draw_height(ax, panel)
     left.set_ylabel("z [m], forward at the start")
+    profiles[0].set_ylabel("height [m]")
     figure.suptitle(record.name, color=INK, parse_math=False, fontweight="bold", y=0.985, va="top")
     handles, labels = right.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False, labelcolor=INK)
@@ -90,14 +92,31 @@ def _frame(ax: Axes, centre: Array, half: Array) -> None:
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _canvas(tallness: float) -> Figure:
-    """Make a figure whose two panels fit data of this height over width."""
-    width, above, below = 12.0, 0.95, 0.95  # inches
-    height = float(np.clip(5.5 * tallness, 3.3, 6.6)) + above + below
+def _canvas(tallness: float) -> tuple[Figure, list[Axes], list[Axes]]:
+    """Make a figure whose two panels fit data of this height over width, with two profiles below them."""
+    width, above, between, profile, below = 12.0, 0.95, 0.75, 1.3, 0.95  # inches
+    plan = float(np.clip(5.5 * tallness, 3.3, 6.6))
+    height = above + plan + between + profile + below
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
-    figure.subplots_adjust(left=0.06, right=0.985, bottom=below / height, top=1 - above / height, wspace=0.06)
-    return figure
+    grid = figure.add_gridspec(
+        2,
+        2,
+        height_ratios=(plan, profile),
+        left=0.06,
+        right=0.985,
+        bottom=below / height,
+        top=1 - above / height,
+        wspace=0.06,
+        hspace=2 * between / (plan + profile),
+    )
+    rows = []
+    for row in range(2):
+        left = figure.add_subplot(grid[row, 0])
+        right = figure.add_subplot(grid[row, 1], sharex=left, sharey=left)
+        right.tick_params(labelleft=False)
+        rows.append([left, right])
+    return figure, rows[0], rows[1]
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -167,15 +186,33 @@ def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:
     _draw_start(ax, panel)
 
 
+def _draw_height(ax: Axes, panel: _Panel) -> None:
+    """Height over the way driven: drift that a plan view cannot show."""
+    style(ax)
+    ax.set_xlabel("way driven [m]")
+    if panel.truth is not None:
+        truth = panel.truth
+        ax.plot(_way(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
+    ax.plot(_way(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
+    low, high = ax.get_ylim()
+    if high - low < _SMALLEST:  # a flat drive is not magnified into mountains
+        ax.set_ylim((low + high - _SMALLEST) / 2, (low + high + _SMALLEST) / 2)
+
+
+def _way(positions: Array) -> Array:
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
+
+
 def _draw_loops(ax: Axes, panel: _Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
     label, colour, dashes = look
     pairs = np.array([(row.query, row.match) for row in rows], dtype=np.int64).reshape(-1, 2)
     ends = panel.positions[:, [0, 2]][pairs]
     name = f"{label} ({len(pairs)})"
-    ax.add_collection(LineCollection(list(ends), colors=colour, lw=1.0, ls=dashes, alpha=0.8, zorder=5))
+    ax.add_collection(LineCollection(list(ends), colors=colour, lw=1.0, ls=dashes, alpha=0.8, zorder=2.5))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=name)
-    # a loop that closed well is too short to see as a line
-    ax.plot(*ends[:, 0].T, ".", color=colour, ms=5, alpha=0.9, zorder=6)
+    # a loop that closed well is too short to see as a line; its dot peeps out from under the trajectory
+    ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.5, mew=0, zorder=2)
 
 
 def _draw_start(ax: Axes, panel: _Panel) -> None:

@@ -63,10 +63,16 @@ def test_titles_say_when_there_is_no_ground_truth():
 
 
 def test_both_panels_show_the_same_window_with_equal_axes():
-    left, right = before_after(WHOLE).axes
+    left, right = before_after(WHOLE).axes[:2]
     assert left.get_xlim() == right.get_xlim()
     assert left.get_ylim() == right.get_ylim()
     assert left.get_aspect() == right.get_aspect() == 1.0
+
+
+def test_both_heights_are_drawn_to_one_scale_that_does_not_magnify_a_flat_drive():
+    left, right = before_after(WHOLE).axes[2:]
+    assert left.get_ylim() == right.get_ylim()
+    assert np.diff(left.get_ylim())[0] >= 4.0
 
 
 def test_a_stray_landmark_does_not_widen_the_window():
