@@ -14,7 +14,7 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
         first: descriptors of unit length.
         second: the like of another image.
         ratio: the nearest must be closer than ratio times the second nearest in second (Lowe, IJCV 2004, section 7.1);
-            1 keeps all mutual pairs.
+            1 keeps all mutual pairs but those with an exact twin.
 
     Returns:
         Indices into first and second, increasing in first; none where an image has no descriptors.
@@ -23,7 +23,7 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
         return np.empty((0, 2), np.intp)
     nearest, best, runner_up, back = _nearest_both_ways(first, np.ascontiguousarray(second.T))
     # of unit vectors: distance^2 = 2 - 2 similarity
-    clear = np.maximum(1 - best, 0) <= ratio**2 * (1 - runner_up)
+    clear = np.maximum(1 - best, 0) < ratio**2 * (1 - runner_up)
     keep = np.flatnonzero((back[nearest] == np.arange(len(first))) & clear)
     return np.stack([keep, nearest[keep]], axis=1)
 

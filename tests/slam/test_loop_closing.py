@@ -9,9 +9,10 @@ import pytest
 
 from odometry import se3
 from odometry.camera import StereoCamera
+from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from slam.loop_closing import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
-from slam.loop_geometry import GeometryConfig, mutual_matches, relative_pose
+from slam.loop_geometry import GeometryConfig, relative_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
 UNBIASED = GeometryConfig(

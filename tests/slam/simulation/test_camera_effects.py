@@ -31,12 +31,31 @@ def test_a_clean_camera_only_counts_light():
 
 
 def test_the_calibration_error_stays_within_half_its_size_in_each_camera():
-    spec = DriveSpec(rectification_error=1.0)
+    spec = DriveSpec(rectification_error=1.0, lens_error=0.0)
     for side in (0, 1):
         sensor = build_sensor(spec, side)
         x, y = np.meshgrid(np.arange(spec.width), np.arange(spec.height))
         assert np.abs(sensor.map_x - x).max() == pytest.approx(0.5, abs=1e-3)
         assert np.abs(sensor.map_y - y).max() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_the_lens_error_is_the_same_in_both_cameras_and_nothing_on_the_axis():
+    left, right = (build_sensor(DriveSpec(rectification_error=0.0), side) for side in (0, 1))
+    np.testing.assert_array_equal(left.map_x, right.map_x)
+    np.testing.assert_array_equal(left.map_y, right.map_y)
+    camera = DriveSpec().camera
+    row, column = round(camera.cy), round(camera.cx)
+    assert abs(left.map_x[row, column] - column) < 1e-3
+
+
+@pytest.mark.parametrize("lens_error", [3.0, 6.0])
+def test_the_lens_error_grows_with_the_cube_of_the_angle_once_its_lopsided_part_cancels(lens_error: float):
+    spec = DriveSpec(rectification_error=0.0, lens_error=lens_error)
+    sensor, camera = build_sensor(spec, 0), spec.camera
+    row, steps = round(camera.cy), np.array([100, 300, 500])
+    right, left = round(camera.cx) + steps, round(camera.cx) - steps
+    shrunk = ((sensor.map_x[row, right] - right) - (sensor.map_x[row, left] - left)) / 2
+    np.testing.assert_allclose(shrunk, -lens_error * (steps / camera.fx) ** 3, atol=0.03)
 
 
 def test_noise_differs_between_frames_and_sides_but_not_between_runs():
