@@ -124,6 +124,7 @@ def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str,
         estimates=[_estimate(record, name) for name in ESTIMATES],
         notes=_notes(record),
         funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
+        places=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
         maps=_maps(record),
         charts=_charts(record),
         stages=stage_times(record),
@@ -143,6 +144,8 @@ def cell(record: DriveRecord, key: str, digits: int = 2, unit: str = "") -> Cell
 
 
 _FUNNEL = ("proposed", "verified", "kept", "true", "false", "precision", "recall")
+
+_PLACES = {"recall_at_100_precision": "R@P100", "average_precision": "average precision"}
 
 
 def _verdict(record: DriveRecord) -> str:

@@ -4,7 +4,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.record import DriveRecord
-from slam.report.reading import alignment, stage_times, text, value
+from slam.report.reading import MISSING, alignment, stage_times, text, value
 
 ESTIMATES = ("odometry", "online", "corrected")
 ERRORS = {
@@ -33,11 +33,13 @@ def _caption(record: DriveRecord) -> str:
     aligned = {alignment(get, name) for name in ESTIMATES if value(get, f"{name}.ate_m") is not None}
     loops = ", ".join(f"{text(value(get, f'loops.{key}'))} {key}" for key in ("proposed", "verified", "kept"))
     truth = ", ".join(f"{text(value(get, f'loops.{key}'))} {key}" for key in ("true", "false"))
+    recall = text(value(get, "places.recall_at_100_precision"), 3)
     speed = f"{len(record.timestamps)} frames, {text(value(get, 'frames_per_second'), 1)} a second"
     stages = ", ".join(f"{stage.name} {stage.median:.1f}" for stage in stage_times(record))
     lines = [
         f"ATE after {' and '.join(sorted(aligned))} alignment of all poses" if aligned else "no ground truth",
         f"loops: {loops}; by ground truth {truth}",
+        f"places: R@P100 {recall}" if recall != MISSING else "",
         speed,
         f"median ms a frame: {stages}" if stages else "",
     ]

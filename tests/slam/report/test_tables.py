@@ -1,0 +1,37 @@
+"""The summary of a run, on paper and in the terminal, shows the recogniser beside the trajectory."""
+
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+from slam.record import DriveRecord
+from slam.report.page import render
+from slam.report.tables import summary
+
+from .fabricate import record
+
+
+def judged() -> DriveRecord:
+    whole = record()
+    places = {"recall_at_100_precision": 0.875, "average_precision": 0.9375}
+    return replace(whole, metrics=whole.metrics | {"places": places})
+
+
+def shown(drive: DriveRecord) -> str:
+    page = io.StringIO()
+    Console(width=200, file=page).print(summary(drive))
+    return page.getvalue()
+
+
+def test_the_terminal_shows_the_recall_at_full_precision():
+    assert "places: R@P100 0.875" in shown(judged())
+
+
+def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
+    assert "R@P100" not in shown(replace(record(), metrics={}))
+
+
+def test_the_report_shows_the_recogniser_by_itself():
+    page = " ".join(render(judged(), None, {}).split())
+    assert "R@P100 0.875, average precision 0.938." in page
