@@ -138,7 +138,7 @@ def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
         **{name: error.as_metrics() for name, error in errors.items()},
         "loops": loops.as_metrics(),
         "places": places,
-        "graph": _graph_metrics(record, finished.optimized),
+        "graph": _graph_metrics(record, errors, finished.optimized),
         "timing_ms": _timing(record.stage_ms),
         "frames_per_second": len(record.timestamps) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
@@ -156,7 +156,7 @@ def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
     return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
 
 
-def _graph_metrics(record: DriveRecord, optimized: Optimized) -> dict[str, object]:
+def _graph_metrics(record: DriveRecord, errors: dict[str, TrajectoryErrors], optimized: Optimized) -> dict[str, object]:
     judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
     known = record.ground_truth is not None
     return {
@@ -166,8 +166,8 @@ def _graph_metrics(record: DriveRecord, optimized: Optimized) -> dict[str, objec
         "loops_kept": int(optimized.kept.sum()),
         "true_kept": sum(judged) if known else None,
         "false_kept": len(judged) - sum(judged) if known else None,
-        "ate_initial_m": _errors(record.odometry, record.ground_truth).ate_m,
-        "ate_m": _errors(record.corrected, record.ground_truth).ate_m,
+        "ate_initial_m": errors["odometry"].ate_m,
+        "ate_m": errors["corrected"].ate_m,
         "error_initial": optimized.error_initial,
         "error_final": optimized.error_final,
         "seconds": optimized.seconds,
