@@ -28,6 +28,35 @@ class Belief:
     verified: bool = True
 
 
+class RowSink(Protocol):
+    """Takes the rows of a recogniser's matrix as they are made, for the pictures of Figures 4.7, 4.8 and 4.12.
+
+    A recogniser keeps no rows itself: over a long drive they would outgrow its map.
+    """
+
+    def add(
+        self, query: int, matches: NDArray[np.int64], values: NDArray[np.float64], stage: str = "similarity"
+    ) -> None:
+        """Take one row.
+
+        Args:
+            query: id of the image asked about.
+            matches: (K,) ids of the earlier images it was compared with.
+            values: (K,) how alike they are, on the paradigm's own scale.
+            stage: "similarity", or "filtered" for a row that has been through a matrix filter.
+        """
+        ...
+
+
+class NoRows:
+    """Takes no rows (a RowSink)."""
+
+    def add(
+        self, query: int, matches: NDArray[np.int64], values: NDArray[np.float64], stage: str = "similarity"
+    ) -> None:
+        """Forget the row."""
+
+
 class PlaceRecognizer(Protocol):
     """Sees images once, in order, and answers from what it has seen: online and causal. Same input, same bits."""
 

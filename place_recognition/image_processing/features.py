@@ -28,7 +28,16 @@ class LocalFeatures:
 
 
 class FeatureExtractor(Protocol):
-    """Detects and describes local features."""
+    """Detects and describes local features.
+
+    Attributes:
+        kind: names the descriptor, for example "surf-upright-64": words of one kind mean nothing to another.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Name of the descriptor and of what changes its meaning."""
+        ...
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of a grey image (H, W) uint8; none, without an error, where there is nothing to see."""
@@ -44,6 +53,11 @@ class SharedFeatures:
     def __init__(self, extractor: FeatureExtractor) -> None:
         self._extractor = extractor
         self._latest: tuple[int, LocalFeatures] | None = None
+
+    @property
+    def kind(self) -> str:
+        """What the descriptors are, for example "surf-upright-64"."""
+        return self._extractor.kind
 
     def of(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of image (H, W) uint8, which is known by image_id."""

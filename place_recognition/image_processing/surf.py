@@ -43,6 +43,8 @@ class SurfConfig:
 class Surf:
     """Extracts upright SURF features (a FeatureExtractor)."""
 
+    kind = "surf-upright-64"
+
     def __init__(self, config: SurfConfig | None = None) -> None:
         self.config = config or SurfConfig()
         self._weights = kernels.cell_weights()
