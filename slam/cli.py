@@ -59,7 +59,7 @@ def simulate(
     lateral_offset: Annotated[float, typer.Option(help="Sideways shift of later laps, metres.")] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive every second lap the opposite way.")] = False,
     relight: Annotated[bool, typer.Option("--relight", help="Drive later laps in other light.")] = False,
-    alike: Annotated[bool, typer.Option("--alike", help="Make streets alike (perceptual aliasing).")] = False,
+    alike: Annotated[bool, typer.Option("--alike", help="Make two streets alike (perceptual aliasing).")] = False,
     moving_cars: Annotated[int, typer.Option(help="Cars met on 360 m.")] = DriveSpec.moving_cars,
     rectification_error: Annotated[
         float, typer.Option(help="Peak error of the calibration, pixels at KITTI's size.")

@@ -33,7 +33,7 @@ class DriveSpec:
         lateral_offset: how far later laps drive to the right of the first, metres.
         reverse: every second lap drives the opposite way, in the other lane.
         relight: later laps see another sun and sky.
-        alike: houses and gardens repeat along the way, so that different places look the same.
+        alike: two streets, each a tenth of a lap, have the same houses and gardens; cars, trees and lamps differ.
         moving_cars: cars met a lap of 360 m, and one that drives ahead for a while; 0 for none.
         rectification_error: peak disagreement of the images with their calibration, pixels at KITTI's size;
             real KITTI pairs show 0.1 to 0.9 between columns and up to 1.2 between rows.

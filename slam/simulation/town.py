@@ -14,7 +14,8 @@ from slam.simulation.street import PAVEMENT_END, ROAD_HALF, Streets, ground, lay
 
 Array = NDArray[np.float64]
 
-_ALIKE_PERIOD = 5  # plots after which an `alike` town repeats itself
+_ALIKE = (0.1, 0.5)  # where along the way two streets begin that have the same plots in an `alike` town
+_ALIKE_LENGTH = 0.1  # of the way: one side of a block
 _CAR_SIDE = 1.35  # metres kept free on both sides of the way
 
 
@@ -106,8 +107,8 @@ class TownBuilder:
         """Plot after plot along one side: town houses wall to wall, cottages in gardens, or a park."""
         row, number = 2, 0
         while row < len(self.streets.points) - 8:
-            seed = (5, number % _ALIKE_PERIOD) if self.spec.alike else (5, side + 1, number)
-            rng = self.spec.rng(*seed)
+            row = self._entered(row)
+            rng = self.spec.rng(5, side + 1, *self._plot(row, number))
             kind = rng.choice(["urban", "cottage", "cottage", "park"])
             width = float(rng.uniform(9, 17))
             rows = max(4, round(width / 2 + (0.5 if kind == "urban" else 2.0)))
@@ -117,6 +118,23 @@ class TownBuilder:
                     middle, side, width, rng
                 )
             row, number = row + rows, number + 1
+
+    def _twins(self) -> list[tuple[int, int]]:
+        """First row and the row after the last of the two streets with the same plots; none in other towns."""
+        rows = len(self.streets.points)
+        return [(int(a * rows), int((a + _ALIKE_LENGTH) * rows)) for a in _ALIKE] if self.spec.alike else []
+
+    def _entered(self, row: int) -> int:
+        """The row at which to build next: both twin streets begin with a whole plot."""
+        widest = 10
+        return next((begin for begin, _ in self._twins() if begin - widest < row < begin), row)
+
+    def _plot(self, row: int, number: int) -> tuple[int, ...]:
+        """What tells a plot from all others but its twin."""
+        for begin, end in self._twins():
+            if begin <= row < end:
+                return (0, row - begin)
+        return (number,)
 
     def _house(self, site: _Site, width: float, urban: bool, rng: np.random.Generator) -> bool:
         """Return a house whose front is centred on a site, if there is room."""
@@ -184,8 +202,7 @@ class TownBuilder:
         """Street trees, lamps, signs, bins and parked cars between the plots and the carriageway."""
         number = 0
         for row in range(3, len(self.streets.points) - 3, 3):
-            seed = (6, number % (3 * _ALIKE_PERIOD)) if self.spec.alike else (6, side + 1, number)
-            rng, number = self.spec.rng(*seed), number + 1
+            rng, number = self.spec.rng(6, side + 1, number), number + 1
             if not self.streets.joined[row]:
                 continue
             if rng.random() < 0.4:
