@@ -33,7 +33,8 @@ class DriveSpec:
         lateral_offset: how far later laps drive to the right of the first, metres.
         reverse: every second lap drives the opposite way, in the other lane.
         relight: later laps see another sun and sky.
-        alike: two streets, each a tenth of a lap, have the same houses and gardens; cars, trees and lamps differ.
+        alike: two streets, each a tenth of a lap, have houses of the same design, in the same order and at the same
+            distances; gardens, fences, awnings, posters, cars and trees are each street's own.
         moving_cars: cars met a lap of 360 m, and one that drives ahead for a while; 0 for none.
         rectification_error: peak disagreement of the images with their calibration, pixels at KITTI's size;
             real KITTI pairs show 0.1 to 0.9 between columns and up to 1.2 between rows.

@@ -68,6 +68,14 @@ class _Site:
         return np.array([self.at(a, b)[:2] for a, b in zip(x, y, strict=True)])
 
 
+@dataclass(frozen=True)
+class _Generators:
+    """Where a plot's randomness comes from: what was planned, and all that came later."""
+
+    design: np.random.Generator
+    life: np.random.Generator
+
+
 class TownBuilder:
     """Walks along all streets and fills both sides, plot by plot."""
 
@@ -108,14 +116,14 @@ class TownBuilder:
         row, number = 2, 0
         while row < len(self.streets.points) - 8:
             row = self._entered(row)
-            rng = self.spec.rng(5, side + 1, *self._plot(row, number))
-            kind = rng.choice(["urban", "cottage", "cottage", "park"])
-            width = float(rng.uniform(9, 17))
+            rngs = self._generators(side, row, number)
+            kind = rngs.design.choice(["urban", "cottage", "cottage", "park"])
+            width = float(rngs.design.uniform(9, 17))
             rows = max(4, round(width / 2 + (0.5 if kind == "urban" else 2.0)))
             if self.streets.joined[row : row + rows].all():
                 middle = row + rows // 2
                 {"urban": self._urban, "cottage": self._cottage, "park": self._park}[str(kind)](
-                    middle, side, width, rng
+                    middle, side, width, rngs
                 )
             row, number = row + rows, number + 1
 
@@ -129,30 +137,32 @@ class TownBuilder:
         widest = 10
         return next((begin for begin, _ in self._twins() if begin - widest < row < begin), row)
 
-    def _plot(self, row: int, number: int) -> tuple[int, ...]:
-        """What tells a plot from all others but its twin."""
+    def _generators(self, side: int, row: int, number: int) -> _Generators:
+        """Of a plot: houses of twin streets share their design, but not what has become of them since."""
         for begin, end in self._twins():
             if begin <= row < end:
-                return (0, row - begin)
-        return (number,)
+                return _Generators(self.spec.rng(5, side + 1, 0, row - begin), self.spec.rng(5, side + 1, number))
+        rng = self.spec.rng(5, side + 1, number)
+        return _Generators(rng, rng)
 
-    def _house(self, site: _Site, width: float, urban: bool, rng: np.random.Generator) -> bool:
+    def _house(self, site: _Site, width: float, urban: bool, rngs: _Generators) -> bool:
         """Return a house whose front is centred on a site, if there is room."""
-        house = draw_house(rng, width, urban)
+        house = draw_house(rngs.design, width, urban)
         low, high = (-width / 2, -1.3), (width / 2, house.depth)
         inner = site.grid((-width / 2 + 0.6, 0.0), (width / 2 - 0.6, house.depth))
         if not self.streets.clear(site.grid(low, high), _CAR_SIDE + 1.2) or not self.plots.take(inner):
             return False
-        self.parts.append(Part(build_house(house, rng, urban), site.yaw, site.at(-width / 2, 0.0)))
+        self.parts.append(Part(build_house(house, rngs.life, urban), site.yaw, site.at(-width / 2, 0.0)))
         return True
 
-    def _urban(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
-        self._house(self._site(row, side, PAVEMENT_END + rng.uniform(0.3, 1.2)), width + 1.5, True, rng)
+    def _urban(self, row: int, side: int, width: float, rngs: _Generators) -> None:
+        site = self._site(row, side, PAVEMENT_END + rngs.design.uniform(0.3, 1.2))
+        self._house(site, width + 1.5, True, rngs)
 
-    def _cottage(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
+    def _cottage(self, row: int, side: int, width: float, rngs: _Generators) -> None:
         """Return a house behind a fence or hedge, with trees and bushes before it."""
-        setback = float(rng.uniform(3.0, 7.5))
-        self._house(self._site(row, side, PAVEMENT_END + setback), 0.75 * width, False, rng)
+        setback, rng = float(rngs.design.uniform(3.0, 7.5)), rngs.life
+        self._house(self._site(row, side, PAVEMENT_END + setback), 0.75 * width, False, rngs)
         site = self._site(row, side, PAVEMENT_END + 0.15)
         self._border(site, width, rng)
         for _ in range(rng.integers(1, 4)):
@@ -162,8 +172,9 @@ class TownBuilder:
             tall = self.grove[:2] + self.grove[4:]
             self._plant(site.at(rng.uniform(-width / 2, width / 2), rng.uniform(1.2, 3.0), 0.1), tall, rng)
 
-    def _park(self, row: int, side: int, width: float, rng: np.random.Generator) -> None:
+    def _park(self, row: int, side: int, width: float, rngs: _Generators) -> None:
         """Trees on grass, bushes below them."""
+        rng = rngs.life
         site = self._site(row, side, PAVEMENT_END + 0.3)
         if rng.random() < 0.4:
             self._border(site, width, rng)
@@ -237,7 +248,7 @@ class TownBuilder:
             side = 1 if rng.random() < 0.5 else -1
             site = self._site(row, side, float(rng.uniform(26, 60)))
             if rng.random() < 0.5:
-                self._house(site, float(rng.uniform(9, 16)), bool(rng.random() < 0.4), rng)
+                self._house(site, float(rng.uniform(9, 16)), bool(rng.random() < 0.4), _Generators(rng, rng))
             else:
                 for _ in range(3):
                     self._plant(site.at(*rng.normal(0, 4, 2)), self.grove[1:6], rng)
