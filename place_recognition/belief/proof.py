@@ -49,11 +49,10 @@ class Proof:
     verified: bool
 
 
-def prove(images: ImageStore, query: int, candidates: Iterable[int], config: ProofConfig) -> Proof | None:
-    """Choose among candidate locations and verify; None without candidates. Of equal candidates the first."""
+def prove(images: ImageStore, query: int, candidates: Iterable[int], config: ProofConfig) -> list[Proof]:
+    """Verify those of the candidate locations that match best, best first; of equal ones the first."""
     ranked = sorted(candidates, key=lambda location: -_likeness(images, query, location, config))
-    proofs = [verify(images, query, location, config) for location in ranked[: config.tried]]
-    return max(proofs, key=lambda proof: (proof.inliers, proof.evidence), default=None)
+    return [verify(images, query, location, config) for location in ranked[: config.tried]]
 
 
 def verify(images: ImageStore, query: int, location: int, config: ProofConfig) -> Proof:

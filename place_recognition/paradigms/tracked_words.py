@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.belief.geometric_verification import VerificationConfig
-from place_recognition.belief.proof import ProofConfig, prove
-from place_recognition.belief.temporal_consistency import ConsistencyConfig, TemporalConsistency
+from place_recognition.belief.judge import Judge
+from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.votes import Ballot, count_votes, nearest_words
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
@@ -66,7 +67,7 @@ class TrackedWords:
         self._tracks = FeatureTracks(self.config.tracks)
         self._route = Route(self.config.route)
         self._words = WordMap()
-        self._consistency = TemporalConsistency(self.config.consistency)
+        self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
         self._rows = NoRows() if rows is None else rows
 
     @property
@@ -112,15 +113,15 @@ class TrackedWords:
         """The belief in the best neighbour of the voted location, proved by geometry or not."""
         near = range(max(voted - self.config.neighbours, 0), min(voted + self.config.neighbours, horizon) + 1)
         nearest_first = sorted(near, key=lambda location: abs(location - voted))
-        proof = prove(self._route.images, self._route.latest, nearest_first, self.config.proof)
-        assert proof is not None  # the voted location is a candidate
-        support = self._consistency.support(proof)
+        judgement = self._judge.judge(self._route.latest, nearest_first, horizon)
+        assert judgement is not None  # the voted location is a candidate
+        proof = judgement.proof
         improbable = -float(ballot.log_density[voted]) / math.log(10)
         sure = improbable > -math.log10(self.config.chance) or proof.inliers >= self.config.sure_inliers
         return Belief(
             query=int(self._route.ids[-1]),
             match=int(self._route.ids[proof.location]),
-            score=improbable + proof.evidence + support,
+            score=improbable + judgement.evidence,
             accepted=proof.verified and sure,
             inliers=proof.inliers,
             verified=proof.verified,
