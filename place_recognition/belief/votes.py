@@ -6,18 +6,13 @@ Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammaln, xlog1py, xlogy
 
-from place_recognition.belief.matching import add_products
 from place_recognition.map.tracked_words import Words, count_covering
 
-Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-BLOCK = 128  # words compared at a time: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -46,30 +41,6 @@ class Ballot:
         candidates = passing if len(passing) else above
         order = np.lexsort((self.log_density[candidates], -self.votes[candidates]))
         return int(candidates[order[0]])
-
-
-@njit(cache=True)
-def nearest_words(query: Floats, words: Floats) -> Indices:
-    """Index (N,) of the word (K, D) at the least Euclidean distance of each query descriptor (N, D); exact.
-
-    Needs at least one word. Of equally near words the first.
-    """
-    nearest = np.zeros(len(query), np.int64)
-    best = np.full(len(query), -np.inf, np.float32)
-    for begin in range(0, len(words), BLOCK):
-        block = np.ascontiguousarray(words[begin : begin + BLOCK].T)
-        # |q - w|^2 is least where q.w - |w|^2 / 2 is greatest
-        penalty = np.zeros(block.shape[1], np.float32)
-        for k in range(len(block)):
-            penalty -= np.float32(0.5) * block[k] * block[k]
-        closeness = np.empty_like(penalty)
-        for i in range(len(query)):
-            closeness[:] = penalty
-            add_products(query[i], block, closeness)
-            index = closeness.argmax()
-            if closeness[index] > best[i]:
-                nearest[i], best[i] = begin + index, closeness[index]
-    return nearest
 
 
 def count_votes(hit: Indices, words: Words, locations: int) -> Ballot:

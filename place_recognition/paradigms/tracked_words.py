@@ -22,11 +22,12 @@ from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.proof import ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.votes import Ballot, count_votes, nearest_words
+from place_recognition.belief.votes import Ballot, count_votes
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.route import Route, RouteConfig
 from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap
+from place_recognition.map.word_index import nearest_words
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 NOTHING = np.empty(0, np.int64)

@@ -1,0 +1,74 @@
+"""Where a word is found again: the nearest of all words of a growing map."""
+
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from place_recognition.belief.matching import add_products
+from place_recognition.map.growing import GrowingArray
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+BLOCK = 128  # words compared at a time: they stay in the cache
+
+
+class WordIndex(Protocol):
+    """Words in the order in which they were added, each found by its descriptor."""
+
+    def __len__(self) -> int:
+        """Words so far."""
+        ...
+
+    def add(self, descriptors: Floats) -> None:
+        """Append words (K, D)."""
+        ...
+
+    def nearest(self, query: Floats) -> Indices:
+        """The nearest word (N,) of each query descriptor (N, D), Euclidean; needs at least one word."""
+        ...
+
+
+class ExactWordIndex:
+    """Compares every word (a WordIndex)."""
+
+    def __init__(self) -> None:
+        self._words: GrowingArray[np.float32] = GrowingArray(np.float32)
+
+    def __len__(self) -> int:
+        return len(self._words)
+
+    def add(self, descriptors: Floats) -> None:
+        """Append words (K, D)."""
+        if len(descriptors):
+            self._words.extend(descriptors)
+
+    def nearest(self, query: Floats) -> Indices:
+        """The nearest word (N,) of each query descriptor (N, D); of equally near ones the first."""
+        return nearest_words(query, self._words.rows)
+
+
+@njit(cache=True)
+def nearest_words(query: Floats, words: Floats) -> Indices:
+    """Index (N,) of the word (K, D) at the least Euclidean distance of each query descriptor (N, D); exact.
+
+    Needs at least one word. Of equally near words the first.
+    """
+    nearest = np.zeros(len(query), np.int64)
+    best = np.full(len(query), -np.inf, np.float32)
+    for begin in range(0, len(words), BLOCK):
+        block = np.ascontiguousarray(words[begin : begin + BLOCK].T)
+        # |q - w|^2 is least where q.w - |w|^2 / 2 is greatest
+        penalty = np.zeros(block.shape[1], np.float32)
+        for k in range(len(block)):
+            penalty -= np.float32(0.5) * block[k] * block[k]
+        closeness = np.empty_like(penalty)
+        for i in range(len(query)):
+            closeness[:] = penalty
+            add_products(query[i], block, closeness)
+            index = closeness.argmax()
+            if closeness[index] > best[i]:
+                nearest[i], best[i] = begin + index, closeness[index]
+    return nearest
