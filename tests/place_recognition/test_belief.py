@@ -9,8 +9,8 @@ from scipy.stats import binom
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.votes import Ballot, count_votes, log_binomial
-from place_recognition.map.word_index import nearest_words
 from place_recognition.map.tracked_words import Words
+from place_recognition.map.word_index import nearest_words
 
 
 def unit(rng, n, d=64):
