@@ -12,8 +12,7 @@ from typing import Any, TypeVar, get_type_hints
 import tomli_w
 
 from odometry.stereo import StereoOdometryConfig
-from place_recognition.image_processing.surf import SurfConfig
-from place_recognition.paradigms.tracked_words import TrackedWordsConfig
+from place_recognition.paradigms.catalogue import ParadigmsConfig
 from slam.errors import ConfigError
 from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
@@ -40,8 +39,7 @@ class RunConfig:
     seed: int = 0
     record: bool = True
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
-    features: SurfConfig = field(default_factory=SurfConfig)
-    tracked_words: TrackedWordsConfig = field(default_factory=TrackedWordsConfig)
+    places: ParadigmsConfig = field(default_factory=ParadigmsConfig)
     loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     key_frames: KeyFrameConfig = field(default_factory=KeyFrameConfig)
