@@ -107,7 +107,7 @@ def load_truth(path: Path) -> Truth:
         raise ValueError(f"{path}: expected a square truth matrix (N, N), found {matrix.shape}")
     if matrix.dtype.kind not in "biuf":
         raise ValueError(f"{path}: expected a truth matrix of numbers, found {matrix.dtype}")
-    truth = matrix > 0
+    truth = np.greater(matrix, 0)
     lower, upper = np.tril(truth, -1), np.triu(truth, 1)
     return lower if lower.any() or not upper.any() else np.ascontiguousarray(upper.T)
 

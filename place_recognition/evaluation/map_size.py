@@ -1,5 +1,6 @@
 """How large the map of a recogniser has become."""
 
+from collections import deque
 from dataclasses import dataclass
 from types import FunctionType, ModuleType
 
@@ -55,9 +56,7 @@ def _owner(array: np.ndarray) -> np.ndarray:
 def _parts(item: object) -> list[object]:
     if isinstance(item, dict):
         return [*item.keys(), *item.values()]
-    if isinstance(item, list | tuple | set | frozenset):
-        return list(item)
-    if hasattr(item, "popleft"):  # a deque
+    if isinstance(item, list | tuple | set | frozenset | deque):
         return list(item)
     named = list(vars(item).values()) if hasattr(item, "__dict__") else []
     return named + [getattr(item, name) for name in getattr(type(item), "__slots__", ()) if hasattr(item, name)]

@@ -45,6 +45,7 @@ def places_picture(
     count = len(matrices) + 1 + (truth is not None)
     columns = 2 if count == 4 else count
     figure = new_figure(_PANEL * columns, (_PANEL + 0.45) * -(-count // columns) + 0.3)
+    figure.set_layout_engine("compressed")  # the panels are square
     panels = list(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
     for panel, (stage, matrix) in zip(panels, matrices.items(), strict=False):
         draw_matrix(panel, matrix, _STAGES.get(stage, stage))
@@ -78,11 +79,11 @@ def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, 
     _frame(ax, f"Detections: {len(detections)}", images)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
-    ax.plot(*_columns_first(detections[right]), "o", color=colours.ACCEPTED, ms=2.2, mew=0, label=label)
+    ax.plot(*_columns_first(detections[right]), "o", color=colours.ACCEPTED, ms=2.4, mew=0, label=label)
     if truth is not None:
         wrong = detections[~right]
         ax.plot(*_columns_first(wrong), "x", color=colours.REJECTED, ms=7, mew=1.6, label=f"false ({len(wrong)})")
-    ax.legend(loc="upper right", frameon=False, labelcolor=INK, markerscale=2)
+    ax.legend(loc="upper right", frameon=False, labelcolor=INK)
 
 
 def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
@@ -108,8 +109,8 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
         ax.plot(curve.recall, curve.precision, color=colour, ls=dashes, lw=1.8, label=f"{name}: R@P100 {full:.3f}")
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
     if curves:
-        legend = ax.legend(loc="lower left", frameon=True, edgecolor="none", labelcolor=INK)
-        legend.set_title("circle: highest recall without a false one", prop={"size": 8})
+        title = "circle: highest recall without a false one"
+        ax.legend(loc="lower left", edgecolor="none", labelcolor=INK, title=title, title_fontsize=8, fontsize=9)
     else:
         ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
     return figure
@@ -122,20 +123,24 @@ def drawn_cells(matrix: Matrix) -> tuple[Ids, Ids, Floats]:
     Thin lines must survive where a cell holds many pairs, so the largest value of them is drawn.
     """
     finite = np.isfinite(matrix.values)
-    rows = _begins(finite.any(axis=1)) if finite.any() else np.arange(len(finite))
-    columns = _begins(finite.any(axis=0)) if finite.any() else rows
+    rows, columns = _begins(finite, axis=1), _begins(finite, axis=0)
+    ends = _end(rows, len(finite)), _end(columns, len(finite))
     rows, columns = rows[:: -(-len(rows) // _CELLS)], columns[:: -(-len(columns) // _CELLS)]
     cells = np.fmax.reduceat(np.fmax.reduceat(matrix.values, rows, axis=0), columns, axis=1)
-    end = len(matrix.values)
-    return np.append(rows, end) * matrix.step, np.append(columns, end) * matrix.step, cells
+    return np.append(rows, ends[0]) * matrix.step, np.append(columns, ends[1]) * matrix.step, cells
 
 
-def _begins(present: NDArray[np.bool_]) -> Ids:
-    """Where each cell begins: at the rows that are there if these are few, else at all."""
-    there = np.flatnonzero(present)
-    if 2 * len(there) > len(present):
-        return np.arange(len(present))
+def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
+    """Where each cell begins: at the rows (axis 1) or columns (axis 0) that are there if these are few, else at all."""
+    there = np.flatnonzero(np.any(finite, axis=axis))
+    if 2 * len(there) > len(finite) or not len(there):
+        return np.arange(len(finite))
     return there if there[0] == 0 else np.insert(there, 0, 0)
+
+
+def _end(begins: Ids, size: int) -> int:
+    """Where the last cell ends: after as many images as a cell has at the most."""
+    return min(int(begins[-1] + np.diff(begins).max(initial=1)), size)
 
 
 def _frame(ax: Axes, title: str, images: int) -> None:
