@@ -170,6 +170,35 @@ def evaluate_trajectory(
     Console().print(compare_files(estimate, truth, mono, json))
 
 
+@evaluate_app.command("loops")
+def evaluate_loops(
+    matches: Annotated[Path, typer.Argument(help="matches.csv, or any table with query, match and score.")],
+    truth: Annotated[
+        Path, typer.Argument(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
+    ],
+    tolerance: Annotated[int | None, typer.Option(help="Columns that a match may be off, besides 0 and 10.")] = None,
+    radius: Annotated[float, typer.Option(help="Of one place, metres; for poses.")] = 5.0,
+    heading: Annotated[float, typer.Option(help="Within which one looks the same way, degrees; for poses.")] = 45.0,
+    gap: Annotated[float, typer.Option(help="Least time between the images of a revisit, seconds; for poses.")] = 0.0,
+    way: Annotated[float, typer.Option(help="Least way between the images of a revisit, metres; for poses.")] = 20.0,
+    one_to_one: Annotated[
+        bool, typer.Option("--one-to-one", help="Only the nearest image is right; for poses.")
+    ] = False,
+    fps: Annotated[float | None, typer.Option(help="Poses a second, for a gap where poses have no times.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for metrics.json and the curve.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others."""
+    from place_recognition.evaluation.ground_truth import SamePlace
+    from slam.evaluation.loops_command import LoopsOptions
+    from slam.evaluation.loops_command import evaluate_loops as judge
+
+    rule = SamePlace(radius, heading, gap, way, one_to_one)
+    text = judge(LoopsOptions(matches, truth, tolerance, rule, fps, out, overwrite), json)
+    Console().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 @app.command()
 def doctor() -> None:
     """Check Python, the wheels and the system libraries; say what is missing and what to type."""

@@ -58,11 +58,12 @@ def judge_places(
         unknown = section | dict.fromkeys(missing) | held
         return PlaceResult(unknown, notes | {f"places.{name}": reason for name in missing})
     curve = precision_recall(beliefs, truth)
-    tolerant = {"tolerance_10": _summary(beliefs, truth, OTHERS_TOLERANCE)}
-    return PlaceResult(section | _summary(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
+    tolerant = {"tolerance_10": score(beliefs, truth, OTHERS_TOLERANCE)}
+    return PlaceResult(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
 
 
-def _summary(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+    """R@P100, average precision and counts under a tolerance (see `precision_recall.judge`), as in metrics.json."""
     curve = precision_recall(beliefs, truth, tolerance)
     values = (
         curve.recall_at_full_precision,

@@ -10,8 +10,6 @@ from place_recognition.evaluation.ground_truth import SamePlace, load_truth, tru
 from slam.errors import ConfigError, DataError
 from slam.storage.trajectory import read_trajectory
 
-Array = NDArray[np.float64]
-
 MATRICES = (".mat", ".npz")
 
 
@@ -27,14 +25,20 @@ class KnownTruth:
     matrix: NDArray[np.bool_] | None
     origin: str
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """The matrix of a truth that is known."""
+        assert self.matrix is not None
+        return self.matrix
 
-def read_truth(path: Path, rule: SamePlace, timestamps: Array | None = None) -> KnownTruth:
+
+def read_truth(path: Path, rule: SamePlace | None = None, fps: float | None = None) -> KnownTruth:
     """Truth from a matrix file (.mat, .npz), or from poses (KITTI, TUM) under a rule.
 
     Args:
         path: the file.
         rule: for poses.
-        timestamps: (N,) seconds, for a rule with a gap; TUM files bring their own.
+        fps: poses a second, for a rule with a gap; TUM files bring their own times.
 
     Raises:
         DataError: the file is missing or damaged.
@@ -45,15 +49,13 @@ def read_truth(path: Path, rule: SamePlace, timestamps: Array | None = None) -> 
             return KnownTruth(load_truth(path), str(path))
         except ValueError as error:
             raise DataError(f"{error}; choose the truth of this drive") from error
+    rule = rule or SamePlace()
     times, poses = read_trajectory(path)
-    times = timestamps if times is None else times
+    if times is None and fps is not None:
+        times = np.arange(len(poses)) / fps
     if rule.gap > 0 and times is None:
         raise ConfigError(
             f"{path}: expected times for a gap of {rule.gap:g} s, found none; give --fps, or poses as TUM"
-        )
-    if times is not None and len(times) != len(poses):
-        raise DataError(
-            f"{path}: expected {len(times)} poses, one for each image, found {len(poses)}; choose another file"
         )
     return KnownTruth(truth_from_poses(poses, times, rule), f"{path} under {in_words(rule)}")
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from place_recognition.evaluation.ground_truth import SamePlace
 from place_recognition.paradigms.catalogue import ParadigmsConfig, excluding
 from place_recognition.recognizer import Belief
 from slam.datasets.images import ImageSequence, open_images
@@ -63,7 +62,7 @@ def find_truth(options: PlacesOptions, images: ImageSequence) -> KnownTruth:
     path = options.ground_truth or (find_poses(sequence) if in_kitti else None)
     if path is None:
         return KnownTruth(None, "none")
-    truth = read_truth(path, SamePlace())
+    truth = read_truth(path)
     check_size(truth, len(images), options.source)
     return truth
 

@@ -44,7 +44,7 @@ def places_picture(
     """
     count = len(matrices) + 1 + (truth is not None)
     columns = 2 if count == 4 else count
-    figure = new_figure(_PANEL * columns, (_PANEL + 0.45) * -(-count // columns) + 0.3)
+    figure = new_figure(_PANEL * columns, (0.86 * _PANEL + 0.35) * -(-count // columns) + 0.35)
     figure.set_layout_engine("compressed")  # the panels are square
     panels = list(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
     for panel, (stage, matrix) in zip(panels, matrices.items(), strict=False):
@@ -65,7 +65,7 @@ def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
         ax.text(0.5, 0.5, "no images were compared", transform=ax.transAxes, ha="center", va="center", color=INK)
         return
     # Filter responses go far below zero where nothing matches: only what is above the middle tells anything.
-    low, high = np.nanpercentile(cells, [50.0 if np.nanmin(cells) < 0 else 0.0, 99.8])
+    low, high = np.nanpercentile(cells, [50.0 if np.nanmin(cells) < 0 else 10.0, 99.8])
     mesh = ax.pcolormesh(
         columns, rows, cells, cmap=_SHADES, vmin=low, vmax=max(high, low + 1e-9), rasterized=True, shading="flat"
     )
