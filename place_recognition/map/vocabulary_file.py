@@ -46,10 +46,11 @@ class _Encoding:
 def _unpack_bits(data: bytes, shape: tuple[int, int]) -> Floats:
     rows = np.frombuffer(data, np.uint8).reshape(shape[0], -1)
     signs = np.unpackbits(rows, axis=1, count=shape[1]).astype(np.float32) * 2 - 1
-    return signs * _bit_size(shape[1])
+    return signs * bit_size(shape[1])
 
 
-def _bit_size(size: int) -> np.float32:
+def bit_size(size: int) -> np.float32:
+    """What a bit of a binary descriptor of so many is worth as a float, + or -: together they have unit length."""
     return np.float32(1 / np.sqrt(size))
 
 
