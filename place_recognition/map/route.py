@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.matching import mutual_matches
+from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.map.growing import GrowingArray
 from place_recognition.map.image_store import ImageStore
@@ -118,7 +118,7 @@ class Route:
 
         A blank image says nothing about where the view begins.
         """
-        newest = self.images[self.latest].strongest(self.config.compared).descriptors
+        newest = self.images[self.latest].strongest(self.config.compared).quantised
         if len(newest) < self.config.connected:
             return
         for _ in range(STEPS):
@@ -126,6 +126,6 @@ class Route:
                 return
             self._view_begin += 1
 
-    def _shared_with_begin(self, newest: NDArray[np.float32]) -> int:
-        begin = self.images[self._view_begin].strongest(self.config.compared).descriptors
-        return len(mutual_matches(newest, begin, self.config.ratio))
+    def _shared_with_begin(self, newest: NDArray[np.int8]) -> int:
+        begin = self.images.strongest([self._view_begin], self.config.compared)
+        return int(count_matches(newest, *begin, self.config.ratio)[0])
