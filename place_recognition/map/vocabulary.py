@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.map.vocabulary_file import Contents, read_contents, write_contents
+from place_recognition.map.vocabulary_file import REMEDY, Contents, read_contents, write_contents
 from place_recognition.map.word_index import nearest_words
 
 Floats = NDArray[np.float32]
@@ -87,7 +87,12 @@ def load_vocabulary(path: Path) -> Vocabulary:
             and found, and the remedy.
     """
     contents = read_contents(path)
-    return Vocabulary(contents.kind, contents.words, contents.weights)
+    try:
+        return Vocabulary(contents.kind, contents.words, contents.weights)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: expected the contents of a vocabulary, found other ones ({error}); {REMEDY}"
+        ) from error
 
 
 def default_vocabulary() -> Vocabulary:
