@@ -21,7 +21,7 @@ class VerificationConfig:
     """
 
     least_inliers: int = 9
-    distance: float = 1.0
+    distance: float = 2.0
     iterations: int = 1000
     confidence: float = 0.999
 
