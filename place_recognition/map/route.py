@@ -26,6 +26,8 @@ class RouteConfig:
         connected: descriptors that two images of one view share; images of different places share few by chance.
         compared: strongest features of each of the two that are compared for this.
         ratio: nearest to second nearest descriptor distance of a match for this.
+        exclusion: images nearer than this to the latest are never matched, whatever the rest says; 0 leaves it to
+            the rest. For comparisons with papers, which exclude a time.
     """
 
     stored: int = 500
@@ -34,6 +36,7 @@ class RouteConfig:
     connected: int = 15
     compared: int = 150
     ratio: float = 0.8
+    exclusion: int = 0
 
 
 class Route:
@@ -93,11 +96,11 @@ class Route:
 
     def guarded(self) -> int:
         """The latest location that is far enough behind in images and way; -1 or less for none."""
-        return min(self.latest - self.config.least_gap, self._far_behind())
+        return min(self.latest - max(self.config.least_gap, self.config.exclusion), self._far_behind())
 
     def horizon(self) -> int:
         """The latest location that may be matched: out of the present view, and far enough behind; -1 for none."""
-        return max(min(self._view_begin - self.config.least_gap, self._far_behind()), -1)
+        return max(min(self._view_begin - self.config.least_gap, self.guarded()), -1)
 
     def way_since(self, location: int) -> float:
         """Way from an earlier image to the latest, metres; NaN where it is not measured."""

@@ -1,0 +1,78 @@
+"""Words of binary descriptors: a tree of k-majority clusters whose leaves are the words.
+
+k-majority: Grana, Borghesani, Manfredi, Cucchiara, 'A fast approach for integrating ORB descriptors in the bag of words
+model', SPIE 8667, 2013; the tree: Galvez-Lopez, Tardos, TRO 28(5) 2012, section III. Distances are Hamming's, a centre
+is the majority vote of its members bit by bit, and a tie is 0 as there.
+"""
+
+import heapq
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bits = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+ROUNDS = 15  # of assignment and vote; they have mostly settled after ten
+
+
+def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator) -> Bits:
+    """Words (W, D) of descriptors (N, D), W at most `words`; fewer where the descriptors do not differ enough.
+
+    The tree grows where most descriptors share a leaf, instead of level by level: so any number of words comes out, and
+    dense regions get the finer ones.
+
+    Args:
+        bits: the descriptors.
+        words: leaves wanted.
+        branching: children of a node, at most.
+        rng: for the choice of first centres (k-means++).
+    """
+    order = 0
+    leaves: list[tuple[int, int, Indices]] = [(-len(bits), order, np.arange(len(bits)))]
+    settled: list[Indices] = []
+    while leaves and len(leaves) + len(settled) < words:
+        _, _, members = heapq.heappop(leaves)
+        room = words - len(leaves) - len(settled)
+        children = _split(bits[members], min(branching, room), rng)
+        if len(children) == 1:
+            settled.append(members)
+            continue
+        for child in children:
+            order += 1
+            heapq.heappush(leaves, (-len(child), order, members[child]))
+    groups = settled + [members for _, _, members in sorted(leaves, key=lambda leaf: leaf[1])]
+    return np.array([_vote(bits[members]) for members in groups])
+
+
+def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]:
+    """Rows of bits in groups, none empty; one group where all are the same."""
+    centres = _first_centres(bits, clusters, rng)
+    nearest = np.full(len(bits), -1)
+    for _ in range(ROUNDS):
+        before, nearest = nearest, _distances(bits, centres).argmin(axis=1)
+        if np.array_equal(before, nearest):
+            break
+        centres = np.array([_vote(bits[nearest == k]) for k in np.unique(nearest)])
+    return [np.flatnonzero(nearest == k) for k in np.unique(nearest)]
+
+
+def _first_centres(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
+    # k-means++: each next centre with a chance that grows with the square of its distance from those so far
+    centres = [bits[rng.integers(len(bits))]]
+    far = _distances(bits, centres[0][None])[:, 0]
+    while len(centres) < clusters and far.any():
+        chance = np.cumsum(far.astype(np.float64) ** 2)
+        centres.append(bits[np.searchsorted(chance, rng.random() * chance[-1], side="right")])
+        far = np.minimum(far, _distances(bits, centres[-1][None])[:, 0])
+    return np.array(centres)
+
+
+def _vote(bits: Bits) -> Bits:
+    return bits.sum(axis=0) * 2 > len(bits)
+
+
+def _distances(bits: Bits, centres: Bits) -> NDArray[np.float32]:
+    """Hamming distances (N, K); whole numbers, so that no order of summation changes them."""
+    first, second = bits.astype(np.float32), centres.astype(np.float32)
+    return first.sum(axis=1)[:, None] + second.sum(axis=1) - 2 * first @ second.T
