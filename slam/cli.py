@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 evaluate_app = typer.Typer(no_args_is_help=True)
 app.add_typer(evaluate_app, name="evaluate", help="Measure results against ground truth.")
+vocabulary_app = typer.Typer(no_args_is_help=True)
+app.add_typer(vocabulary_app, name="vocabulary", help="Visual words for the paradigms that need them in advance.")
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -124,6 +126,28 @@ def evaluate_trajectory(
     from slam.evaluation.command import compare_files
 
     Console().print(compare_files(estimate, truth, mono, json))
+
+
+@vocabulary_app.command("train")
+def train_vocabulary(
+    sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
+    out: Annotated[Path, typer.Option("--out", help="File for the words.")],
+    features: Annotated[str, typer.Option(help="What the words are made of: surf.")] = "surf",
+    words: Annotated[int, typer.Option(help="How many.")] = 10000,
+    sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
+    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+) -> None:
+    """Train visual words on images of your own. Never on those that will be recognised.
+
+    Example: revisit vocabulary train ~/photos ~/drive --out town.vocabulary
+    """
+    from slam.progress import progress_bar
+    from slam.vocabulary import TrainingOptions, train_from_images
+
+    options = TrainingOptions(tuple(sources), out, features)
+    with progress_bar(Console(stderr=True), "Describing images") as progress:
+        message = train_from_images(options, {"words": words, "sample": sample, "seed": seed}, progress)
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command()

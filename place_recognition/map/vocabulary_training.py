@@ -128,7 +128,7 @@ def _float_words(descriptors: Floats, config: TrainingConfig) -> Floats:
         means.train(descriptors)
     finally:
         faiss.omp_set_num_threads(threads)
-    return on_steps(means.centroids)
+    return on_steps(np.asarray(means.centroids, np.float32))
 
 
 def _binary_words(descriptors: Floats, config: TrainingConfig) -> Floats:

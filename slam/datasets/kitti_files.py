@@ -61,6 +61,11 @@ def _choose(root: Path, folders: dict[str, Path], sequence: str | None) -> Path:
     return folders[name]
 
 
+def sequence_names(root: Path) -> tuple[str, ...]:
+    """Names of all sequences below a folder in KITTI layout; none where there are none."""
+    return tuple(_sequences(root)) if root.is_dir() else ()
+
+
 def find_poses(sequence: Path) -> Path | None:
     """Ground truth poses of the sequence in this folder; None where there are none."""
     here = sequence.absolute()

@@ -1,0 +1,96 @@
+"""`revisit vocabulary train`: folders of images in, a file of visual words out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from place_recognition.image_processing.features import FeatureExtractor
+from place_recognition.image_processing.surf import Surf
+from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
+from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
+from slam.datasets.images import open_images, read_grey
+from slam.datasets.kitti_files import sequence_names
+from slam.errors import ConfigError, DataError, OutputError
+
+FEATURES: dict[str, Callable[[], FeatureExtractor]] = {"surf": Surf}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What to train on, with which features, and the file for the words.
+
+    Attributes:
+        sources: folders of images, or folders in KITTI layout of which all sequences are taken.
+        out: the file.
+        features: name in FEATURES.
+    """
+
+    sources: tuple[Path, ...]
+    out: Path
+    features: str = "surf"
+
+
+def train_from_images(options: TrainingOptions, settings: dict[str, int], progress: Progress) -> str:
+    """Train a vocabulary on all images of the sources, write it, and say in one line what came of it.
+
+    Args:
+        options: what, and where to.
+        settings: fields of TrainingConfig.
+        progress: told images done and in all.
+
+    Raises:
+        ConfigError: unknown features, or settings that cannot work.
+        DataError: a source without images, an unreadable image, or fewer descriptors than words.
+        OutputError: the file cannot be written; a missing folder is found out before the work begins.
+    """
+    extractor, config = _extractor(options.features), _config(settings)
+    files = [file for source in options.sources for file in _images(source)]
+    _check_folder(options.out)
+    sample = DescriptorSample(config.sample, config.seed)
+    for done, file in enumerate(files):
+        sample.add(extractor.extract(read_grey(file)).descriptors)
+        progress(done + 1, len(files))
+    try:
+        vocabulary = train_vocabulary(extractor.kind, sample.descriptors, config)
+    except ValueError as error:
+        raise DataError(f"{options.sources[0]}: {error}") from error
+    _save(options.out, vocabulary)
+    return (
+        f"{options.out}: {len(vocabulary)} words of {vocabulary.kind} from {sample.seen} descriptors"
+        f" of {len(files)} images"
+    )
+
+
+def _extractor(name: str) -> FeatureExtractor:
+    if name not in FEATURES:
+        raise ConfigError(f"unknown features '{name}': expected one of {', '.join(FEATURES)}")
+    return FEATURES[name]()
+
+
+def _config(settings: dict[str, int]) -> TrainingConfig:
+    try:
+        return TrainingConfig(**settings)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _images(source: Path) -> list[Path]:
+    names = sequence_names(source) or (None,)
+    # a word does not ask when it was seen: any images a second will do
+    return [file for name in names for file in open_images(source, name, fps=1.0).files]
+
+
+def _check_folder(out: Path) -> None:
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        found = "a folder" if out.is_dir() else "no such folder"
+        raise OutputError(f"{out}: expected a file to write in a folder that exists, found {found}; choose another")
+
+
+def _save(out: Path, vocabulary: Vocabulary) -> None:
+    try:
+        save_vocabulary(out, vocabulary)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{out}: cannot be written, {reason}; choose another folder or make room") from error
