@@ -88,10 +88,10 @@ def _search(
 
 @njit(cache=True)
 def _any_reaches(values: Floats, limit: np.float32) -> bool:
-    found = 0
-    for value in values:  # to the end: a loop without a way out compares many at once
-        found |= np.int32(value >= limit)
-    return found > 0
+    found = np.int32(0)
+    for j in range(BLOCK):  # to the end: a loop of known length without a way out compares many at once
+        found |= np.int32(values[j] >= limit)
+    return bool(found)
 
 
 @njit(cache=True)
