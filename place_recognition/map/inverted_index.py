@@ -1,0 +1,95 @@
+"""Which sequences a word occurs in: only sequences that share a word with the query are ever touched.
+
+Sivic, Zisserman, 'Video Google', ICCV 2003. The postings of all words lie in flat blocks of one growing array, each
+word's blocks chained: at a million images (about 170,000 sequences of 6 images) six bytes a posting make about one GB.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from place_recognition.map.growing import GrowingArray
+from place_recognition.map.word_vectors import WordVector
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+BLOCK = 32  # postings in a block: long enough to be read in one go, short enough not to be wasted on rare words
+STEPS = 65535  # a number of a unit vector is kept as a multiple of 1 / STEPS in two bytes
+NONE = -1
+
+
+class InvertedIndex:
+    """Word vectors of sequences, counted from 0, compared with a query by the words that they share."""
+
+    def __init__(self, words: int) -> None:
+        self._first = np.full(words, NONE, np.int64)
+        self._last = np.full(words, NONE, np.int64)
+        self._postings = np.zeros(words, np.int64)
+        self._sequences: GrowingArray[np.uint32] = GrowingArray(np.uint32)
+        self._values: GrowingArray[np.uint16] = GrowingArray(np.uint16)
+        self._next: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the postings."""
+        return sum(rows.nbytes for rows in (self._sequences.rows, self._values.rows, self._next.rows))
+
+    def add(self, vector: WordVector) -> None:
+        """Append the vector of the next sequence; its words are below the number of words."""
+        if len(vector):
+            self._open_blocks(vector.words)
+            block, place = self._last[vector.words], self._postings[vector.words] % BLOCK
+            self._sequences.rows[block, place] = self._count
+            self._values.rows[block, place] = np.round(vector.values * STEPS)
+            self._postings[vector.words] += 1
+        self._count += 1
+
+    def cosines(self, query: WordVector, count: int) -> Floats:
+        """Cosine of the query with each of the first `count` sequences (count,); 0 where no word is shared."""
+        sums = np.zeros(count, np.float32)
+        if count and len(query) and len(self._next):
+            chains = np.stack([self._first[query.words], self._postings[query.words]], axis=1)
+            postings = (self._next.rows, self._sequences.rows, self._values.rows)
+            _accumulate(chains, query.values / np.float32(STEPS), *postings, sums)
+        return sums
+
+    def _open_blocks(self, words: Indices) -> None:
+        """Append an empty block to the chain of each of the words whose last block is full, or that has none."""
+        full = words[self._postings[words] % BLOCK == 0]
+        if len(full) == 0:
+            return
+        begin = len(self._next)
+        blocks = np.arange(begin, begin + len(full))
+        self._sequences.extend(np.zeros((len(full), BLOCK), np.uint32))
+        self._values.extend(np.zeros((len(full), BLOCK), np.uint16))
+        self._next.extend(np.full(len(full), NONE, np.int64))
+        chained = self._last[full] != NONE
+        self._next.rows[self._last[full[chained]]] = blocks[chained]
+        self._first[full[~chained]] = blocks[~chained]
+        self._last[full] = blocks
+
+
+@njit(cache=True)
+def _accumulate(
+    chains: Indices, weights: Floats, following: Indices, sequences: NDArray[np.uint32], values: NDArray[np.uint16], sums: Floats
+) -> None:
+    """Add to the sums (M,) of the first M sequences what the words (K,) of a query contribute.
+
+    chains: (K, 2), the first block of each word and how many postings it has; sequences rise along a chain.
+    """
+    for k in range(len(chains)):
+        block, left = chains[k]
+        while left > 0:
+            for i in range(min(left, BLOCK)):
+                sequence = sequences[block, i]
+                if sequence >= len(sums):
+                    left = 0
+                    break
+                sums[sequence] += weights[k] * np.float32(values[block, i])
+            left -= BLOCK
+            block = following[block]

@@ -1,0 +1,49 @@
+"""The map of both paradigms of sequences: which images make up each sequence, and which words are in it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.map.growing import GrowingArray
+from place_recognition.map.inverted_index import InvertedIndex
+from place_recognition.map.word_vectors import WordVector
+
+Indices = NDArray[np.int64]
+
+
+class SequenceMap:
+    """Sequences of images, counted from 0 in the order in which they ended; together they are the whole drive."""
+
+    def __init__(self, words: int) -> None:
+        self.index = InvertedIndex(words)
+        self._lasts: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def __len__(self) -> int:
+        return len(self._lasts)
+
+    def add(self, last: int, vector: WordVector) -> None:
+        """Append the sequence that ends with the image at location `last` and begins where the one before ended."""
+        self._lasts.extend(np.array([last]))
+        self.index.add(vector)
+
+    def ended_by(self, location: int) -> int:
+        """How many sequences end at a location or before."""
+        return int(np.searchsorted(self._ends, location, side="right"))
+
+    def containing(self, location: int) -> int:
+        """The sequence of the image at a location; `len(self)` for one in a sequence that has not ended."""
+        return int(np.searchsorted(self._ends, location, side="left"))
+
+    def first(self, sequences: Indices) -> Indices:
+        """Location (K,) of the first image of each sequence (K,)."""
+        return np.where(sequences > 0, self._ends[np.maximum(sequences - 1, 0)] + 1, 0)
+
+    def images_around(self, sequences: Indices) -> Indices:
+        """Locations (M,), rising, of the images of sequences (K,) and of the ones just before and after each."""
+        near = np.unique(sequences[:, None] + np.arange(-1, 2))
+        near = near[(near >= 0) & (near < len(self))]
+        first, last = self.first(near), self._ends[near]
+        return np.concatenate([np.empty(0, np.int64), *map(np.arange, first, last + 1)])
+
+    @property
+    def _ends(self) -> Indices:
+        return self._lasts.rows.reshape(-1)

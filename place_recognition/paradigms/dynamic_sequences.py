@@ -1,0 +1,63 @@
+"""Place recognition by word vectors of sequences cut where the view changes, and a learnt filter (section 4.4.2).
+
+Bampis, Amanatiadis, Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1)
+2018. For what differs from the paper see `sequence_matching`.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.belief.matrix_filter import LEARNT, FilterConfig
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.map.sequences import WordVariance, WordVarianceConfig
+from place_recognition.map.vocabulary import Vocabulary
+from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching
+from place_recognition.recognizer import Belief, RowSink
+
+
+@dataclass(frozen=True)
+class DynamicSequencesConfig:
+    """The paradigm's own numbers, and those that it shares.
+
+    Attributes:
+        sequences: where a sequence ends.
+        filter: eq. 4.12 and the threshold of its response.
+        matching: how sequences are matched, and then images.
+    """
+
+    sequences: WordVarianceConfig = field(default_factory=WordVarianceConfig)
+    filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNT, 3.5))
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+
+
+class DynamicSequences:
+    """Recognises places by sequences of like views (a PlaceRecognizer); answers when the next sequence has ended."""
+
+    def __init__(
+        self,
+        features: SharedFeatures,
+        vocabulary: Vocabulary,
+        config: DynamicSequencesConfig | None = None,
+        rows: RowSink | None = None,
+    ) -> None:
+        self.config = config or DynamicSequencesConfig()
+        segmentation = WordVariance(len(vocabulary), self.config.sequences)
+        self._matching = SequenceMatching(features, vocabulary, segmentation, self.config.matching, self.config.filter)
+        if rows is not None:
+            self._matching.show_rows(rows)
+
+    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
+        """Add an image; if it begins a sequence, answer for the images of the last but one before it.
+
+        Args:
+            image_id: greater than the one before.
+            image: (H, W) uint8, grey.
+            travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
+        """
+        return self._matching.observe(image_id, image, travelled)
+
+    def finish(self) -> list[Belief]:
+        """Answer for the images of the last two sequences."""
+        return self._matching.finish()

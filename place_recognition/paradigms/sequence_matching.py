@@ -1,0 +1,202 @@
+"""What the two paradigms of sequences have in common: words, sequences, the filtered matrix, then the images.
+
+Bampis, Amanatiadis, Gasteratos, IROS 2016 and IJRR 37(1) 2018; sections 4.4.1 and 4.4.2 of the chapter. What differs
+from the papers, each for a reason found on images that do not judge:
+* A lone response is no revisit yet, and a revisit need not have one: the filters suppress a way driven backwards. So
+  the best sequences by response and the best by plain similarity propose, whatever the threshold.
+* The images of the proposed sequences and of their neighbours are ranked by their word vectors; the best are compared
+  feature by feature, and the geometry of an image and of those just before it joins the response in the score.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
+from place_recognition.belief.geometric_verification import VerificationConfig
+from place_recognition.belief.judge import Judge, Judgement
+from place_recognition.belief.matrix_filter import CausalFilter, FilterConfig, normalised
+from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.temporal_consistency import ConsistencyConfig
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.surf import check_grey
+from place_recognition.map.route import Route, RouteConfig
+from place_recognition.map.sequence_map import SequenceMap
+from place_recognition.map.sequences import Segmentation
+from place_recognition.map.vocabulary import Vocabulary
+from place_recognition.map.word_vectors import ImageWords, WordVector, word_vector
+from place_recognition.recognizer import Belief, NoRows, RowSink
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+SCORES = {"scaled-l2": scaled_l2_score_of_cosine, "l2": l2_score_of_cosine, "cosine": np.asarray}
+
+
+@dataclass(frozen=True)
+class MatchingConfig:
+    """How sequences are matched, and then images.
+
+    Attributes:
+        features: strongest of an image that become words.
+        score: of two word vectors: scaled-l2, l2 (equation 4.6 as printed) or cosine.
+        least_divisor: a row is divided by at least so much (eq. 4.7).
+        sequences: best sequences by response, and as many by similarity, whose images are looked at.
+        images: best images of those that are compared feature by feature.
+        sure_inliers: with so many the response may be below the filter's threshold.
+        route: what is kept of each image, and which are past.
+        proof: how a revisit is proved.
+        consistency: which earlier proofs speak for a new one.
+    """
+
+    features: int = 300
+    score: str = "scaled-l2"
+    least_divisor: float = 0.05
+    sequences: int = 4
+    images: int = 8
+    sure_inliers: int = 60
+    route: RouteConfig = field(default_factory=RouteConfig)
+    proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
+    consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
+
+    def __post_init__(self) -> None:
+        if self.score not in SCORES:
+            raise ValueError(f"expected a score of {', '.join(SCORES)}, got {self.score!r}")
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """A sequence that has ended and waits for the next one, without which its row cannot be filtered.
+
+    Attributes:
+        images: locations of its images.
+        horizons: the latest location that each of them may be matched with.
+        vector: of its words.
+        row: (S,) normalised scores with earlier sequences.
+    """
+
+    images: range
+    horizons: list[int]
+    vector: WordVector
+    row: Floats
+
+
+class SequenceMatching:
+    """Finds revisits through sequences of images: both paradigms consist of this, a segmentation and a filter."""
+
+    def __init__(
+        self,
+        features: SharedFeatures,
+        vocabulary: Vocabulary,
+        segmentation: Segmentation,
+        config: MatchingConfig,
+        matrix_filter: FilterConfig,
+    ) -> None:
+        self.config = config
+        self._features, self._segmentation = features, segmentation
+        self._vocabulary = vocabulary.require(features.kind)
+        self._threshold, self._filter = matrix_filter.threshold, CausalFilter(matrix_filter.kernel)
+        self._route = Route(config.route)
+        self._words = ImageWords(vocabulary.weights)
+        self._map = SequenceMap(len(vocabulary))
+        self._judge = Judge(self._route.images, config.proof, config.consistency)
+        self._open: list[int] = []  # horizons of the images of the sequence that has not ended
+        self._waiting: _Sequence | None = None
+        self._rows: RowSink = NoRows()
+
+    def show_rows(self, rows: RowSink) -> None:
+        """Hand the matrix's rows to a sink from now on: one a sequence, known by its first image."""
+        self._rows = rows
+
+    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
+        """Add an image; if it begins a sequence, answer for the images of the last but one before it."""
+        check_grey(image)
+        features = self._features.of(image_id, image)
+        location = self._route.add(image_id, features, travelled)
+        words = self._vocabulary.assign(features.descriptors[: self.config.features])
+        begins = self._segmentation.begins(words, travelled)
+        beliefs = self._end_sequence(location - 1) if begins else []
+        self._words.add(words)
+        self._open.append(self._route.horizon())
+        return beliefs
+
+    def finish(self) -> list[Belief]:
+        """Answer for the images of the last two sequences."""
+        beliefs = self._end_sequence(self._route.latest)
+        if self._waiting is not None:
+            beliefs += self._answer(self._waiting, self._filter.finish())
+        self._waiting = None
+        return beliefs
+
+    def _end_sequence(self, last: int) -> list[Belief]:
+        """Compare the open sequence with earlier ones; that completes the neighbourhood of the one before it."""
+        if not self._open:
+            return []
+        ended = self._compare(range(last + 1 - len(self._open), last + 1))
+        response, waiting = self._filter.add(ended.row), self._waiting
+        self._map.add(last, ended.vector)
+        self._open, self._waiting = [], ended
+        return [] if waiting is None else self._answer(waiting, response)
+
+    def _compare(self, images: range) -> _Sequence:
+        vector = word_vector(self._words.of(images[0], images[-1]), self._vocabulary.weights)
+        score = SCORES[self.config.score]
+        scores = score(self._map.index.cosines(vector, self._map.ended_by(self._open[-1]))).astype(np.float32)
+        previous = float(score(vector.cosine(self._waiting.vector))) if self._waiting else 1.0
+        row = normalised(scores, previous, self.config.least_divisor)
+        return _Sequence(images, self._open, vector, row)
+
+    def _answer(self, sequence: _Sequence, response: Floats | None) -> list[Belief]:
+        assert response is not None  # a sequence waits, so the filter has its row
+        self._show(sequence.images[0], sequence.row, "similarity")
+        self._show(sequence.images[0], response, "filtered")
+        pool = self._map.images_around(_best_of((response, sequence.row), self.config.sequences))
+        return [
+            self._believe(location, pool[pool <= horizon], horizon, response)
+            for location, horizon in zip(sequence.images, sequence.horizons, strict=True)
+        ]
+
+    def _show(self, query: int, row: Floats, stage: str) -> None:
+        known = np.flatnonzero(row)
+        firsts = self._map.first(known)
+        self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row[known].astype(np.float64), stage)
+
+    def _believe(self, query: int, pool: Indices, horizon: int, response: Floats) -> Belief:
+        cosines = self._words.cosines(query, pool)
+        alike = pool[np.argsort(-cosines, kind="stable")[: self.config.images]]
+        judgement = self._judge.judge(query, alike.tolist(), horizon)
+        if judgement is None:
+            return Belief(int(self._route.ids[query]), None, 0.0, accepted=False)
+        return self._belief(judgement, self._response_at(judgement.proof.location, response))
+
+    def _response_at(self, location: int, response: Floats) -> float:
+        """The response of the sequence of an image, or of the one before or after it if that is greater."""
+        sequence = self._map.containing(location)
+        around = response[max(sequence - 1, 0) : sequence + 2]
+        return float(around.max()) if len(around) else 0.0
+
+    def _belief(self, judgement: Judgement, response: float) -> Belief:
+        proof = judgement.proof
+        sure = response >= self._threshold or proof.inliers >= self.config.sure_inliers
+        return Belief(
+            query=int(self._route.ids[proof.query]),
+            match=int(self._route.ids[proof.location]),
+            score=max(response, 0.0) + judgement.evidence,
+            accepted=proof.verified and sure,
+            inliers=proof.inliers,
+            verified=proof.verified,
+        )
+
+
+def _best_of(rows: tuple[Floats, ...], count: int) -> Indices:
+    """Columns, rising, that are among the first so many of at least one of the rows (S,), and above 0 there."""
+    return np.unique(np.concatenate([_best(row, count) for row in rows]))
+
+
+def _best(row: Floats, count: int) -> Indices:
+    if len(row) > count:
+        best = np.argpartition(-row, count)[:count]
+    else:
+        best = np.arange(len(row))
+    return best[row[best] > 0].astype(np.int64)
