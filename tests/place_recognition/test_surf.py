@@ -172,7 +172,7 @@ def test_the_orientation_of_a_ramp_is_the_way_it_rises(degrees):
 
 
 def test_upright_and_oriented_descriptors_agree_where_the_orientation_is_upright():
-    image = np.clip(textured_world(128, seed=2, height=128) // 4 + np.arange(128) * 1.4, 0, 255).astype(np.uint8)
+    image = np.clip(textured_world(128, seed=2, height=128) // 12 + np.arange(128) * 1.7, 0, 255).astype(np.uint8)
     integral, points = cv2.integral(image), np.array([[64, 64, 2.0], [70, 50, 3.0]], np.float32)
     assert np.abs([orientation(integral, point) for point in points]).max() < 0.15
     upright, oriented = (
