@@ -10,7 +10,6 @@ from place_images import sliding_view, textured_world
 from place_recognition.evaluation.map_size import array_bytes, map_size
 from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.route import RouteConfig
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, excluding
 
@@ -24,12 +23,12 @@ NAMES = {
 }
 
 
-def routes(settings):
-    """Every RouteConfig within settings."""
-    if isinstance(settings, RouteConfig):
-        return [settings]
-    inner = [getattr(settings, item.name) for item in fields(settings)] if is_dataclass(settings) else []
-    return [route for value in inner for route in routes(value)]
+def exclusions(settings):
+    """Every exclusion within settings."""
+    if not is_dataclass(settings):
+        return []
+    inner = [(item.name, getattr(settings, item.name)) for item in fields(settings)]
+    return [found for name, value in inner for found in ([value] if name == "exclusion" else exclusions(value))]
 
 
 def test_the_names_are_those_of_the_command_line():
@@ -54,11 +53,17 @@ def test_a_damaged_vocabulary_is_refused_with_its_file(tmp_path):
         build("sequence-histograms", SharedFeatures(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary")))
 
 
-def test_an_exclusion_reaches_every_route_and_changes_nothing_else():
+def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="unknown global descriptor 'magic'"):
+        build("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor="magic"))
+    with pytest.raises(ValueError, match=r"none\.onnx: expected an ONNX file, found none"):
+        build("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx"))
+
+
+def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
     config = ParadigmsConfig()
     changed = excluding(config, 40)
-    assert len(routes(changed)) >= 4
-    assert all(route.exclusion == 40 for route in routes(changed))
+    assert exclusions(changed) == [40] * len(PARADIGMS)
     assert excluding(changed, 0) == config
 
 
