@@ -47,6 +47,7 @@ class HierarchicalPlacesConfig:
         asked: strongest features of an image that vote. Half of the paper's: 0.872 instead of 0.909 of the revisits of
             a simulated drive have the right place first, but of those no less are found among `searched` places.
         compared: strongest features of each image by which the images of a place are compared.
+        ratio: nearest to second nearest descriptor distance of a match for this.
         searched: likeliest places in which the image is sought, besides the two beside the best.
         proposed: images proposed to the judge.
         sure_inliers: with so many the votes may be likelier than `chance`: in a map of a hundred words even a perfect
@@ -63,6 +64,7 @@ class HierarchicalPlacesConfig:
     features: int = 300
     asked: int = 150
     compared: int = 150
+    ratio: float = 0.8
     searched: int = 3
     proposed: int = 8
     sure_inliers: int = 60
@@ -187,7 +189,7 @@ class HierarchicalPlaces:
         locations = [location for place in places for location in self._places.images(place)]
         images, compared = self._route.images, self.config.compared
         query = images[self._route.latest].strongest(compared).quantised
-        alike = count_matches(query, *images.strongest(locations, compared), self.config.proof.ratio)
+        alike = count_matches(query, *images.strongest(locations, compared), self.config.ratio)
         return [locations[k] for k in np.argsort(-alike, kind="stable")[: self.config.proposed]]
 
     def _show(self, ballot: PlaceBallot) -> None:
