@@ -24,12 +24,14 @@ class ProofConfig:
         ratio: nearest to second nearest descriptor distance of a match between two images.
         compared: strongest features of each image by which the candidates are ranked.
         tried: best candidates whose geometry is checked.
+        object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_one_object`).
         verification: what proves a revisit.
     """
 
     ratio: float = 0.8
     compared: int = 200
     tried: int = 2
+    object_share: float = 0.125
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
 
@@ -59,6 +61,7 @@ class Pairing:
         query, location: the later and the earlier image, by location.
         now, then: (N, 2) float32 pixels of the matches in each.
         chance: probability that a random match agrees with a given fundamental matrix.
+        object_size: radius of an object that may occur twice, pixels.
     """
 
     query: int
@@ -66,6 +69,7 @@ class Pairing:
     now: Floats
     then: Floats
     chance: float
+    object_size: float
 
     def at_best(self) -> Proof:
         """The proof if all matches agreed: no check says more."""
@@ -76,10 +80,11 @@ class Pairing:
         agree = epipolar_inliers(self.now, self.then, config)
         if agree is None:
             return Proof(self.query, self.location, 0, 0.0, verified=False)
-        return self._proof(int(np.count_nonzero(agree)))
+        inliers = int(np.count_nonzero(agree))
+        return self._proof(inliers, surplus_of_one_object(self.now[agree], self.object_size))
 
-    def _proof(self, inliers: int) -> Proof:
-        evidence = chance_evidence(inliers, len(self.now), self.chance)
+    def _proof(self, inliers: int, surplus: int = 0) -> Proof:
+        evidence = chance_evidence(inliers - surplus, len(self.now) - surplus, self.chance)
         return Proof(self.query, self.location, inliers, evidence, verified=True)
 
 
@@ -107,7 +112,21 @@ def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> 
     now, then = images[query], images[location]
     pairs = match_pairs(now.quantised, then.quantised, config.ratio)
     chance = _chance(then, config.verification.distance)
-    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance)
+    size = config.object_share * float(np.ptp(then.pixels[:, 0])) if len(then.pixels) else 0.0
+    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance, size)
+
+
+def surplus_of_one_object(pixels: Floats, radius: float) -> int:
+    """How many of the agreeing matches (N, 2) say no more than that one object was seen twice.
+
+    A car of the same make parked at the same kerb, or a sign, has dozens of matches that agree with one another, and
+    can be seen in any street. What lies within the radius of one match, the best filled such circle, is taken for one
+    object: it settles a geometry, for which `SAMPLE` matches do, and is no evidence beyond that.
+    """
+    if len(pixels) <= SAMPLE:
+        return 0
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+    return max(int((apart <= radius).sum(axis=1).max()) - SAMPLE, 0)
 
 
 def chance_evidence(inliers: int, matches: int, chance: float) -> float:
