@@ -58,7 +58,11 @@ class NoRows:
 
 
 class PlaceRecognizer(Protocol):
-    """Sees images once, in order, and answers from what it has seen: online and causal. Same input, same bits."""
+    """Sees images once, in order, and answers from what it has seen: online and causal. Same input, same bits.
+
+    One that counts words may say how many with a property `word_count`; one whose map holds more than numpy arrays may
+    say how large it is with a property `map_bytes` (`place_recognition.evaluation.map_size` asks for both).
+    """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Add an image and answer.

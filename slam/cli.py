@@ -29,6 +29,10 @@ app.add_typer(vocabulary_app, name="vocabulary", help="Visual words for the para
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show_default=True)]
+# Named here and not taken from the catalogue, which is slow to import.
+PARADIGM_NAMES = (
+    "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
+)
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
 
@@ -94,7 +98,9 @@ def run(
     sequence: Annotated[
         str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
     ] = None,
-    paradigm: Annotated[str | None, typer.Option(help="Place recogniser: tracked-words.")] = None,
+    paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
+    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
+    descriptor: Annotated[str | None, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = None,
     robust: Annotated[str | None, typer.Option(help="Back end: none, huber, dcs, gnc.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
@@ -109,9 +115,47 @@ def run(
     from slam.run import RunOptions, run_recorded
 
     options = RunOptions(source, sequence, out, view, overwrite, config)
-    chosen = {"paradigm": paradigm, "robust": robust, "seed": seed, "record": False if no_record else None}
+    chosen = {
+        "paradigm": paradigm,
+        "vocabulary": None if vocabulary is None else str(vocabulary),
+        "descriptor": descriptor,
+        "robust": robust,
+        "seed": seed,
+        "record": False if no_record else None,
+    }
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+@app.command()
+def places(
+    source: Annotated[Path, typer.Argument(help="Root of a drive in KITTI layout, or a folder of images.")],
+    paradigm: Annotated[str, typer.Option(help=f"One of: {PARADIGM_NAMES}.")],
+    out: Out,
+    sequence: Annotated[
+        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    ] = None,
+    ground_truth: Annotated[
+        Path | None, typer.Option(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
+    ] = None,
+    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
+    descriptor: Annotated[str, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = "hog",
+    exclude: Annotated[float | None, typer.Option(help="Match no image less than so many seconds old.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Images a second, where there is no times.txt.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the metrics as JSON.")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Place recognition alone, with one camera: which images show a place that was seen before?
+
+    Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
+    """
+    settings = {name: value for name, value in locals().items() if name != "json"}
+    from slam.places.command import recognise_places
+    from slam.places.options import PlacesOptions
+
+    interrupted = recognise_places(PlacesOptions(**settings), Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
@@ -128,11 +172,40 @@ def evaluate_trajectory(
     Console().print(compare_files(estimate, truth, mono, json))
 
 
+@evaluate_app.command("loops")
+def evaluate_loops(
+    matches: Annotated[Path, typer.Argument(help="matches.csv, or any table with query, match and score.")],
+    truth: Annotated[
+        Path, typer.Argument(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
+    ],
+    tolerance: Annotated[int | None, typer.Option(help="Columns that a match may be off, besides 0 and 10.")] = None,
+    radius: Annotated[float, typer.Option(help="Of one place, metres; for poses.")] = 5.0,
+    heading: Annotated[float, typer.Option(help="Within which one looks the same way, degrees; for poses.")] = 45.0,
+    gap: Annotated[float, typer.Option(help="Least time between the images of a revisit, seconds; for poses.")] = 0.0,
+    way: Annotated[float, typer.Option(help="Least way between the images of a revisit, metres; for poses.")] = 20.0,
+    one_to_one: Annotated[
+        bool, typer.Option("--one-to-one", help="Only the nearest image is right; for poses.")
+    ] = False,
+    fps: Annotated[float | None, typer.Option(help="Poses a second, for a gap where poses have no times.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for metrics.json and the curve.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others."""
+    from place_recognition.evaluation.ground_truth import SamePlace
+    from slam.evaluation.loops_command import LoopsOptions
+    from slam.evaluation.loops_command import evaluate_loops as judge
+
+    rule = SamePlace(radius, heading, gap, way, one_to_one)
+    text = judge(LoopsOptions(matches, truth, tolerance, rule, fps, out, overwrite), json)
+    Console().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 @vocabulary_app.command("train")
 def train_vocabulary(
     sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
     out: Annotated[Path, typer.Option("--out", help="File for the words.")],
-    features: Annotated[str, typer.Option(help="What the words are made of: surf.")] = "surf",
+    features: Annotated[str, typer.Option(help="What the words are made of: surf, surf-oriented, sift, orb.")] = "surf",
     words: Annotated[int, typer.Option(help="How many.")] = 10000,
     sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,

@@ -1,8 +1,11 @@
 """Where the time goes, stage by stage."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 class StageClock:
@@ -25,3 +28,16 @@ class StageClock:
         """Milliseconds of each stage since the last lap; starts the next one."""
         spent, self._milliseconds = self._milliseconds, {}
         return spent
+
+
+def timing_ms(stage_ms: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str, float]]:
+    """Median and 99th percentile of each stage and of their total, as they stand in metrics.json.
+
+    Args:
+        stage_ms: stage to milliseconds in each frame (N,); N > 0.
+    """
+    total = np.sum(list(stage_ms.values()), axis=0)
+    return {
+        stage: {"median": float(np.median(spent)), "p99": float(np.percentile(spent, 99))}
+        for stage, spent in {"total": total, **stage_ms}.items()
+    }

@@ -7,13 +7,12 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_origin, get_type_hints
 
 import tomli_w
 
 from odometry.stereo import StereoOdometryConfig
-from place_recognition.image_processing.surf import SurfConfig
-from place_recognition.paradigms.tracked_words import TrackedWordsConfig
+from place_recognition.paradigms.catalogue import ParadigmsConfig
 from slam.errors import ConfigError
 from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
@@ -40,8 +39,7 @@ class RunConfig:
     seed: int = 0
     record: bool = True
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
-    features: SurfConfig = field(default_factory=SurfConfig)
-    tracked_words: TrackedWordsConfig = field(default_factory=TrackedWordsConfig)
+    places: ParadigmsConfig = field(default_factory=ParadigmsConfig)
     loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     key_frames: KeyFrameConfig = field(default_factory=KeyFrameConfig)
@@ -87,8 +85,15 @@ def _from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
 def _checked(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
         return _from_values(kind, value, where)  # type: ignore[arg-type]
+    if get_origin(kind) is tuple and isinstance(value, list):
+        return _as_tuple(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         raise ConfigError(f"{where}: expected {kind.__name__}, found {value!r}")
     return value
+
+
+def _as_tuple(values: list[Any]) -> tuple[Any, ...]:
+    """TOML knows only lists."""
+    return tuple(_as_tuple(value) if isinstance(value, list) else value for value in values)

@@ -1,15 +1,13 @@
 """The parts of the system, built from a configuration: the one place where names become classes."""
 
-from collections.abc import Callable
-
 from odometry.camera import StereoCamera
 from odometry.stereo import StereoOdometry
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.tracked_words import TrackedWords
-from place_recognition.recognizer import PlaceRecognizer
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build
+from place_recognition.recognizer import PlaceRecognizer, RowSink
 from slam.config import RunConfig
-from slam.errors import ConfigError
+from slam.errors import ConfigError, DataError
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing import LoopCloser
 from slam.mapping.landmarks import LandmarkMap
@@ -17,9 +15,11 @@ from slam.pose_graph import PoseGraph
 from slam.robust import back_end
 from slam.system import Parts
 
-PARADIGMS: dict[str, Callable[[SharedFeatures, RunConfig], PlaceRecognizer]] = {
-    "tracked-words": lambda features, config: TrackedWords(features, config.tracked_words),
-}
+
+def check_paradigm(name: str) -> None:
+    """Raise ConfigError for an unknown paradigm; the message lists the known ones."""
+    if name not in PARADIGMS:
+        raise ConfigError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
 
 
 def check_names(config: RunConfig) -> RunConfig:
@@ -28,20 +28,33 @@ def check_names(config: RunConfig) -> RunConfig:
     Raises:
         ConfigError: an unknown paradigm or back end; the message lists the known ones.
     """
-    if config.paradigm not in PARADIGMS:
-        raise ConfigError(f"unknown paradigm '{config.paradigm}': expected one of {', '.join(PARADIGMS)}")
+    check_paradigm(config.paradigm)
     back_end(config.robust)
     return config
 
 
+def build_recognizer(
+    name: str, features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None = None
+) -> PlaceRecognizer:
+    """Build the recogniser of a paradigm whose name has been checked.
+
+    Raises:
+        DataError: its vocabulary or its descriptor is missing, damaged or of another kind.
+    """
+    try:
+        return build(name, features, config, rows)
+    except (OSError, ValueError) as error:  # place_recognition knows nothing of this family
+        raise DataError(str(error)) from error
+
+
 def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
     """All parts for one camera, of a configuration whose names have been checked."""
-    features = SharedFeatures(Surf(config.features))
+    features = SharedFeatures(Surf(config.places.features))
     odometry = StereoOdometry(camera, config.odometry)
     return Parts(
         odometry=odometry,
         features=features,
-        recognizer=PARADIGMS[config.paradigm](features, config),
+        recognizer=build_recognizer(config.paradigm, features, config.places),
         loop_closer=LoopCloser(camera, features, config.loop_closing, odometry.disparity),
         graph=PoseGraph(config.pose_graph),
         key_frames=KeyFrameSelector(config.key_frames),

@@ -1,39 +1,16 @@
-"""How well places were recognised in a run: the other half of the picture, beside the trajectory's error."""
+"""How well places were recognised: the section `places` of metrics.json, of a run and of `revisit places`."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.evaluation.map_size import MapSize
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
-from slam.evaluation.loops import LoopRule, revisit_matrix
-from slam.system import LoopAttempt
+from place_recognition.recognizer import Belief
 
-Array = NDArray[np.float64]
-
-
-def place_metrics(
-    attempts: Sequence[LoopAttempt], truth: Array | None, paradigm: str, rule: LoopRule | None = None
-) -> tuple[dict[str, object], dict[str, str]]:
-    """The section `places` of metrics.json, and notes on what in it is null.
-
-    Args:
-        attempts: what became of every belief.
-        truth: T_world_camera (N, 4, 4), metres, or None.
-        paradigm: name of the recogniser.
-        rule: what counts as a revisit.
-    """
-    measured: dict[str, object] = dict.fromkeys(_MEASURED)
-    section = {"paradigm": paradigm, "queries": len(attempts)}
-    if truth is None:
-        return section | measured, {f"places.{name}": "there is no ground truth" for name in _MEASURED}
-    matrix = revisit_matrix(truth, rule)
-    if not matrix.any():
-        return section | measured, {f"places.{name}": "no image is a revisit by ground truth" for name in _MEASURED}
-    beliefs = [attempt.belief for attempt in attempts]
-    curve = precision_recall(beliefs, matrix)
-    return section | _summary(curve, accepted_counts(beliefs, matrix)), {}
-
+OTHERS_TOLERANCE = 10  # columns; the rule of iBoW-LCD and its kin, while the chapter's authors allow none
 
 _MEASURED = (
     "recall_at_100_precision",
@@ -45,12 +22,61 @@ _MEASURED = (
 )
 
 
-def _summary(curve: PrecisionRecall, accepted: tuple[int, int]) -> dict[str, object]:
+@dataclass(frozen=True)
+class PlaceResult:
+    """How good the beliefs of a drive are.
+
+    Attributes:
+        section: for metrics.json.
+        notes: why a value in it is null, by its dotted name.
+        curve: by the rule of the chapter's authors (no tolerance); None without ground truth.
+    """
+
+    section: dict[str, object]
+    notes: dict[str, str] = field(default_factory=dict)
+    curve: PrecisionRecall | None = None
+
+
+def judge_places(
+    paradigm: str, beliefs: Sequence[Belief], truth: NDArray[np.bool_] | None, size: MapSize | None = None
+) -> PlaceResult:
+    """Measure beliefs.
+
+    Args:
+        paradigm: name of the recogniser.
+        beliefs: one a query.
+        truth: (N, N), row = query, column = earlier image, or None.
+        size: of the recogniser's map, where it is known.
+    """
+    words = None if size is None else size.words
+    held: dict[str, object] = {"words": words, "map_bytes": None if size is None else size.bytes}
+    notes = {} if words is not None else {"places.words": f"{paradigm} counts no words"}
+    section = {"paradigm": paradigm, "queries": len(beliefs)}
+    if truth is None or not truth.any():
+        reason = "there is no ground truth" if truth is None else "no image is a revisit by ground truth"
+        missing = (*_MEASURED, "tolerance_10")
+        unknown = section | dict.fromkeys(missing) | held
+        return PlaceResult(unknown, notes | {f"places.{name}": reason for name in missing})
+    curve = precision_recall(beliefs, truth)
+    tolerant = {"tolerance_10": score(beliefs, truth, OTHERS_TOLERANCE)}
+    return PlaceResult(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
+
+
+def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+    """R@P100, average precision and counts under a tolerance (see `precision_recall.judge`), as in metrics.json."""
+    curve = precision_recall(beliefs, truth, tolerance)
     values = (
         curve.recall_at_full_precision,
         curve.average_precision,
         curve.threshold_at_full_precision,
-        *accepted,
+        *accepted_counts(beliefs, truth, tolerance),
         curve.truth_rows,
     )
     return dict(zip(_MEASURED, values, strict=True))
+
+
+def _threshold_note(curve: PrecisionRecall) -> dict[str, str]:
+    if curve.threshold_at_full_precision is not None:
+        return {}
+    reason = "even the surest detection is false" if len(curve.thresholds) else "nothing was detected"
+    return {"places.threshold_at_100_precision": reason}

@@ -1,22 +1,23 @@
 """From a finished drive to its record, and from the record to the files of a run."""
 
 import dataclasses
-import resource
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.evaluation.map_size import map_size
+from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
-from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop
+from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
 from slam.ledger import Judge, write_ledger
 from slam.loop_closing import LoopClosure
-from slam.place_metrics import place_metrics
+from slam.place_metrics import PlaceResult, judge_places
+from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
 from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
@@ -127,8 +128,8 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
 def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
     errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    places, place_notes = place_metrics(finished.drive_log.attempts, record.ground_truth, finished.config.paradigm)
-    notes = place_notes | _notes("loops", loops)
+    places = _places(record, finished)
+    notes = places.notes | _notes("loops", loops)
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
@@ -137,15 +138,22 @@ def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
         "loops": loops.as_metrics(),
-        "places": places,
+        "places": places.section,
         "graph": _graph_metrics(record, errors, finished.optimized),
-        "timing_ms": _timing(record.stage_ms),
+        "timing_ms": timing_ms(record.stage_ms),
         "frames_per_second": len(record.timestamps) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
-        "peak_memory_mb": _peak_memory_mb(),
+        "peak_memory_mb": peak_memory_mb(),
         "interrupted": finished.interrupted,
         "notes": notes,
     }
+
+
+def _places(record: DriveRecord, finished: Finished) -> PlaceResult:
+    truth = None if record.ground_truth is None else revisit_matrix(record.ground_truth)
+    beliefs = [attempt.belief for attempt in finished.drive_log.attempts]
+    size = map_size(finished.slam.parts.recognizer)
+    return judge_places(finished.config.paradigm, beliefs, truth, size)
 
 
 def _errors(estimate: Array, truth: Array | None) -> TrajectoryErrors:
@@ -172,16 +180,3 @@ def _graph_metrics(record: DriveRecord, errors: dict[str, TrajectoryErrors], opt
         "error_final": optimized.error_final,
         "seconds": optimized.seconds,
     }
-
-
-def _timing(stage_ms: dict[str, Array]) -> dict[str, dict[str, float]]:
-    total = np.sum(list(stage_ms.values()), axis=0)
-    return {
-        stage: {"median": float(np.median(spent)), "p99": float(np.percentile(spent, 99))}
-        for stage, spent in {"total": total, **stage_ms}.items()
-    }
-
-
-def _peak_memory_mb() -> float:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)

@@ -1,14 +1,10 @@
 """One recorded drive from its images to its results: the system, the clock, the viewer and the files."""
 
 import logging
-import platform
-import shlex
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
 
 from rich.console import Console
@@ -22,6 +18,7 @@ from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError
 from slam.parts import build_parts, check_names
 from slam.progress import progress_bar
+from slam.provenance import provenance
 from slam.report.tables import summary
 from slam.results import Finished, make_record, write_results
 from slam.stopping import stop_on_interrupt
@@ -33,6 +30,7 @@ from slam.watching import Watcher
 log = logging.getLogger("revisit")
 
 _WARM_UP_FRAMES = 3  # the first with a motion, and one after it
+_OF_PLACES = ("vocabulary", "descriptor")  # settings that belong to place recognition
 VIEWS = ("none", "native", "web")
 
 
@@ -80,7 +78,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         viewer = open_viewer(options, config, drive, folder.path)
         try:
             finished = drive_through(drive, config, viewer, messages)
-            record = make_record(finished, provenance(options, drive))
+            record = make_record(finished, provenance(options.source, drive.name))
             viewer.finish(record)
         finally:
             viewer.close()
@@ -101,7 +99,10 @@ def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
     base = read_config(options.config) if options.config else RunConfig()
-    return check_names(replace(base, **settings))  # type: ignore[arg-type]
+    own = {name: value for name, value in settings.items() if name not in _OF_PLACES}
+    places = {name: value for name, value in settings.items() if name in _OF_PLACES}
+    changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
+    return check_names(changed)
 
 
 def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:
@@ -162,18 +163,6 @@ def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
         if frame is None:
             return
         yield frame
-
-
-def provenance(options: RunOptions, drive: Dataset) -> dict[str, object]:
-    """Where the numbers come from: source, command and versions."""
-    names = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
-    versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in names}
-    return {
-        "source": str(options.source),
-        "sequence": drive.name,
-        "command": shlex.join(["revisit", *sys.argv[1:]]),
-        "versions": versions,
-    }
 
 
 @contextmanager

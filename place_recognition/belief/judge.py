@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from place_recognition.belief.proof import Proof, ProofConfig, prove
+from place_recognition.belief.proof import Pairing, Proof, ProofConfig, pair, rank
 from place_recognition.belief.temporal_consistency import ConsistencyConfig, TemporalConsistency
 from place_recognition.map.image_store import ImageStore
 
@@ -41,13 +41,32 @@ class Judge:
             candidates: locations that the paradigm proposes, best first.
             horizon: the latest location that may be matched.
         """
-        proposed = list(candidates)
-        expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon and k not in proposed]
-        proofs = prove(self._images, query, proposed, self._proof)
-        proofs += prove(self._images, query, expected, replace(self._proof, tried=1))
-        if not proofs:
+        chosen = self._chosen(query, list(candidates), horizon)
+        if not chosen:
             return None
-        best = max(proofs, key=lambda proof: proof.evidence + self._consistency.trail(proof) * proof.verified)
+        best = self._best([pair(self._images, query, location, self._proof) for location in chosen])
         judgement = Judgement(best, self._consistency.support(best) if best.verified else 0.0)
         self._consistency.remember(best)
         return judgement
+
+    def _chosen(self, query: int, proposed: list[int], horizon: int) -> list[int]:
+        """The locations that match best: of the proposed ones, and one of the expected ones."""
+        expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon and k not in proposed]
+        few = rank(self._images, query, proposed, self._proof)
+        return few + rank(self._images, query, expected, replace(self._proof, tried=1))
+
+    def _best(self, pairings: list[Pairing]) -> Proof:
+        """The proof that weighs most; of equal ones that of the first pairing.
+
+        The search for a geometry costs most of the time, so it ends where no pairing could outweigh the best so far
+        even if all its matches agreed. The answer is the same.
+        """
+        at_best = [self._weight(pairing.at_best()) for pairing in pairings]
+        proofs: dict[int, Proof] = {}
+        for k in sorted(range(len(pairings)), key=lambda k: -at_best[k]):
+            if not proofs or at_best[k] >= max(map(self._weight, proofs.values())):
+                proofs[k] = pairings[k].check(self._proof.verification)
+        return max((proofs[k] for k in sorted(proofs)), key=self._weight)
+
+    def _weight(self, proof: Proof) -> float:
+        return proof.evidence + self._consistency.trail(proof) * proof.verified

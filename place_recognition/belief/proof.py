@@ -1,15 +1,17 @@
 """The proof of a revisit: among candidate images the one that matches best, if one epipolar geometry explains it."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import gammaln
+from numpy.typing import NDArray
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
-from place_recognition.belief.matching import mutual_matches
+from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.map.image_store import ImageStore, StoredFeatures
+
+Floats = NDArray[np.float32]
 
 SAMPLE = 7  # matches that settle a fundamental matrix, of which there may be three
 
@@ -49,22 +51,63 @@ class Proof:
     verified: bool
 
 
-def prove(images: ImageStore, query: int, candidates: Iterable[int], config: ProofConfig) -> list[Proof]:
+@dataclass(frozen=True)
+class Pairing:
+    """The matches of two images, of which geometry has not been asked yet.
+
+    Attributes:
+        query, location: the later and the earlier image, by location.
+        now, then: (N, 2) float32 pixels of the matches in each.
+        chance: probability that a random match agrees with a given fundamental matrix.
+    """
+
+    query: int
+    location: int
+    now: Floats
+    then: Floats
+    chance: float
+
+    def at_best(self) -> Proof:
+        """The proof if all matches agreed: no check says more."""
+        return self._proof(len(self.now))
+
+    def check(self, config: VerificationConfig) -> Proof:
+        """What geometry says."""
+        agree = epipolar_inliers(self.now, self.then, config)
+        if agree is None:
+            return Proof(self.query, self.location, 0, 0.0, verified=False)
+        return self._proof(int(np.count_nonzero(agree)))
+
+    def _proof(self, inliers: int) -> Proof:
+        evidence = chance_evidence(inliers, len(self.now), self.chance)
+        return Proof(self.query, self.location, inliers, evidence, verified=True)
+
+
+def prove(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:
     """Verify those of the candidate locations that match best, best first; of equal ones the first."""
-    ranked = sorted(candidates, key=lambda location: -_likeness(images, query, location, config))
-    return [verify(images, query, location, config) for location in ranked[: config.tried]]
+    return [verify(images, query, location, config) for location in rank(images, query, candidates, config)]
+
+
+def rank(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[int]:
+    """The few candidate locations most of whose strongest features match, best first; of equal ones the first."""
+    if len(candidates) == 0:
+        return []
+    now = images[query].strongest(config.compared).quantised
+    likeness = count_matches(now, *images.strongest(candidates, config.compared), config.ratio)
+    return [candidates[k] for k in np.argsort(-likeness, kind="stable")[: config.tried]]
 
 
 def verify(images: ImageStore, query: int, location: int, config: ProofConfig) -> Proof:
     """What geometry says of the image at a location as the place of the query."""
+    return pair(images, query, location, config).check(config.verification)
+
+
+def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> Pairing:
+    """The matches of a query and the image at an earlier location."""
     now, then = images[query], images[location]
-    pairs = mutual_matches(now.descriptors, then.descriptors, config.ratio)
-    agree = epipolar_inliers(now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], config.verification)
-    if agree is None:
-        return Proof(query, location, 0, 0.0, verified=False)
-    inliers = int(np.count_nonzero(agree))
-    evidence = chance_evidence(inliers, len(pairs), _chance(then, config.verification.distance))
-    return Proof(query, location, inliers, evidence, verified=True)
+    pairs = match_pairs(now.quantised, then.quantised, config.ratio)
+    chance = _chance(then, config.verification.distance)
+    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance)
 
 
 def chance_evidence(inliers: int, matches: int, chance: float) -> float:
@@ -85,11 +128,6 @@ def chance_evidence(inliers: int, matches: int, chance: float) -> float:
     return max(-log_number / math.log(10), 0.0)
 
 
-def _likeness(images: ImageStore, query: int, location: int, config: ProofConfig) -> int:
-    now, then = (images[k].strongest(config.compared).descriptors for k in (query, location))
-    return len(mutual_matches(now, then, config.ratio))
-
-
 def _chance(features: StoredFeatures, distance: float) -> float:
     """Probability that a random point of the features' bounding box lies so near to a line through it, at most."""
     width, height = np.maximum(np.ptp(features.pixels, axis=0), 1.0)
@@ -97,4 +135,4 @@ def _chance(features: StoredFeatures, distance: float) -> float:
 
 
 def _log_choices(total: int, chosen: int) -> float:
-    return float(gammaln(total + 1) - gammaln(chosen + 1) - gammaln(total - chosen + 1))
+    return math.lgamma(total + 1) - math.lgamma(chosen + 1) - math.lgamma(total - chosen + 1)

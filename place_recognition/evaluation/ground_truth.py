@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -15,35 +16,82 @@ Truth = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class SamePlace:
-    """The rule by which two poses count as one place.
+    """The rule by which two poses count as one place: the one that runs and the simulation are judged by as well.
+
+    The figures of the literature move with this rule, so it is one object with every number in it.
 
     Attributes:
         radius: greatest distance of the positions, metres.
         heading: greatest angle between the viewing directions, degrees; 180 lets every direction pass.
-        gap: least time between the images, seconds.
+        gap: least time between the images, seconds; 40 in most papers. 0 asks for no times.
+        way: least way driven between the images, metres. Neighbours on the road never count, and a stop is no
+            revisit, however short the recording.
+        one_to_one: of the band of earlier images that the rest lets pass, only the nearest is the same place.
     """
 
-    radius: float = 6.0
+    radius: float = 5.0
     heading: float = 45.0
-    gap: float = 40.0
+    gap: float = 0.0
+    way: float = 20.0
+    one_to_one: bool = False
 
 
-def truth_from_poses(T_world_camera: Array, timestamps: Array, rule: SamePlace | None = None) -> Truth:
-    """Truth matrix (N, N) of poses (N, 4, 4), metres, taken at timestamps (N,), seconds, under a rule.
+def truth_from_poses(T_world_camera: Array, timestamps: Array | None = None, rule: SamePlace | None = None) -> Truth:
+    """Truth matrix (N, N) of poses (N, 4, 4), metres, under a rule. The viewing direction is the camera's z axis.
 
-    The viewing direction is the camera's z axis.
+    Args:
+        T_world_camera: finite.
+        timestamps: (N,) seconds; not needed by a rule without `gap`.
+        rule: what counts as one place.
+
+    Raises:
+        ValueError: poses that are none, another number of times, or no times where the rule needs them.
     """
     rule = rule or SamePlace()
-    poses, times = np.asarray(T_world_camera, np.float64), np.asarray(timestamps, np.float64)
-    if poses.shape != (len(times), 4, 4):
-        raise ValueError(f"expected poses ({len(times)}, 4, 4) for as many timestamps, got {poses.shape}")
+    poses = _checked(T_world_camera)
     positions, directions = poses[:, :3, 3], poses[:, :3, 2]
-    truth = np.zeros((len(times), len(times)), np.bool_)
-    for query in range(len(times)):  # row by row: (N, N, 3) would not fit into memory for a long drive
-        near = np.linalg.norm(positions[:query] - positions[query], axis=1) <= rule.radius
-        aligned = directions[:query] @ directions[query] >= np.cos(np.radians(rule.heading)) - 1e-12
-        truth[query, :query] = near & aligned & (times[query] - times[:query] >= rule.gap)
+    ways, times = _ways(positions), _times(timestamps, len(poses), rule)
+    truth = np.zeros((len(poses), len(poses)), np.bool_)
+    for first in range(0, len(poses), _BLOCK):  # all N^2 distances of a long drive at once would need a gigabyte
+        query = np.arange(first, min(first + _BLOCK, len(poses)))
+        earlier = np.arange(query[-1] + 1)
+        distances = cdist(positions[query], positions[earlier])
+        same = (distances <= rule.radius) & (earlier < query[:, None])
+        same &= directions[query] @ directions[earlier].T >= np.cos(np.radians(rule.heading)) - 1e-12
+        same &= (ways[query, None] - ways[earlier] >= rule.way) & (times[query, None] - times[earlier] >= rule.gap)
+        truth[first : first + len(query), : len(earlier)] = _nearest(same, distances) if rule.one_to_one else same
     return truth
+
+
+_BLOCK = 256  # rows at a time
+
+
+def _checked(T_world_camera: Array) -> Array:
+    poses = np.asarray(T_world_camera, np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
+        raise ValueError(f"expected finite poses (N, 4, 4), got {poses.shape}")
+    return poses
+
+
+def _times(timestamps: Array | None, count: int, rule: SamePlace) -> Array:
+    if timestamps is None:
+        if rule.gap > 0:
+            raise ValueError(f"expected the times of the {count} poses for a gap of {rule.gap:g} s, got none")
+        return np.zeros(count)
+    times = np.asarray(timestamps, np.float64)
+    if times.shape != (count,):
+        raise ValueError(f"expected as many times as there are poses, {count}, got {times.shape}")
+    return times
+
+
+def _ways(positions: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])[: len(positions)]
+
+
+def _nearest(same: Truth, distances: Array) -> Truth:
+    """Of each row's True cells, only the one of the smallest distance."""
+    nearest = np.argmin(np.where(same, distances, np.inf), axis=1)
+    return same & (np.arange(same.shape[1]) == nearest[:, None])
 
 
 def load_truth(path: Path) -> Truth:
@@ -57,31 +105,49 @@ def load_truth(path: Path) -> Truth:
     matrix = _matrix_in(path)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ValueError(f"{path}: expected a square truth matrix (N, N), found {matrix.shape}")
-    truth = matrix.astype(np.float64) > 0
+    if matrix.dtype.kind not in "biuf":
+        raise ValueError(f"{path}: expected a truth matrix of numbers, found {matrix.dtype}")
+    truth = np.greater(matrix, 0)
     lower, upper = np.tril(truth, -1), np.triu(truth, 1)
     return lower if lower.any() or not upper.any() else np.ascontiguousarray(upper.T)
 
 
 def _matrix_in(path: Path) -> NDArray[np.generic]:
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a truth file, found none; check the path")
     if path.suffix == ".npz":
-        with np.load(path) as arrays:
-            if "truth" not in arrays:
-                raise ValueError(f"{path}: expected an array named truth, found {', '.join(arrays.files) or 'none'}")
-            return np.asarray(arrays["truth"])
+        return _matrix_in_numpy(path)
     if path.suffix == ".mat":
         return _matrix_in_matlab(path)
     raise ValueError(f"{path}: expected a truth file .npz or .mat, found {path.suffix or 'no suffix'}")
 
 
+def _matrix_in_numpy(path: Path) -> NDArray[np.generic]:
+    try:
+        with np.load(path) as arrays:
+            found = list(arrays.files)
+            truth = np.asarray(arrays["truth"]) if "truth" in found else None
+    # Not only ValueError: numpy lets the errors of zip files and of its headers through.
+    except Exception as error:
+        raise ValueError(f"{path}: expected an intact .npz file, found a damaged one ({_line(error)})") from error
+    if truth is None:
+        raise ValueError(f"{path}: expected an array named truth, found {', '.join(found) or 'none'}")
+    return truth
+
+
 def _matrix_in_matlab(path: Path) -> NDArray[np.generic]:
-    from scipy.io import loadmat, matlab
+    from scipy.io import loadmat
 
     try:
         variables = loadmat(path)
-    except (matlab.MatReadError, ValueError, NotImplementedError) as error:
-        raise ValueError(f"{path}: expected a MATLAB file up to version 7.2, found: {error}") from error
+    except Exception as error:  # scipy lets whatever a damaged byte provokes through: TypeError, zlib.error, ...
+        raise ValueError(f"{path}: expected an intact MATLAB file up to version 7.2, found: {_line(error)}") from error
     matrices = {name: value for name, value in variables.items() if not name.startswith("__") and np.size(value) > 1}
     if len(matrices) != 1:
         raise ValueError(f"{path}: expected one matrix, found {', '.join(matrices) or 'none'}")
     value = next(iter(matrices.values()))
     return np.asarray(value.toarray() if hasattr(value, "toarray") else value)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,44 +1,113 @@
-"""What is kept of every image for looking closer later: its strongest features, small."""
+"""What is kept of every image for looking closer later: its strongest features, small, the older ones on disk."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.map.record_file import RecordFile
 
 Floats = NDArray[np.float32]
+Bytes = NDArray[np.int8]
 
 STEPS = 127  # a number of a unit descriptor is kept as a multiple of 1 / STEPS: 0.02 of distance, one byte
+PIXEL_STEP = 1 / 16  # of the pixels as they are kept: a 30th of the distance within which matches agree
+IN_MEMORY = 2048  # latest images kept in memory: 74 MB of 500 SURF features each
 
 
 @dataclass(frozen=True)
 class StoredFeatures:
-    """Pixels (N, 2) float32 and descriptors (N, D) float32 of about unit length, strongest first."""
+    """Features of one image, strongest first.
+
+    Attributes:
+        pixels: (N, 2) float32, to a sixteenth (coarser in images of more than 4096 pixels a side).
+        quantised: (N, D) int8, descriptors in steps of 1 / STEPS.
+    """
 
     pixels: Floats
-    descriptors: Floats
+    quantised: Bytes
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    @property
+    def descriptors(self) -> Floats:
+        """(N, D) float32 of about unit length."""
+        return self.quantised.astype(np.float32) * np.float32(1 / STEPS)
 
     def strongest(self, count: int) -> "StoredFeatures":
         """The first so many."""
-        return StoredFeatures(self.pixels[:count], self.descriptors[:count])
+        return StoredFeatures(self.pixels[:count], self.quantised[:count])
 
 
 class ImageStore:
-    """Features of all images, by location: 36 kB for 500 features of 64 numbers."""
+    """Features of all images, by location: 34 kB for 500 features of 64 numbers.
 
-    def __init__(self, features: int) -> None:
-        self._limit = features
-        self._images: list[tuple[Floats, NDArray[np.int8]]] = []
+    The latest images stay in memory, the older ones in a temporary file that is gone with the store.
+    """
+
+    def __init__(self, features: int, in_memory: int = IN_MEMORY) -> None:
+        self._limit, self._in_memory = features, in_memory
+        self._records: RecordFile | None = None
 
     def __len__(self) -> int:
-        return len(self._images)
+        return 0 if self._records is None else len(self._records)
+
+    @property
+    def disk_bytes(self) -> int:
+        """Size of the temporary file."""
+        return 0 if self._records is None else self._records.disk_bytes
 
     def __getitem__(self, location: int) -> StoredFeatures:
-        pixels, small = self._images[location]
-        return StoredFeatures(pixels, small.astype(np.float32) * np.float32(1 / STEPS))
+        record = self._record(location)
+        count = int(record["count"])
+        pixels = record["pixels"][:count].astype(np.float32) * record["pixel_step"]
+        return StoredFeatures(pixels, record["quantised"][:count])
+
+    def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
+        """Quantised descriptors (L, count, D) of the strongest features at L locations, and how many are valid (L,)."""
+        records = [self._record(location) for location in locations]
+        counts = np.array([min(int(record["count"]), count) for record in records], np.int64)
+        return np.stack([record["quantised"][:count] for record in records]), counts
 
     def add(self, features: LocalFeatures) -> None:
-        """Keep the strongest features of the next image."""
-        small = np.round(features.descriptors[: self._limit] * STEPS).astype(np.int8)
-        self._images.append((features.pixels[: self._limit].copy(), small))
+        """Keep the strongest features of the next image.
+
+        Raises:
+            ValueError: descriptors of another length than those before.
+            OSError: the disk is full.
+        """
+        count, dimension = min(len(features), self._limit), features.descriptors.shape[1]
+        records = self._records or self._begin(dimension)
+        record = np.zeros((), records.dtype)
+        if record["quantised"].shape[1] != dimension:
+            raise ValueError(f"expected descriptors of {record['quantised'].shape[1]} numbers, got {dimension}")
+        pixels = features.pixels[:count]
+        step = max(PIXEL_STEP, float(pixels.max(initial=0)) / np.iinfo(np.uint16).max)
+        record["count"], record["pixel_step"] = count, step
+        record["pixels"][:count] = np.round(np.maximum(pixels, 0) / step)
+        record["quantised"][:count] = np.round(features.descriptors[:count] * STEPS)
+        records.append(record)
+
+    def _begin(self, dimension: int) -> RecordFile:
+        self._records = RecordFile(record_type(self._limit, dimension), self._in_memory)
+        return self._records
+
+    def _record(self, location: int) -> NDArray[np.void]:
+        if self._records is None or not 0 <= location < len(self):
+            raise IndexError(f"expected a location below {len(self)}, got {location}")
+        return self._records.read(location)
+
+
+def record_type(features: int, dimension: int) -> np.dtype[np.void]:
+    """How one image is kept."""
+    return np.dtype(
+        [
+            ("count", np.int32),
+            ("pixel_step", np.float32),
+            ("pixels", np.uint16, (features, 2)),
+            ("quantised", np.int8, (features, dimension)),
+        ]
+    )

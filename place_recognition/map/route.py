@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.matching import mutual_matches
+from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.map.growing import GrowingArray
 from place_recognition.map.image_store import ImageStore
@@ -26,6 +26,8 @@ class RouteConfig:
         connected: descriptors that two images of one view share; images of different places share few by chance.
         compared: strongest features of each of the two that are compared for this.
         ratio: nearest to second nearest descriptor distance of a match for this.
+        exclusion: images nearer than this to the latest are never matched, whatever the rest says; 0 leaves it to
+            the rest. For comparisons with papers, which exclude a time.
     """
 
     stored: int = 500
@@ -34,6 +36,7 @@ class RouteConfig:
     connected: int = 15
     compared: int = 150
     ratio: float = 0.8
+    exclusion: int = 0
 
 
 class Route:
@@ -93,11 +96,11 @@ class Route:
 
     def guarded(self) -> int:
         """The latest location that is far enough behind in images and way; -1 or less for none."""
-        return min(self.latest - self.config.least_gap, self._far_behind())
+        return min(self.latest - max(self.config.least_gap, self.config.exclusion), self._far_behind())
 
     def horizon(self) -> int:
         """The latest location that may be matched: out of the present view, and far enough behind; -1 for none."""
-        return max(min(self._view_begin - self.config.least_gap, self._far_behind()), -1)
+        return max(min(self._view_begin - self.config.least_gap, self.guarded()), -1)
 
     def way_since(self, location: int) -> float:
         """Way from an earlier image to the latest, metres; NaN where it is not measured."""
@@ -115,7 +118,7 @@ class Route:
 
         A blank image says nothing about where the view begins.
         """
-        newest = self.images[self.latest].strongest(self.config.compared).descriptors
+        newest = self.images[self.latest].strongest(self.config.compared).quantised
         if len(newest) < self.config.connected:
             return
         for _ in range(STEPS):
@@ -123,6 +126,6 @@ class Route:
                 return
             self._view_begin += 1
 
-    def _shared_with_begin(self, newest: NDArray[np.float32]) -> int:
-        begin = self.images[self._view_begin].strongest(self.config.compared).descriptors
-        return len(mutual_matches(newest, begin, self.config.ratio))
+    def _shared_with_begin(self, newest: NDArray[np.int8]) -> int:
+        begin = self.images.strongest([self._view_begin], self.config.compared)
+        return int(count_matches(newest, *begin, self.config.ratio)[0])

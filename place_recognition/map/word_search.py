@@ -11,7 +11,7 @@ Indices = NDArray[np.int64]
 
 BLOCK = 128  # words bounded at a time: they stay in the cache
 # Principal directions in which words are compared first: they hold 97 % of the variance of SURF words, and leave 4 of
-# 4,000 words an image feature to be compared in full; 15 leave 24, and 31 cost more than they spare.
+# 4,000 words to be compared in full; 15 leave 24, 11 leave 62. Of 11 to 31 the quickest: half the time of all numbers.
 DIRECTIONS = 23
 ROUNDING = np.float32(
     1e-5
@@ -69,28 +69,29 @@ def _search(
     query: Floats, shortened: Floats, slack: Floats, words: Floats, bounds: Floats, penalties: Floats
 ) -> Indices:
     nearest = np.zeros(len(query), np.int64)
+    best = np.full(len(query), -np.inf, np.float32)
     bound = np.empty(BLOCK, np.float32)
-    for i in range(len(query)):
-        best = np.float32(-np.inf)
-        for block in range(len(bounds)):
+    for block in range(len(bounds)):
+        rows = words[block * BLOCK : (block + 1) * BLOCK]
+        for i in range(len(query)):
             bound[:] = penalties[block]
             add_products(shortened[i], bounds[block], bound)
-            if not _any_above(bound, best - slack[i]):
+            if not _any_reaches(bound, best[i] - slack[i]):
                 continue
-            for j in range(BLOCK):
-                if bound[j] >= best - slack[i] and block * BLOCK + j < len(words):
-                    closeness = penalties[block, j] + _product(query[i], words[block * BLOCK + j])
-                    if closeness > best:
-                        nearest[i], best = block * BLOCK + j, closeness
+            for j in range(len(rows)):
+                if bound[j] >= best[i] - slack[i]:
+                    closeness = penalties[block, j] + _product(query[i], rows[j])
+                    if closeness > best[i]:
+                        nearest[i], best[i] = block * BLOCK + j, closeness
     return nearest
 
 
 @njit(cache=True)
-def _any_above(values: Floats, limit: float) -> bool:
-    found = False
-    for j in range(BLOCK):  # to the end: a loop without a way out compares many at once
-        found |= values[j] >= limit
-    return found
+def _any_reaches(values: Floats, limit: np.float32) -> bool:
+    found = np.int32(0)
+    for j in range(BLOCK):  # to the end: a loop of known length without a way out compares many at once
+        found |= np.int32(values[j] >= limit)
+    return bool(found)
 
 
 @njit(cache=True)

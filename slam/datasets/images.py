@@ -24,12 +24,12 @@ class ImageSequence:
     Attributes:
         name: of the folder, or of the KITTI sequence.
         files: N paths, in order.
-        timestamps: (N,) seconds, increasing.
+        timestamps: (N,) seconds, increasing; None where neither a file nor a rate says when they were taken.
     """
 
     name: str
     files: tuple[Path, ...]
-    timestamps: Array
+    timestamps: Array | None
 
     def __len__(self) -> int:
         return len(self.files)
@@ -53,17 +53,23 @@ def open_images(source: Path, sequence: str | None = None, fps: float | None = N
         source: folder that holds images, taken in the natural order of their names (2.jpg before 10.jpg), or
             a folder in KITTI odometry layout.
         sequence: name of the KITTI sequence; None where there is only one.
-        fps: images in a second, where there is no `times.txt`.
+        fps: images in a second, where there is no `times.txt`; None where nobody will ask for times.
 
     Raises:
-        DataError: no images, or no times and no `fps`.
+        DataError: no images, or an `fps` that is none.
     """
-    files = _images_in(source)
-    if files:
-        return ImageSequence(source.absolute().name, files, _times(source / "times.txt", len(files), fps))
-    folder = find_sequence(source, sequence)
-    files = find_images(folder).left
+    folder, files = _folder_and_files(source, sequence)
     return ImageSequence(folder.absolute().name, files, _times(folder / "times.txt", len(files), fps))
+
+
+def _folder_and_files(source: Path, sequence: str | None) -> tuple[Path, tuple[Path, ...]]:
+    files = images_in(source)
+    if files:
+        return source, files
+    if source.is_dir() and not any(item.is_dir() for item in source.iterdir()):
+        raise DataError(f"{source}: expected images or a folder in KITTI layout, found neither; check the path")
+    folder = find_sequence(source, sequence)
+    return folder, find_images(folder).left
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
@@ -95,21 +101,27 @@ def read_times(path: Path, count: int) -> Array:
     return times
 
 
-def _times(path: Path, count: int, fps: float | None) -> Array:
+def _times(path: Path, count: int, fps: float | None) -> Array | None:
     if path.is_file():
         return read_times(path, count)
-    if fps is None or not fps > 0:
-        raise DataError(f"{path}: expected the times of {count} images, found none; give images a second with --fps")
+    if fps is None:
+        return None
+    if not 0 < fps < np.inf:
+        raise DataError(
+            f"{path}: expected the times of {count} images, found none, and --fps {fps}; give a rate above 0"
+        )
     return np.arange(count) / fps
 
 
-def _images_in(folder: Path) -> tuple[Path, ...]:
+def images_in(folder: Path) -> tuple[Path, ...]:
+    """Images of a folder in the natural order of their names (2.jpg before 10.jpg); none where there is no folder."""
     if not folder.is_dir():
         return ()
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.name[0] != "."]
-    return tuple(sorted(files, key=_natural))
+    return tuple(sorted(files, key=natural))
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Key that sorts names by the numbers in them."""
     parts = re.findall(r"(\d+)|(\D+)", path.name)
     return [(0, int(digits), "") if digits else (1, 0, word) for digits, word in parts], path.name

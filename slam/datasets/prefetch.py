@@ -3,15 +3,24 @@
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol, TypeVar
 
-from slam.datasets.dataset import Dataset, Frame
+Item = TypeVar("Item", covariant=True)
 
 
-def prefetch(dataset: Dataset, ahead: int = 4) -> Iterator[Frame]:
+class Recording(Protocol[Item]):
+    """Frames, or images alone, that are read when asked for by their index."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Item: ...
+
+
+def prefetch(recording: Recording[Item], ahead: int = 4) -> Iterator[Item]:
     """Frames of the drive in order, read by one background thread.
 
     Args:
-        dataset: the drive.
+        recording: the drive.
         ahead: frames that wait in memory at most.
 
     Raises:
@@ -19,10 +28,10 @@ def prefetch(dataset: Dataset, ahead: int = 4) -> Iterator[Frame]:
     """
     # One thread: decoding lets go of the interpreter, and more threads would compete with the odometry's own.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
-    waiting: deque[Future[Frame]] = deque()
+    waiting: deque[Future[Item]] = deque()
     try:
-        for index in range(len(dataset)):
-            waiting.append(executor.submit(dataset.__getitem__, index))
+        for index in range(len(recording)):
+            waiting.append(executor.submit(recording.__getitem__, index))
             if len(waiting) >= ahead:
                 yield waiting.popleft().result()
         while waiting:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from odometry import se3
-from slam.evaluation.trajectory import distances_along
+from place_recognition.evaluation.ground_truth import SamePlace, truth_from_poses
 from slam.record import LoopRow
 
 Array = NDArray[np.float64]
@@ -26,18 +25,13 @@ class LoopRule:
         max_translation_m: a measured relative pose may differ from ground truth by this, metres; KITTI's own
             ground truth disagrees with itself by a metre or so between two passes.
         max_rotation_deg: the same for the rotation, degrees.
-        revisit_m: an image is a revisit when an earlier one was taken this close, metres,
-        revisit_heading_deg: and looking the same way within this, degrees,
-        revisit_way_radii: and the way driven between them is at least this many times revisit_m. Relative to
-            the radius, so that neighbours on the road never count and a short recording still has revisits.
+        revisit: when an image comes back to the place of an earlier one.
     """
 
     near_m: float = 10.0
     max_translation_m: float = 3.0
     max_rotation_deg: float = 10.0
-    revisit_m: float = 5.0
-    revisit_heading_deg: float = 45.0
-    revisit_way_radii: float = 4.0
+    revisit: SamePlace = field(default_factory=SamePlace)
 
 
 @dataclass(frozen=True)
@@ -93,20 +87,9 @@ def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.boo
 
     Args:
         truth: T_world_camera (N, 4, 4), metres.
-        rule: what counts as a revisit.
+        rule: what counts as a revisit; `rule.revisit.gap` must be 0, as no times are given.
     """
-    rule = rule or LoopRule()
-    positions, ahead, way = truth[:, :3, 3], truth[:, :3, 2], distances_along(truth)
-    # Pairs from a tree: all N^2 distances of a long drive would need hundreds of megabytes.
-    near = cKDTree(positions).query_pairs(rule.revisit_m, output_type="ndarray")
-    earlier, later = near.min(axis=1), near.max(axis=1)
-    far_behind = way[later] - way[earlier] >= rule.revisit_way_radii * rule.revisit_m
-    cosines = np.einsum("ij,ij->i", ahead[earlier], ahead[later])
-    same_way = cosines >= np.cos(np.radians(rule.revisit_heading_deg))
-    good = far_behind & same_way
-    matrix = np.zeros((len(truth), len(truth)), dtype=bool)
-    matrix[later[good], earlier[good]] = True
-    return matrix
+    return truth_from_poses(truth, rule=(rule or LoopRule()).revisit)
 
 
 def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:

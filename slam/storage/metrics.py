@@ -28,15 +28,19 @@ def write_metrics(path: Path, metrics: Mapping[str, object]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
+    with atomic_writer(path) as file:
+        file.write(metrics_text(metrics) + "\n")
+
+
+def metrics_text(metrics: Mapping[str, object]) -> str:
+    """The JSON that `write_metrics` writes."""
     found: dict[str, str] = {}
     plain = {key: _plain(value, key, found) for key, value in metrics.items() if key != "notes"}
     given = metrics.get("notes", {})
     notes = found | (dict(given) if isinstance(given, Mapping) else {})
     order = [key for key in _FIRST + _THEN if key in plain or key == "schema"]
     ordered = {key: plain.get(key, SCHEMA) for key in order} | plain | {"notes": notes}
-    with atomic_writer(path) as file:
-        json.dump(ordered, file, indent=2, ensure_ascii=False, allow_nan=False)
-        file.write("\n")
+    return json.dumps(ordered, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def read_metrics(path: Path) -> dict[str, object]:

@@ -60,7 +60,7 @@ def write_frames(path: Path, table: FrameTable) -> None:
     columns = [table.timestamps, status, table.reasons, table.inliers, table.tracks, table.residual_px]
     columns += table.stage_ms.values()
     header = FRAME_COLUMNS + tuple(stage.replace(" ", "_") + _STAGE_SUFFIX for stage in table.stage_ms)
-    _write(path, header, zip(range(len(table)), *map(_listed, columns), strict=True))
+    write_table(path, header, zip(range(len(table)), *map(_listed, columns), strict=True))
 
 
 def read_frames(path: Path) -> FrameTable:
@@ -92,7 +92,7 @@ def write_loops(path: Path, loops: Iterable[LoopRow]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    _write(path, LOOP_COLUMNS, map(astuple, loops))
+    write_table(path, LOOP_COLUMNS, map(astuple, loops))
 
 
 def read_loops(path: Path) -> tuple[LoopRow, ...]:
@@ -120,7 +120,12 @@ def _listed(column: object) -> list[object]:
     return column.tolist() if isinstance(column, np.ndarray) else list(column)  # type: ignore[call-overload]
 
 
-def _write(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a table as CSV; cells as this module says.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
     with atomic_writer(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)

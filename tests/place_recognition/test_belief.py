@@ -8,6 +8,7 @@ from scipy.stats import binom
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
+from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.belief.votes import Ballot, count_votes, log_binomial
 from place_recognition.map.tracked_words import Words
 from place_recognition.map.word_index import nearest_words
@@ -79,6 +80,51 @@ def test_mutual_matches_agree_with_a_plain_search():
     np.testing.assert_array_equal(mutual_matches(first, second, ratio=0.8), clear)
 
 
+def quantised(rng, n, d):
+    return np.round(127 * unit(rng, n, d)).astype(np.int8)
+
+
+def plain_pairs(first, second, ratio):
+    """Mutual nearest neighbours that are nearer than ratio times the second nearest, in plain integers."""
+    product = first.astype(np.int64) @ second.T.astype(np.int64)
+    distance = np.maximum(127**2 - product, 0)
+    nearest, back = product.argmax(axis=1), product.argmax(axis=0)
+    others = [np.delete(distance[i], nearest[i]).min(initial=10**9) for i in range(len(first))]
+    clear = distance[np.arange(len(first)), nearest] < ratio**2 * np.array(others)
+    return [(i, nearest[i]) for i in range(len(first)) if back[nearest[i]] == i and clear[i]]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 70), st.integers(1, 70), st.sampled_from([2, 3, 8, 13, 64, 256]))
+def test_quantised_descriptors_match_as_in_plain_integers(seed, n, m, d):
+    rng = np.random.default_rng(seed)
+    first, second = quantised(rng, n, d), quantised(rng, m, d)
+    shared = min(n, m) // 2
+    second[:shared] = first[shared : 2 * shared]
+    expected = np.reshape(plain_pairs(first, second, 0.8), (-1, 2))
+    np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
+
+
+def test_the_largest_products_of_unit_vectors_do_not_overflow():
+    extreme = np.full((1, 256), np.round(127 / 16), np.int8)  # a binary descriptor: 256 equal numbers
+    np.testing.assert_array_equal(match_pairs(extreme, np.concatenate([-extreme, extreme]), 0.8), [[0, 1]])
+
+
+def test_one_image_is_matched_with_many_as_with_each():
+    rng = np.random.default_rng(8)
+    query, others, counts = quantised(rng, 40, 64), quantised(rng, 90, 64).reshape(3, 30, 64), np.array([30, 0, 17])
+    others[0, 5:20], others[2, 10:20] = query[:15], query[20:30]
+    expected = [len(match_pairs(query, other[:count], 0.8)) for other, count in zip(others, counts, strict=True)]
+    np.testing.assert_array_equal(count_matches(query, others, counts, 0.8), expected)
+    assert expected[0] >= 15
+
+
+@pytest.mark.parametrize(("n", "m"), [(0, 0), (0, 5), (5, 0)])
+def test_no_quantised_features_match_nothing(n, m):
+    first, second = np.zeros((n, 64), np.int8), np.zeros((m, 64), np.int8)
+    assert match_pairs(first, second, 0.8).shape == (0, 2)
+
+
 def test_an_image_without_features_matches_nothing():
     assert mutual_matches(np.empty((0, 64), np.float32), unit(np.random.default_rng(0), 5)).shape == (0, 2)
 
@@ -112,3 +158,12 @@ def test_random_matches_rarely_look_rigid():
     config = VerificationConfig(least_inliers=20)
     pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
     assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)
+
+
+def test_quantised_descriptors_of_real_size_match_as_floats_do():
+    rng = np.random.default_rng(9)
+    first, second = quantised(rng, 300, 64), quantised(rng, 280, 64)
+    second[:90] = np.clip(first[100:190].astype(int) + rng.integers(-9, 10, (90, 64)), -127, 127)
+    expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
+    np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
+    assert len(expected) >= 85

@@ -39,14 +39,19 @@ def test_the_way_back_is_the_same_place_only_if_headings_do_not_matter():
 
 
 def test_the_time_between_is_kept():
-    truth = truth_from_poses(np.tile(np.eye(4), (10, 1, 1)), 10.0 * np.arange(10), SamePlace(1, 45, 40))
+    truth = truth_from_poses(np.tile(np.eye(4), (10, 1, 1)), 10.0 * np.arange(10), SamePlace(1, 45, 40, way=0))
     query, match = np.nonzero(truth)
     assert (query - match).min() == 4
 
 
 def test_poses_without_as_many_times_are_refused():
-    with pytest.raises(ValueError, match=r"expected poses \(3, 4, 4\)"):
-        truth_from_poses(np.tile(np.eye(4), (2, 1, 1)), np.arange(3.0))
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    with pytest.raises(ValueError, match="expected as many times as there are poses, 2, got"):
+        truth_from_poses(poses, np.arange(3.0))
+    with pytest.raises(ValueError, match="expected the times of the 2 poses for a gap of 40 s"):
+        truth_from_poses(poses, None, SamePlace(gap=40))
+    with pytest.raises(ValueError, match="expected finite poses"):
+        truth_from_poses(np.full((2, 4, 4), np.nan))
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -64,8 +69,9 @@ def test_a_file_without_a_truth_matrix_is_named(tmp_path):
     (tmp_path / "c.mat").write_text("no matrix")
     with pytest.raises(ValueError, match=r"b\.npz: expected an array named truth, found loops"):
         load_truth(tmp_path / "b.npz")
-    with pytest.raises(ValueError, match=r"c\.mat: expected a MATLAB file"):
+    with pytest.raises(ValueError, match=r"c\.mat: expected an intact MATLAB file"):
         load_truth(tmp_path / "c.mat")
+    (tmp_path / "d.txt").touch()
     with pytest.raises(ValueError, match=r"expected a truth file \.npz or \.mat"):
         load_truth(tmp_path / "d.txt")
 

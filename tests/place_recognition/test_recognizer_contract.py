@@ -7,12 +7,17 @@ import pytest
 from place_images import sliding_view, textured_world
 
 from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.hog import Hog
 from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
+from place_recognition.paradigms.pixel_sequences import PixelSequences
 from place_recognition.paradigms.tracked_words import TrackedWords
 from place_recognition.recognizer import Belief, PlaceRecognizer
 
 RECOGNIZERS: dict[str, Callable[[], PlaceRecognizer]] = {
     "tracked-words": lambda: TrackedWords(SharedFeatures(Surf())),
+    "pixel-sequences": PixelSequences,
+    "global-descriptor": lambda: GlobalDescriptorMatching(Hog()),
 }
 STEP = 2.0  # metres from image to image
 

@@ -7,7 +7,6 @@ from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.growing import GrowingArray
-from place_recognition.map.image_store import ImageStore
 from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap, Words, count_covering
 
 GUIDED = GuidedTrackingConfig()
@@ -123,11 +122,3 @@ def test_a_growing_array_holds_all_rows_in_order():
         parts.append(rng.normal(size=(count, 3)).astype(np.float32))
         array.extend(parts[-1])
     np.testing.assert_array_equal(array.rows, np.concatenate(parts))
-
-
-def test_stored_descriptors_stay_as_they_were_to_a_fiftieth():
-    features, store = Surf().extract(textured_world(300, seed=4)), ImageStore(100)
-    store.add(features)
-    error = np.linalg.norm(store[0].descriptors - features.descriptors[:100], axis=1)
-    assert error.max() < 0.03
-    np.testing.assert_array_equal(store[0].pixels, features.pixels[:100])

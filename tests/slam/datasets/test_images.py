@@ -56,11 +56,16 @@ def test_a_kitti_sequence_is_chosen_by_name(root: Path, write_drive: Callable[..
     assert open_images(root, "07").name == "07"
 
 
-@pytest.mark.parametrize("fps", [None, 0.0, -1.0, float("nan")])
-def test_without_times_the_rate_must_be_given(tmp_path: Path, fps: float | None) -> None:
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, fps: float) -> None:
     write(tmp_path, "1.png", "2.png")
-    with pytest.raises(DataError, match=r"times.txt: expected the times of 2 images, found none; .*--fps"):
+    with pytest.raises(DataError, match=r"times.txt: expected the times of 2 images, found none, and --fps"):
         open_images(tmp_path, fps=fps)
+
+
+def test_images_without_times_open_all_the_same(tmp_path: Path) -> None:
+    images = open_images(write(tmp_path, "1.png", "2.png"))
+    assert (len(images), images.timestamps) == (2, None)
 
 
 def test_a_damaged_image_is_named_when_it_is_read(tmp_path: Path) -> None:

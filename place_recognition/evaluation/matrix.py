@@ -1,0 +1,70 @@
+"""The matrix behind Figures 4.7, 4.8 and 4.12, gathered row by row in bounded memory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+ROWS = 5000  # the longest drive of the chapter has 4,541 images; 50 MB of lower triangle a stage
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """What a recogniser thought of all pairs of images.
+
+    Attributes:
+        values: (M, M) float32, row = query, column = earlier image, NaN where the two were not compared.
+        step: images that share a row and a column; the largest value of theirs stands there.
+    """
+
+    values: Floats
+    step: int = 1
+
+
+class MatrixRows:
+    """Keeps the rows of a recogniser's matrix (a RowSink).
+
+    Image ids count from 0. A drive of more than `rows` images does not outgrow the memory: each time the limit is
+    reached, two neighbouring images come to share a row and a column, where the larger value stays.
+    """
+
+    def __init__(self, rows: int = ROWS) -> None:
+        self._limit, self._step = rows, 1
+        self._stages: dict[str, dict[int, Floats]] = {}
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Which matrices there are: "similarity", and "filtered" where there is a filter."""
+        return tuple(self._stages)
+
+    def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
+        """Take one row; ids and values as in `RowSink`. Rows may come late and more than once."""
+        while query // self._step >= self._limit:
+            self._halve()
+        row, cells = query // self._step, np.asarray(matches, np.int64) // self._step
+        kept = self._stages.setdefault(stage, {})
+        known = kept.get(row)
+        if known is None:
+            known = kept[row] = np.full(row + 1, np.nan, np.float32)
+        np.fmax.at(known, cells, np.asarray(values, np.float32))
+
+    def matrix(self, images: int, stage: str = "similarity") -> Matrix:
+        """All rows so far of a drive of so many images; NaN throughout where a stage has none."""
+        size = -(-images // self._step)
+        values = np.full((size, size), np.nan, np.float32)
+        for row, known in self._stages.get(stage, {}).items():
+            values[row, : len(known)] = known
+        return Matrix(values, self._step)
+
+    def _halve(self) -> None:
+        self._step *= 2
+        for stage, kept in self._stages.items():
+            smaller: dict[int, Floats] = {}
+            for row, known in kept.items():
+                folded = np.full(row // 2 + 1, np.nan, np.float32)
+                np.fmax.at(folded, np.arange(len(known)) // 2, known)
+                smaller[row // 2] = np.fmax(smaller[row // 2], folded) if row // 2 in smaller else folded
+            self._stages[stage] = smaller

@@ -1,0 +1,134 @@
+"""Compiled loops of SURF's descriptor: Haar wavelets around a point, gathered in 4 x 4 cells.
+
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 4; cells that overlap as in
+Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first row and
+column of zeros, as `cv2.integral` returns it.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int32]
+Floats = NDArray[np.float32]
+
+SAMPLES = 24  # Haar samples along each side of the described square, one scale apart
+CELLS = 4  # cells along each side, with four sums in each
+CELL_SIZE = 5.0  # distance between the centres of neighbouring cells, samples
+GAUSSIAN_SIGMA = 5.5  # of the weight of a sample, samples
+GRID = SAMPLES + 2  # lines between which the wavelets of an upright square lie: each covers two of the spaces
+MIDDLE = 0.5 * (SAMPLES - 1)
+
+
+def cell_weights() -> Floats:
+    """Weight (SAMPLES, CELLS) of each sample along one axis in each cell: linear shares times the Gaussian."""
+    offsets = np.arange(SAMPLES) - MIDDLE
+    centres = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
+    shares = np.clip(1 - np.abs(offsets[:, None] - centres) / CELL_SIZE, 0, None)
+    gaussian = np.exp(-0.5 * (offsets / GAUSSIAN_SIGMA) ** 2)
+    return (shares * gaussian[:, None]).astype(np.float32)
+
+
+@njit(cache=True)
+def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints:
+    """Integral coordinates (GRID,) below the lines of a square along one axis, their fractions into shares (GRID,).
+
+    A line outside 0 ... limit is moved to the nearer end.
+    """
+    below = np.empty(GRID, np.int32)
+    for i in range(GRID):
+        # the integral coordinate of a pixel's centre is half a pixel more than its index
+        line = min(max(centre + 0.5 + (i - MIDDLE - 1) * scale, 0.0), float(limit))
+        below[i] = min(int(line), limit - 1)
+        shares[i] = line - below[i]
+    return below
+
+
+@njit(cache=True)
+def _integral_at(integral: Ints, lines: tuple[Ints, Ints], shares: Floats, out: Floats) -> None:
+    """Integral image at the crossings of grid lines, into out (GRID, GRID), but for what row and column sums add.
+
+    Between pixels it is linear: a wavelet then covers parts of pixels, and does not jump where its scale changes.
+    lines: rows and columns below the grid lines. shares: (2, GRID) fractions of the rows and columns.
+    """
+    rows, columns = lines
+    begin = columns[0]
+    count = columns[GRID - 1] + 2 - begin
+    line = np.empty(count, np.float32)
+    # What lies above the square and left of it cancels in every wavelet; without it single precision is exact.
+    above = integral[rows[0], begin : begin + count]
+    for i in range(GRID):
+        upper = integral[rows[i], begin : begin + count]
+        lower = integral[rows[i] + 1, begin : begin + count]
+        left, further, share = upper[0] - above[0], lower[0] - upper[0], shares[0, i]
+        for k in range(count):
+            whole = np.float32(np.int32(upper[k] - above[k] - left))
+            line[k] = whole + share * np.float32(np.int32(lower[k] - upper[k] - further))
+        for j in range(GRID):
+            k = columns[j] - begin
+            out[i, j] = line[k] + shares[1, j] * (line[k + 1] - line[k])
+
+
+@njit(cache=True)
+def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[np.bool_]) -> None:
+    """Responses of the wavelets around a point, into haar (2, SAMPLES, SAMPLES): to the right and downwards.
+
+    point: x, y and scale. inside: (2, SAMPLES) receives which rows and columns of wavelets lie in the image.
+    """
+    x, y, scale = point[0], point[1], point[2]
+    height, width = integral.shape[0] - 1, integral.shape[1] - 1
+    shares, grid = np.empty((2, GRID), np.float32), np.empty((GRID, GRID), np.float32)
+    rows, columns = _grid_lines(y, scale, height, shares[0]), _grid_lines(x, scale, width, shares[1])
+    _integral_at(integral, (rows, columns), shares, grid)
+    for i in range(SAMPLES):
+        offset = (i - MIDDLE) * scale + 0.5
+        inside[0, i] = y + offset - scale >= 0 and y + offset + scale <= height
+        inside[1, i] = x + offset - scale >= 0 and x + offset + scale <= width
+    for i in range(SAMPLES):
+        top, centre, bottom = grid[i], grid[i + 1], grid[i + 2]
+        for j in range(SAMPLES):
+            right, middle, left = bottom[j + 2] - top[j + 2], bottom[j + 1] - top[j + 1], bottom[j] - top[j]
+            haar[0, i, j] = right + left - 2 * middle
+            haar[1, i, j] = right - left - 2 * (centre[j + 2] - top[j + 2] - centre[j] + top[j])
+
+
+@njit(cache=True)
+def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
+    """Gather responses in cells: out (CELLS, CELLS, 4) receives sums of dx, |dx|, dy, |dy|, normalised to length 1."""
+    sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
+    for i in range(SAMPLES):
+        first = max(0, min(CELLS - 2, int((i - MIDDLE) / CELL_SIZE + 0.5 * (CELLS - 1))))
+        for cell in range(first, first + 2 if inside[0, i] else first):
+            w, total = weights[i, cell], sums[cell]
+            dx, dy = haar[0, i], haar[1, i]
+            for j in range(SAMPLES):  # all columns at once: SIMD
+                total[0, j] += w * dx[j]
+                total[1, j] += w * abs(dx[j])
+                total[2, j] += w * dy[j]
+                total[3, j] += w * abs(dy[j])
+    for cell in range(CELLS):
+        for kind in range(4):
+            for j in range(SAMPLES):
+                if inside[1, j]:
+                    for column in range(CELLS):
+                        out[cell, column, kind] += weights[j, column] * sums[cell, kind, j]
+    norm = np.sqrt(np.sum(out * out))
+    if norm > 0:
+        out /= norm
+
+
+@njit(cache=True)
+def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
+    """Upright SURF descriptors (N, 64) float32 of unit length; all zeros where the surroundings are perfectly even.
+
+    Args:
+        integral: of the grey image.
+        points: (N, 3) float32, x right, y down, sigma, pixels.
+        weights: (SAMPLES, CELLS) of `cell_weights`.
+    """
+    out = np.zeros((len(points), CELLS, CELLS, 4), np.float32)
+    haar, inside = np.empty((2, SAMPLES, SAMPLES), np.float32), np.empty((2, SAMPLES), np.bool_)
+    for k in range(len(points)):
+        _upright_haar(integral, points[k], haar, inside)
+        pool_haar(haar, inside, weights, out[k])
+    return out.reshape(len(points), CELLS * CELLS * 4)

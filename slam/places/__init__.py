@@ -1,0 +1,1 @@
+"""Place recognition alone, with one camera and without odometry: `revisit places`."""

@@ -1,0 +1,27 @@
+"""Where numbers come from: the source, the command, the versions, and how much memory they took."""
+
+import platform
+import resource
+import shlex
+import sys
+from importlib import metadata
+from pathlib import Path
+
+_LIBRARIES = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
+
+
+def provenance(source: Path, sequence: str) -> dict[str, object]:
+    """Source, sequence, command and versions, as they stand in metrics.json."""
+    versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in _LIBRARIES}
+    return {
+        "source": str(source),
+        "sequence": sequence,
+        "command": shlex.join(["revisit", *sys.argv[1:]]),
+        "versions": versions,
+    }
+
+
+def peak_memory_mb() -> float:
+    """Largest memory that this process has held, megabytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
