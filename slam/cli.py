@@ -205,7 +205,7 @@ def evaluate_loops(
 def train_vocabulary(
     sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
     out: Annotated[Path, typer.Option("--out", help="File for the words.")],
-    features: Annotated[str, typer.Option(help="What the words are made of: surf.")] = "surf",
+    features: Annotated[str, typer.Option(help="What the words are made of: surf, surf-oriented, sift, orb.")] = "surf",
     words: Annotated[int, typer.Option(help="How many.")] = 10000,
     sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,

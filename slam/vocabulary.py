@@ -4,15 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.features import FeatureExtractor
-from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
 from slam.datasets.images import open_images, read_grey
 from slam.datasets.kitti_files import sequence_names
 from slam.errors import ConfigError, DataError, OutputError
-
-FEATURES: dict[str, Callable[[], FeatureExtractor]] = {"surf": Surf}
 
 Progress = Callable[[int, int], None]
 
@@ -24,7 +22,7 @@ class TrainingOptions:
     Attributes:
         sources: folders of images, or folders in KITTI layout of which all sequences are taken.
         out: the file.
-        features: name in FEATURES.
+        features: name in EXTRACTORS of place_recognition.
     """
 
     sources: tuple[Path, ...]
@@ -64,9 +62,10 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
 
 
 def _extractor(name: str) -> FeatureExtractor:
-    if name not in FEATURES:
-        raise ConfigError(f"unknown features '{name}': expected one of {', '.join(FEATURES)}")
-    return FEATURES[name]()
+    try:
+        return make_extractor(name)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
 
 
 def _config(settings: dict[str, int]) -> TrainingConfig:

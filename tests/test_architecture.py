@@ -17,6 +17,7 @@ QUARANTINE = {
     "open3d": ("slam/mapping/", "slam/simulation/"),
     "pykitti": ("slam/datasets/kitti",),
     "faiss": ("place_recognition/",),
+    "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
     "evo": (),
 }
 

@@ -64,3 +64,9 @@ class SharedFeatures:
         if self._latest is None or self._latest[0] != image_id:
             self._latest = (image_id, self._extractor.extract(image))
         return self._latest[1]
+
+
+def check_grey(image: NDArray[np.uint8]) -> None:
+    """Raise ValueError unless image is (H, W) uint8."""
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise ValueError(f"expected a grey image (H, W) uint8, got {image.shape} {image.dtype}")

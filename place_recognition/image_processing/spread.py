@@ -23,7 +23,11 @@ class SpreadConfig:
 
 
 def strongest_spread(
-    pixels: NDArray[np.generic], responses: NDArray[np.float32], shape: tuple[int, int], count: int, config: SpreadConfig
+    pixels: NDArray[np.generic],
+    responses: NDArray[np.float32],
+    shape: tuple[int, int],
+    count: int,
+    config: SpreadConfig,
 ) -> Indices:
     """Indices of the strongest features, strongest first, at most so many; of equal ones the first.
 

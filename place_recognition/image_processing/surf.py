@@ -2,7 +2,7 @@
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008. Written here because the once patented
 module is not in OpenCV's wheels, and every threshold of the bag of tracked words presupposes these 64 numbers.
-Upright: a car's camera does not roll, and what need not be estimated cannot be estimated wrongly.
+Upright by default: a car's camera does not roll, and what need not be estimated cannot be estimated wrongly.
 """
 
 from dataclasses import dataclass, field
@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.features import check_grey as check_grey
 from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
 from place_recognition.image_processing.surf_blobs import find_blobs, take_apart
 from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
+from place_recognition.image_processing.surf_orientation import describe_oriented
 
 SIGMA_PER_SIZE = 1.2 / 9  # a box filter of side 9 stands for a Gaussian of sigma 1.2
 LAYERS = 4  # filter sizes in each octave, evenly spaced: two are searched, two only compared with
@@ -32,29 +34,36 @@ class SurfConfig:
         octaves: doublings of scale; two reach sigmas from 1.6 to 6, three to 12 pixels.
         threshold: least determinant of the Hessian, (grey levels / pixel^2)^2 over the filter's area.
         spread: how they are spread over the image.
+        oriented: describe each blob in its own direction, for cameras that roll, instead of upright; a level camera
+            then has an eighth less matches, and twice the work.
     """
 
     features: int = 500
     octaves: int = 2
     threshold: float = 10.0
     spread: SpreadConfig = field(default_factory=SpreadConfig)
+    oriented: bool = False
 
 
 class Surf:
-    """Extracts upright SURF features (a FeatureExtractor)."""
-
-    kind = "surf-upright-64"
+    """Extracts SURF features (a FeatureExtractor)."""
 
     def __init__(self, config: SurfConfig | None = None) -> None:
         self.config = config or SurfConfig()
+        self._describe = describe_oriented if self.config.oriented else describe_upright
         self._weights = cell_weights()
+
+    @property
+    def kind(self) -> str:
+        """Upright and oriented descriptors mean nothing to each other."""
+        return "surf-64" if self.config.oriented else "surf-upright-64"
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of a grey image (H, W) uint8, strongest first; none of a blank or tiny one."""
         check_grey(image)
         integral = cv2.integral(image)
         blobs = self._find_blobs(integral)
-        descriptors = describe_upright(integral, blobs[:, :3], self._weights)
+        descriptors = self._describe(integral, blobs[:, :3], self._weights)
         keep = descriptors.any(axis=1)  # perfectly even surroundings have nothing to describe
         blobs = blobs[keep]
         return LocalFeatures(blobs[:, :2].copy(), blobs[:, 2].copy(), blobs[:, 3].copy(), descriptors[keep])
@@ -72,12 +81,6 @@ class Surf:
         found[:, :2] *= step
         found[:, 2] = SIGMA_PER_SIZE * (sizes[0] + found[:, 2] * (sizes[1] - sizes[0]))
         return found
-
-
-def check_grey(image: NDArray[np.uint8]) -> None:
-    """Raise ValueError unless image is (H, W) uint8."""
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise ValueError(f"expected a grey image (H, W) uint8, got {image.shape} {image.dtype}")
 
 
 def layer_sizes(octave: int) -> Ints:

@@ -39,9 +39,7 @@ def _run(planes: Ints, row: int, column: int, count: int) -> Ints:
 
 
 @njit(cache=True)
-def _second_difference_down(
-    planes: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints
-) -> None:
+def _second_difference_down(planes: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints) -> None:
     """Three boxes one above the other, weighted 1, -2, 1, at each of the n = len(out) places.
 
     rows: where the boxes begin and end; columns: where the first place's boxes begin and end.
@@ -218,7 +216,7 @@ def find_blobs(planes: Ints, sizes: Ints, threshold: float) -> Floats:
     rows, width = (planes.shape[1] - 2) // step + 1, planes.shape[2] - 1
     ring, work = np.zeros((3, levels, width), np.float32), np.empty((4, width), np.int32)
     marks = np.empty(max(width - 2, 0), np.uint8)
-    # No two peaks of a level touch. Memory that is not written to costs nothing; growing would cost the loops their SIMD.
+    # No two peaks of a level touch. Memory not written to costs nothing; a growing array would cost the loops SIMD.
     found, count = np.empty(((levels - 2) * (rows + 1) * (width + 1) // 4 + 1, 4), np.float32), 0
     for newest in range(rows):
         for level in range(levels):

@@ -5,8 +5,6 @@ Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (
 column of zeros, as `cv2.integral` returns it.
 """
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -95,7 +93,7 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
 
 
 @njit(cache=True)
-def _pool(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
+def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
     """Gather responses in cells: out (CELLS, CELLS, 4) receives sums of dx, |dx|, dy, |dy|, normalised to length 1."""
     sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
     for i in range(SAMPLES):
@@ -132,5 +130,5 @@ def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
     haar, inside = np.empty((2, SAMPLES, SAMPLES), np.float32), np.empty((2, SAMPLES), np.bool_)
     for k in range(len(points)):
         _upright_haar(integral, points[k], haar, inside)
-        _pool(haar, inside, weights, out[k])
+        pool_haar(haar, inside, weights, out[k])
     return out.reshape(len(points), CELLS * CELLS * 4)

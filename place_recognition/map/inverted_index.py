@@ -76,7 +76,12 @@ class InvertedIndex:
 
 @njit(cache=True)
 def _accumulate(
-    chains: Indices, weights: Floats, following: Indices, sequences: NDArray[np.uint32], values: NDArray[np.uint16], sums: Floats
+    chains: Indices,
+    weights: Floats,
+    following: Indices,
+    sequences: NDArray[np.uint32],
+    values: NDArray[np.uint16],
+    sums: Floats,
 ) -> None:
     """Add to the sums (M,) of the first M sequences what the words (K,) of a query contribute.
 

@@ -1,6 +1,7 @@
 """A pre-trained visual vocabulary: a few thousand descriptors that stand for all (chapter, 4.2.1.2 and Figure 4.4)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.map.vocabulary_file import REMEDY, Contents, read_contents, write_contents
-from place_recognition.map.word_index import nearest_words
+from place_recognition.map.word_search import WordSearch
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -54,7 +55,11 @@ class Vocabulary:
             return np.empty(0, np.int64)
         if descriptors.shape[1:] != self.words.shape[1:]:
             raise ValueError(f"expected descriptors (N, {self.words.shape[1]}), got {descriptors.shape}")
-        return nearest_words(np.ascontiguousarray(descriptors, np.float32), self.words)
+        return self._search.nearest(descriptors)
+
+    @cached_property
+    def _search(self) -> WordSearch:
+        return WordSearch(self.words)
 
     def require(self, kind: str) -> "Vocabulary":
         """Itself, if its words are made of such features.

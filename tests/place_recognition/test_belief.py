@@ -10,8 +10,8 @@ from place_recognition.belief.geometric_verification import VerificationConfig, 
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.belief.votes import Ballot, count_votes, log_binomial
-from place_recognition.map.tracked_words import Words
-from place_recognition.map.word_index import nearest_words
+from place_recognition.map.tracked_words import WordMap, Words
+from place_recognition.map.word_index import ExactWordIndex, nearest_words
 
 
 def unit(rng, n, d=64):
@@ -44,21 +44,32 @@ def test_nearest_words_are_those_that_scipy_finds():
 
 
 def test_each_word_hit_votes_once_for_each_image_it_spans():
-    words = Words(np.zeros((4, 2), np.float32), np.array([0, 1, 1, 3]), np.array([1, 1, 2, 4]))
-    ballot = count_votes(np.array([0, 2]), words, 6)
-    np.testing.assert_array_equal(ballot.votes, [1, 2, 1, 0, 0, 0])
-    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5, 0.5, 0.5, 0])
-    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1, 1, 1, 0]) / 4))
+    words = WordMap(ExactWordIndex())
+    for first, last in ((0, 1), (1, 1), (1, 2), (3, 4)):
+        words.add(Words(np.zeros((1, 2), np.float32), np.array([first]), np.array([last])))
+    words.pass_until(4)
+    ballot = count_votes(np.array([0, 2]), words)
+    np.testing.assert_array_equal(ballot.locations, [0, 1, 2])
+    np.testing.assert_array_equal(ballot.votes, [1, 2, 1])
+    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5])
+    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1]) / 4))
+
+
+def test_without_hits_there_are_no_votes():
+    ballot = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
+    assert len(ballot.locations) == 0
+    assert ballot.best(-20) is None
 
 
 def test_the_most_votes_win_among_the_improbable():
-    ballot = Ballot(np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90]))
+    votes, expected, density = np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90])
+    ballot = Ballot(np.array([3, 4, 8, 9]), votes, expected, density)
     assert ballot.best(log_threshold=-20) == 2
     assert ballot.best(log_threshold=-100) == 0
 
 
 def test_fewer_votes_than_expected_are_no_match_however_improbable():
-    assert Ballot(np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
+    assert Ballot(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
 
 
 def test_mutual_matches_undo_a_shuffle():

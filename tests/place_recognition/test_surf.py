@@ -6,9 +6,13 @@ import pytest
 from place_images import changed, kitti_images, textured_world
 
 from place_recognition.belief.matching import mutual_matches
-from place_recognition.image_processing import surf_kernels as kernels
-from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.extractors import EXTRACTORS, make_extractor
+from place_recognition.image_processing.orb import pack_bits, unpack_bits
+from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
 from place_recognition.image_processing.surf import Surf, SurfConfig, layer_sizes
+from place_recognition.image_processing.surf_blobs import determinant_row, find_blobs, take_apart, top_of_parabola
+from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
+from place_recognition.image_processing.surf_orientation import describe_oriented, orientation
 
 TURN = np.array([[0.98, -0.05, 9.0], [0.04, 1.02, -6.0], [2e-5, 1e-5, 1.0]])
 
@@ -18,15 +22,9 @@ def gaussian_blob(sigma, centre=(70.0, 60.0), shape=(128, 144)):
     return np.round(200 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)
 
 
-def sift(image):
-    points, descriptors = cv2.SIFT_create(500).detectAndCompute(image, None)
-    pixels = np.array([p.pt for p in points], np.float32)
-    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
-    return LocalFeatures(pixels, pixels[:, 0], pixels[:, 0], descriptors)
-
-
-def correct_matches(extract, image, homography):
+def correct_matches(name, image, homography):
     """Matches between an image and its warped self that land within three pixels of where they should."""
+    extract = make_extractor(name).extract
     seen = cv2.warpPerspective(image, homography, image.shape[::-1], borderMode=cv2.BORDER_REFLECT)
     first, second = extract(image), extract(seen)
     pairs = mutual_matches(first.descriptors, second.descriptors)
@@ -38,10 +36,19 @@ def box(image, top, bottom, left, right):
     return int(image[top:bottom, left:right].sum(dtype=np.int64))
 
 
+def determinants(image, size, step=1):
+    """Those of all rows, step pixels apart."""
+    planes = take_apart(cv2.integral(image), step)
+    out = np.ones((-(-image.shape[0] // step), planes.shape[2] - 1), np.float32)
+    work = np.empty((4, out.shape[1]), np.int32)
+    for y, row in enumerate(out):
+        determinant_row(planes, y * step, size, work, row)
+    return out
+
+
 def test_determinants_equal_those_of_directly_summed_boxes():
     image = textured_world(60, seed=1, height=50)
-    out = np.empty(image.shape, np.float32)
-    kernels.hessian_determinants(cv2.integral(image), 15, out)
+    out = determinants(image, 15)
     for y, x in [(7, 7), (20, 31), (42, 52)]:
         xx = box(image, y - 4, y + 5, x - 7, x + 8) - 3 * box(image, y - 4, y + 5, x - 2, x + 3)
         yy = box(image, y - 7, y + 8, x - 4, x + 5) - 3 * box(image, y - 2, y + 3, x - 4, x + 5)
@@ -51,11 +58,42 @@ def test_determinants_equal_those_of_directly_summed_boxes():
 
 
 def test_determinants_are_zero_where_the_filter_leaves_the_image():
-    out = np.ones((40, 41), np.float32)
-    kernels.hessian_determinants(cv2.integral(textured_world(41, seed=1, height=40)), 9, out)
+    out = determinants(textured_world(41, seed=1, height=40), 9)
     assert out[4:-4, 4:-4].all()
     out[4:-4, 4:-4] = 0
     assert not out.any()
+
+
+@pytest.mark.parametrize("step", [2, 4])
+@pytest.mark.parametrize("width", [80, 81, 82, 83])
+def test_determinants_further_apart_are_some_of_all(step, width):
+    image = textured_world(width, seed=1, height=70)
+    out, everywhere = determinants(image, 15, step), determinants(image, 15)[::step, ::step]
+    np.testing.assert_array_equal(out[:, :-4], everywhere[:, : out.shape[1] - 4])
+
+
+def test_blobs_are_where_a_plain_search_over_all_layers_finds_them():
+    image, sizes = textured_world(160, seed=9, height=120), layer_sizes(0)
+    layers = np.stack([determinants(image, size) for size in sizes])
+    expected = set()
+    for level, y, x in np.argwhere(layers > 10):
+        cube = layers[level - 1 : level + 2, y - 1 : y + 2, x - 1 : x + 2]
+        if level in (1, 2) and layers[level, y, x] == cube.max() and np.sum(cube == cube.max()) == 1:
+            offset = np.array(top_of_parabola(cube.astype(float)))
+            if np.abs(offset).max() <= 1:
+                expected.add(tuple(np.round(offset + (x, y, level), 2)))
+    found = find_blobs(take_apart(cv2.integral(image), 1), sizes, 10.0)
+    assert len(expected) > 50
+    assert {tuple(row) for row in np.round(found[:, :3].astype(float), 2)} == expected
+
+
+def test_the_top_of_a_parabola_is_found_and_a_plane_has_none():
+    curvature = np.array([[-5.0, 1, 0.5], [1, -4, -1], [0.5, -1, -3]])  # of x, y and level
+    top = np.array([0.3, -0.2, 0.4])
+    steps = np.stack(np.meshgrid(*3 * [[-1, 0, 1]], indexing="ij"), axis=-1)[..., ::-1] - top
+    cube = 100 + 0.5 * np.einsum("...i,ij,...j", steps, curvature, steps)
+    np.testing.assert_allclose(top_of_parabola(cube), top)
+    assert top_of_parabola(np.full((3, 3, 3), 7.0)) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("sigma", [2.3, 3.0, 3.6, 5.0])
@@ -86,10 +124,112 @@ def test_descriptors_do_not_change_with_contrast_and_brightness():
     assert np.median(distances) < 1e-3
 
 
-def test_features_come_strongest_first_and_no_more_than_asked_for():
-    features = Surf(SurfConfig(features=100)).extract(textured_world(400, seed=4))
+def test_layers_of_the_octaves_are_those_of_the_paper():
+    assert [list(layer_sizes(octave)) for octave in range(3)] == [[9, 15, 21, 27], [15, 27, 39, 51], [27, 51, 75, 99]]
+
+
+def test_matches_of_a_synthetic_image_under_a_homography_are_as_many_as_with_sift():
+    world = textured_world(640, seed=7, height=360)
+    assert correct_matches("surf", world, TURN) > 0.9 * correct_matches("sift", world, TURN)
+
+
+def test_matches_of_real_images_under_a_homography_are_as_many_as_with_sift(test_data):
+    images = kitti_images(test_data, "05", range(0, 60, 25)) + kitti_images(test_data, "06", range(0, 50, 25))
+    surf, sift = (sum(correct_matches(name, image, TURN) for image in images) for name in ("surf", "sift"))
+    assert surf >= sift
+
+
+def test_blobs_of_a_real_image_are_found_again_in_a_changed_one(test_data):
+    image = kitti_images(test_data, "05", range(1))[0]
+    first, second = Surf().extract(image), Surf().extract(changed(image, seed=0))
+    expected = first.pixels * 1.01 + [-6, 3]
+    nearest = np.linalg.norm(expected[:, None] - second.pixels[None], axis=2).min(axis=1)
+    assert np.mean(nearest < 2) > 0.7
+
+
+def turned(image, degrees, scale=1.0):
+    """A homography that turns an image about its middle."""
+    height, width = image.shape
+    return np.vstack([cv2.getRotationMatrix2D((width / 2, height / 2), degrees, scale), [0, 0, 1]])
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(30, 1.0), (90, 1.0), (180, 1.0), (30, 1.2)])
+def test_oriented_features_survive_a_turn_that_upright_ones_do_not(test_data, degrees, scale):
+    image = np.ascontiguousarray(kitti_images(test_data, "05", range(1))[0][:, 400:770])
+    homography = turned(image, degrees, scale)
+    oriented = correct_matches("surf-oriented", image, homography)
+    assert oriented > 50
+    assert oriented > 5 * correct_matches("surf", image, homography)
+
+
+@pytest.mark.parametrize("degrees", [0, 33, 90, 135, -120])
+def test_the_orientation_of_a_ramp_is_the_way_it_rises(degrees):
+    y, x = np.mgrid[-64:64, -64:64]
+    angle = np.deg2rad(degrees)
+    ramp = np.round(128 + np.cos(angle) * x + np.sin(angle) * y).astype(np.uint8)
+    found = orientation(cv2.integral(ramp), np.array([64, 64, 2.5], np.float32))
+    assert np.rad2deg(np.angle(np.exp(1j * (found - angle)))) == pytest.approx(0, abs=2)
+
+
+def test_upright_and_oriented_descriptors_agree_where_the_orientation_is_upright():
+    image = np.clip(textured_world(128, seed=2, height=128) // 12 + np.arange(128) * 1.7, 0, 255).astype(np.uint8)
+    integral, points = cv2.integral(image), np.array([[64, 64, 2.0], [70, 50, 3.0]], np.float32)
+    assert np.abs([orientation(integral, point) for point in points]).max() < 0.15
+    upright, oriented = (
+        describe(integral, points, cell_weights()) for describe in (describe_upright, describe_oriented)
+    )
+    assert np.sum(upright * oriented, axis=1).min() > 0.95
+
+
+@pytest.mark.parametrize("name", EXTRACTORS)
+def test_features_of_all_kinds_come_strongest_first_of_unit_length_and_no_more_than_asked_for(name):
+    features = make_extractor(name, 100).extract(textured_world(400, seed=4))
     assert 80 <= len(features) <= 100
     assert np.all(np.diff(features.responses) <= 0)
+    assert features.descriptors.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1, rtol=1e-5)
+    assert (features.scales > 0.5).all()
+
+
+@pytest.mark.parametrize("name", EXTRACTORS)
+@pytest.mark.parametrize("shape", [(376, 1241), (32, 33), (20, 24), (3, 500), (1, 1)])
+def test_blank_and_tiny_images_have_no_features(name, shape):
+    features = make_extractor(name).extract(np.full(shape, 77, np.uint8))
+    assert len(features) == len(features.pixels) == 0
+    assert features.descriptors.shape == (0, make_extractor(name).extract(textured_world(300, 1)).descriptors.shape[1])
+
+
+@pytest.mark.parametrize("name", EXTRACTORS)
+def test_features_of_all_kinds_are_the_same_each_time(name):
+    first, second = (make_extractor(name).extract(textured_world(300, seed=3)) for _ in range(2))
+    np.testing.assert_array_equal(first.descriptors, second.descriptors)
+    np.testing.assert_array_equal(first.pixels, second.pixels)
+
+
+@pytest.mark.parametrize("name", EXTRACTORS)
+def test_images_in_colour_are_refused_by_all_extractors(name):
+    with pytest.raises(ValueError, match=r"grey image \(H, W\) uint8, got \(8, 9, 3\)"):
+        make_extractor(name).extract(np.zeros((8, 9, 3), np.uint8))
+
+
+@pytest.mark.parametrize("name", ["surf", "sift"])
+def test_features_keep_to_the_middle_of_a_blob_as_it_grows(name):
+    for sigma in (4.0, 6.0):
+        features = make_extractor(name).extract(gaussian_blob(sigma, centre=(70.3, 59.8)))
+        assert np.abs(features.pixels[0] - [70.3, 59.8]).max() < 0.12
+
+
+def test_a_name_that_no_extractor_has_is_refused_with_those_that_there_are():
+    with pytest.raises(ValueError, match="unknown local features 'brisk': expected one of surf, surf-oriented, sift"):
+        make_extractor("brisk")
+
+
+def test_orb_descriptors_are_as_far_apart_as_their_bits_differ():
+    features = make_extractor("orb").extract(textured_world(400, seed=4))
+    packed = pack_bits(features.descriptors)
+    np.testing.assert_array_equal(unpack_bits(packed), features.descriptors)
+    differing = cv2.norm(packed[0], packed[1], cv2.NORM_HAMMING)
+    assert np.linalg.norm(features.descriptors[0] - features.descriptors[1]) == pytest.approx(np.sqrt(differing) / 8)
 
 
 def test_a_corner_full_of_strong_blobs_leaves_features_to_the_rest():
@@ -99,35 +239,15 @@ def test_a_corner_full_of_strong_blobs_leaves_features_to_the_rest():
     assert inside.sum() < 60
 
 
-@pytest.mark.parametrize("shape", [(376, 1241), (20, 24), (3, 500), (1, 1)])
-def test_blank_and_tiny_images_have_no_features(shape):
-    features = Surf().extract(np.full(shape, 77, np.uint8))
-    assert len(features) == 0
-    assert features.descriptors.shape == (0, 64)
+def test_the_strongest_are_taken_where_no_square_is_crowded():
+    pixels = np.stack([np.arange(40) % 8 * 80 + 40, np.arange(40) // 8 * 80 + 40], axis=1)
+    responses = np.random.default_rng(0).permutation(40).astype(np.float32)
+    chosen = strongest_spread(pixels, responses, (400, 640), 10, SpreadConfig())
+    np.testing.assert_array_equal(chosen, np.argsort(-responses)[:10])
 
 
-def test_an_image_in_colour_is_refused():
-    with pytest.raises(ValueError, match=r"grey image \(H, W\) uint8, got \(8, 9, 3\)"):
-        Surf().extract(np.zeros((8, 9, 3), np.uint8))
-
-
-def test_layers_of_the_octaves_overlap_as_in_the_paper():
-    assert layer_sizes(3) == [9, 15, 21, 27, 39, 51, 75, 99]
-
-
-def test_matches_of_a_synthetic_image_under_a_homography_are_as_many_as_with_sift():
-    world = textured_world(640, seed=7, height=360)
-    assert correct_matches(Surf().extract, world, TURN) > 0.9 * correct_matches(sift, world, TURN)
-
-
-def test_matches_of_real_images_under_a_homography_are_as_many_as_with_sift(test_data):
-    for image in kitti_images(test_data, "05", range(0, 60, 25)) + kitti_images(test_data, "06", range(0, 50, 25)):
-        assert correct_matches(Surf().extract, image, TURN) > 0.9 * correct_matches(sift, image, TURN)
-
-
-def test_blobs_of_a_real_image_are_found_again_in_a_changed_one(test_data):
-    image = kitti_images(test_data, "05", range(1))[0]
-    first, second = Surf().extract(image), Surf().extract(changed(image, seed=0))
-    expected = first.pixels * 1.01 + [-6, 3]
-    nearest = np.linalg.norm(expected[:, None] - second.pixels[None], axis=2).min(axis=1)
-    assert np.mean(nearest < 2) > 0.7
+def test_a_crowded_square_fills_up_only_where_the_others_do_not():
+    crowd, rest = np.full((50, 2), 10), np.array([[100, 10], [200, 10], [300, 10]])
+    responses = np.arange(53, 0, -1).astype(np.float32)
+    chosen = strongest_spread(np.vstack([crowd, rest]), responses, (80, 400), 10, SpreadConfig(80, 2.0))
+    np.testing.assert_array_equal(chosen, [0, 1, 2, 3, 4, 5, 6, 50, 51, 52])

@@ -85,7 +85,7 @@ def vector(image: np.ndarray) -> np.ndarray:
 
 
 def test_the_shipped_words_are_made_of_surf_and_fit_into_the_package():
-    vocabulary = default_vocabulary().require(Surf.kind)
+    vocabulary = default_vocabulary().require(Surf().kind)
     assert vocabulary.words.shape[1] == 64
     assert vocabulary.weights.min() >= 0
     assert (np.bincount(vocabulary.assign(vocabulary.words), minlength=len(vocabulary)) == 1).mean() > 0.99

@@ -36,6 +36,15 @@ def test_words_come_from_all_sources(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "of 4 images" in said
 
 
+@pytest.mark.parametrize(("features", "kind"), [("surf-oriented", "surf-64"), ("sift", "sift-128"), ("orb", "orb-256")])
+def test_words_are_made_of_the_features_asked_for(tmp_path: Path, features: str, kind: str):
+    out = tmp_path / "own.vocabulary"
+    assert train(textures(tmp_path / "photos", 2), "--features", features, "--words", 30, "--out", out) == 0
+    assert load_vocabulary(out).kind == kind
+    bytes_a_word = {"orb-256": 32, "sift-128": 128, "surf-64": 64}[kind]
+    assert out.stat().st_size < 30 * (bytes_a_word + 4) + 300
+
+
 def test_the_same_images_and_seed_give_the_same_file(tmp_path: Path):
     folder = textures(tmp_path / "photos", 2)
     for name in ("a", "b"):
@@ -46,7 +55,7 @@ def test_the_same_images_and_seed_give_the_same_file(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["--features", "sift-of-the-moon"], 2, "unknown features 'sift-of-the-moon': expected one of surf"),
+        (["--features", "sift-of-the-moon"], 2, "unknown local features 'sift-of-the-moon': expected one of surf"),
         (["--words", "0"], 2, "expected words and iterations from 1"),
         (["--words", "100000"], 1, "expected at least 100000 descriptors"),
         (["--out", "nowhere/own.vocabulary"], 1, "nowhere/own.vocabulary: expected a file to write"),

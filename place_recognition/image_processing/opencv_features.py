@@ -1,0 +1,34 @@
+"""From OpenCV's key points to local features."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
+
+Floats = NDArray[np.float32]
+
+
+def from_key_points(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_per_size: float) -> LocalFeatures:
+    """Key points with their descriptors (N, D) of unit length.
+
+    Args:
+        points: N of them.
+        descriptors: (N, D).
+        sigmas_per_size: by which a key point's size becomes the sigma of a Gaussian.
+    """
+    pixels = np.array([point.pt for point in points], np.float32).reshape(-1, 2)
+    sizes = np.array([point.size for point in points], np.float32)
+    responses = np.array([point.response for point in points], np.float32)
+    return LocalFeatures(pixels, np.float32(sigmas_per_size) * sizes, responses, descriptors)
+
+
+def spread_out(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
+    """The strongest features of an image (H, W), evenly spread, strongest first, at most so many."""
+    kept = strongest_spread(features.pixels, features.responses, (shape[0], shape[1]), count, config)
+    return LocalFeatures(
+        features.pixels[kept], features.scales[kept], features.responses[kept], features.descriptors[kept]
+    )
