@@ -8,10 +8,12 @@ from place_images import sliding_view, textured_world
 
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
 from place_recognition.paradigms.tracked_words import TrackedWords
 from place_recognition.recognizer import Belief, PlaceRecognizer
 
 RECOGNIZERS: dict[str, Callable[[], PlaceRecognizer]] = {
+    "hierarchical-places": lambda: HierarchicalPlaces(SharedFeatures(Surf())),
     "tracked-words": lambda: TrackedWords(SharedFeatures(Surf())),
 }
 STEP = 2.0  # metres from image to image
