@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from place_images import kitti_images
 from scipy.stats import binom
 
-from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
+from place_recognition.belief.geometric_verification import VerificationConfig, calibrated_inliers, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.belief.votes import Ballot, count_votes, log_binomial
+from place_recognition.image_processing.surf import Surf
 from place_recognition.map.tracked_words import WordMap, Words
 from place_recognition.map.word_index import ExactWordIndex, nearest_words
 
@@ -26,6 +28,19 @@ def two_views(rng, n):
     R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     moved = points @ R.T + [0.8, 0.1, 0.3]
     return [(700 * p[:, :2] / p[:, 2:] + [600, 180]).astype(np.float32) for p in (points, moved)]
+
+
+K = np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]])  # of two_views
+VERIFICATIONS = {
+    "fundamental": epipolar_inliers,
+    "essential": lambda first, second, config: calibrated_inliers(first, second, K, config),
+}
+
+
+@pytest.fixture(params=VERIFICATIONS.values(), ids=VERIFICATIONS.keys())
+def inliers(request):
+    """Finds which matches agree with one geometry."""
+    return request.param
 
 
 @settings(max_examples=50, deadline=None)
@@ -140,31 +155,31 @@ def test_an_image_without_features_matches_nothing():
     assert mutual_matches(np.empty((0, 64), np.float32), unit(np.random.default_rng(0), 5)).shape == (0, 2)
 
 
-def test_matches_of_a_rigid_scene_are_proved_and_outliers_named():
+def test_matches_of_a_rigid_scene_are_proved_and_outliers_named(inliers):
     rng = np.random.default_rng(3)
     first, second = two_views(rng, 100)
     second[:30] = rng.uniform([0, 0], [1200, 360], (30, 2))
-    agree = epipolar_inliers(first, second, VerificationConfig())
+    agree = inliers(first, second, VerificationConfig())
     assert agree[30:].mean() > 0.95
     assert agree[:30].mean() < 0.2
 
 
-def test_verification_is_the_same_each_time():
+def test_verification_is_the_same_each_time(inliers):
     first, second = two_views(np.random.default_rng(4), 60)
     first += np.random.default_rng(5).normal(0, 1, first.shape).astype(np.float32)
-    masks = [epipolar_inliers(first, second, VerificationConfig()) for _ in range(3)]
+    masks = [inliers(first, second, VerificationConfig()) for _ in range(3)]
     np.testing.assert_array_equal(masks[0], masks[1])
     np.testing.assert_array_equal(masks[0], masks[2])
 
 
 @pytest.mark.parametrize("count", [0, 3, 8, 40])
-def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(count):
+def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(inliers, count):
     same = np.full((count, 2), 5, np.float32)
-    agree = epipolar_inliers(same, same, VerificationConfig())
+    agree = inliers(same, same, VerificationConfig())
     assert agree is None or len(agree) == count
 
 
-def test_random_matches_rarely_look_rigid():
+def test_random_matches_rarely_look_rigid(inliers):
     rng = np.random.default_rng(6)
     config = VerificationConfig(least_inliers=20)
     pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
@@ -178,3 +193,30 @@ def test_quantised_descriptors_of_real_size_match_as_floats_do():
     expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
     assert len(expected) >= 85
+
+    assert all(inliers(first, second, config) is None for first, second in pixels)
+
+
+def test_an_essential_matrix_knows_the_camera_that_a_fundamental_one_must_guess():
+    rng = np.random.default_rng(7)
+    first, second = two_views(rng, 60)
+    stretched = (second * [1.3, 0.8]).astype(np.float32)  # another camera: still a fundamental matrix
+    assert epipolar_inliers(first, stretched, VerificationConfig()).mean() > 0.9
+    agree = calibrated_inliers(first, stretched, K, VerificationConfig())
+    assert agree is None or agree.mean() < 0.7
+
+
+@pytest.mark.parametrize("wrong", [np.eye(4), np.zeros((3, 3)), np.full((3, 3), np.nan)])
+def test_what_is_no_calibration_matrix_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"expected a calibration matrix \(3, 3\) with positive focal lengths"):
+        calibrated_inliers(np.zeros((9, 2), np.float32), np.zeros((9, 2), np.float32), wrong, VerificationConfig())
+
+
+def test_both_geometries_find_the_same_inliers_in_real_images(test_data):
+    K05 = np.array([[707.0912, 0, 601.8873], [0, 707.0912, 183.1104], [0, 0, 1]])
+    first, second = (Surf().extract(image) for image in kitti_images(test_data, "05", range(0, 9, 8)))
+    pairs = mutual_matches(first.descriptors, second.descriptors)
+    now, then, config = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], VerificationConfig()
+    fundamental, essential = epipolar_inliers(now, then, config), calibrated_inliers(now, then, K05, config)
+    assert fundamental.sum() > 50
+    assert np.mean(fundamental == essential) > 0.9
