@@ -15,10 +15,12 @@ class Judgement:
     Attributes:
         proof: what geometry says of it.
         support: what the proofs of the images just before say of it, powers of ten.
+        sure: whether all that is enough to act upon.
     """
 
     proof: Proof
     support: float
+    sure: bool
 
     @property
     def evidence(self) -> float:
@@ -45,9 +47,9 @@ class Judge:
         if not chosen:
             return None
         best = self._best([pair(self._images, query, location, self._proof) for location in chosen])
-        judgement = Judgement(best, self._consistency.support(best) if best.verified else 0.0)
+        support = self._consistency.support(best) if best.verified else 0.0
         self._consistency.remember(best)
-        return judgement
+        return Judgement(best, support, best.verified and best.evidence + support >= self._proof.sure)
 
     def _chosen(self, query: int, proposed: list[int], horizon: int) -> list[int]:
         """The locations that match best: of the proposed ones, and one of the expected ones."""
@@ -56,18 +58,19 @@ class Judge:
         return few + rank(self._images, query, expected, replace(self._proof, tried=1))
 
     def _best(self, pairings: list[Pairing]) -> Proof:
-        """The proof that weighs most; of equal ones that of the first pairing.
+        """The place whose proof weighs most, and of its images that with the most inliers.
 
-        The search for a geometry costs most of the time, so it ends where no pairing could outweigh the best so far
-        even if all its matches agreed. The answer is the same.
+        Evidence tells places apart, but hardly two images of one place a few metres apart; inliers do.
         """
-        at_best = [self._weight(pairing.at_best()) for pairing in pairings]
-        proofs: dict[int, Proof] = {}
-        for k in sorted(range(len(pairings)), key=lambda k: -at_best[k]):
-            if not proofs or at_best[k] >= max(map(self._weight, proofs.values())):
-                proofs[k] = pairings[k].check(self._proof.verification)
-        return max((proofs[k] for k in sorted(proofs)), key=self._weight)
+        proofs = {pairing.location: self._check(pairing) for pairing in pairings}
+        best = max(proofs.values(), key=self._weight)
+        beside = [p for p in proofs.values() if abs(p.location - best.location) <= self._proof.beside]
+        nearest = max(beside, key=lambda proof: proof.inliers)
+        return replace(nearest, evidence=best.evidence)
+
+    def _check(self, pairing: Pairing) -> Proof:
+        return pairing.check(self._proof.verification)
 
     def _weight(self, proof: Proof) -> float:
-        """Evidence, and as much again at most by the way so far: it cannot speak for a place that the image does not."""
+        """Evidence, and as much again at most by the way so far: it cannot speak where the image does not."""
         return proof.evidence + min(self._consistency.trail(proof), proof.evidence)

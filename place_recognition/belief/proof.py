@@ -28,6 +28,8 @@ class ProofConfig:
         compared: strongest features of each image by which the candidates are ranked.
         tried: best candidates whose geometry is checked.
         object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
+        beside: images up to so far apart show one place: the one that agrees with the query in more matches is nearer.
+        sure: evidence of an image and of those just before it that is enough to accept a match, powers of ten.
         verification: what proves a revisit.
     """
 
@@ -37,6 +39,8 @@ class ProofConfig:
     compared: int = 200
     tried: int = 4
     object_share: float = 0.1
+    beside: int = 6
+    sure: float = 40.0
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
 

@@ -3,6 +3,7 @@
 Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,18 +32,26 @@ class Ballot:
     expected: Array
     log_density: Array
 
-    def best(self, log_threshold: float) -> int | None:
-        """Row of the location with the most votes among those less likely than the threshold, or among all if none is.
+    def leaders(self, count: int, apart: int, log_threshold: float) -> list[int]:
+        """Up to `count` locations, at least `apart` from one another, that most likely are the place; best first.
 
-        Only locations with more votes than expected count. Of equal ones the least likely, then the earliest.
+        Only locations with more votes than expected count. Those less likely than the threshold come first, the most
+        votes before fewer, then the others, the less likely before the likelier.
         """
         above = np.flatnonzero(self.votes > self.expected)
-        if len(above) == 0:
-            return None
-        passing = above[self.log_density[above] < log_threshold]
-        candidates = passing if len(passing) else above
-        order = np.lexsort((self.log_density[candidates], -self.votes[candidates]))
-        return int(candidates[order[0]])
+        likely = self.log_density[above] >= log_threshold
+        order = above[np.lexsort((self.log_density[above], np.where(likely, 0, -self.votes[above]), likely))]
+        leaders: list[int] = []
+        for location in self.locations[order].tolist():
+            if len(leaders) < count and all(abs(location - other) >= apart for other in leaders):
+                leaders.append(location)
+        return leaders
+
+    def improbability(self, location: int, reach: int) -> float:
+        """-log10 of the probability of the votes of a location, or of one within reach that are less likely."""
+        first, end = np.searchsorted(self.locations, [location - reach, location + reach + 1])
+        surprising = self.votes[first:end] > self.expected[first:end]
+        return float(max(-self.log_density[first:end][surprising].min(initial=0.0), 0.0)) / math.log(10)
 
 
 def count_votes(hit: Indices, words: WordMap) -> Ballot:

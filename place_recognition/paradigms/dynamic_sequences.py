@@ -35,7 +35,7 @@ class DynamicSequencesConfig:
     def published(cls) -> "DynamicSequencesConfig":
         """The paper's numbers: variance 0.75, which belongs to a vocabulary of a million words, and k' = 3.5."""
         sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
-        return cls(sequences, FilterConfig(LEARNT, 3.5), published_matching())
+        return cls(sequences, FilterConfig(LEARNT, 3.5), published_matching(3.5))
 
 
 class DynamicSequences:

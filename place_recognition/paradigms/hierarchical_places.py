@@ -10,7 +10,7 @@ of the chapter. What differs from the paper:
   its program leaves out, and its evidence adds to the score.
 * Each word votes once (`vote_for_places`); the last place is closed when the drive ends.
 * What is past is found out (`Route.horizon`) instead of 40 s.
-* In a small map nothing is improbable enough: many inliers make up for it (`sure_inliers`).
+* Geometry decides what is accepted: in a small map no votes are improbable enough, and twin streets share words.
 """
 
 import math
@@ -50,8 +50,6 @@ class HierarchicalPlacesConfig:
         ratio: nearest to second nearest descriptor distance of a match for this.
         searched: likeliest places in which the image is sought, besides the two beside the best.
         proposed: images proposed to the judge.
-        sure_inliers: with so many the votes may be likelier than `chance`: in a map of a hundred words even a perfect
-            revisit is not improbable enough, while images of different places share half as many at the very most.
         seed: of the order in which descriptors are shown to the gas.
         place: when a place ends.
         gas: how words grow.
@@ -60,14 +58,13 @@ class HierarchicalPlacesConfig:
         consistency: which earlier proofs speak for a new one.
     """
 
-    chance: float = 1e-12
+    chance: float = 1.0
     features: int = 300
     asked: int = 150
     compared: int = 150
     ratio: float = 0.8
     searched: int = 3
     proposed: int = 8
-    sure_inliers: int = 60
     seed: int = 0
     place: PlaceConfig = field(default_factory=PlaceConfig)
     gas: GasConfig = field(default_factory=GasConfig)
@@ -86,7 +83,8 @@ class HierarchicalPlacesConfig:
             asked=300,
             compared=300,
             searched=1,
-            sure_inliers=NEVER,
+            chance=1e-12,
+            proof=ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12)),
             place=PlaceConfig(longest=NEVER),
             gas=GasConfig(winner_step=0.8, neighbour_step=0.01, oldest=10),
         )
@@ -169,12 +167,11 @@ class HierarchicalPlaces:
             return self._no_match()
         proof = judgement.proof
         improbable = ballot.improbability(self._places.place_of(proof.location))
-        sure = improbable > -math.log10(self.config.chance) or proof.inliers >= self.config.sure_inliers
         return Belief(
             query=int(self._route.ids[-1]),
             match=int(self._route.ids[proof.location]),
             score=improbable + judgement.evidence,
-            accepted=proof.verified and sure,
+            accepted=judgement.sure and improbable >= -math.log10(self.config.chance),
             inliers=proof.inliers,
             verified=proof.verified,
         )

@@ -34,7 +34,7 @@ class SequenceHistogramsConfig:
     @classmethod
     def published(cls) -> "SequenceHistogramsConfig":
         """The paper's numbers: 5 m (Table III), k = 0.32, 12 inliers."""
-        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), published_matching())
+        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), published_matching(0.32))
 
 
 class SequenceHistograms:

@@ -46,7 +46,7 @@ class MatchingConfig:
         least_divisor: a row is divided by at least so much (eq. 4.7).
         sequences: best sequences by response, and as many by similarity, whose images are looked at.
         images: best images of those that are compared feature by feature.
-        sure_inliers: with so many the response may be below the filter's threshold.
+        least_response: a match whose sequence responds less is not accepted; any will do where geometry decides.
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
         consistency: which earlier proofs speak for a new one.
@@ -58,7 +58,7 @@ class MatchingConfig:
     least_divisor: float = 0.05
     sequences: int = 4
     images: int = 8
-    sure_inliers: int = 60
+    least_response: float = -100.0
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
@@ -68,13 +68,14 @@ class MatchingConfig:
             raise ValueError(f"expected a score of {', '.join(SCORES)}, got {self.score!r}")
 
 
-def published_matching() -> MatchingConfig:
+def published_matching(threshold: float) -> MatchingConfig:
     """The papers' numbers where they are known: plain term frequencies, 12 inliers, no revisit without a response.
 
     The score is the one in [0, 1] all the same: with equation 4.6 as printed, no revisit would reach the learnt
     filter's threshold of 3.5.
     """
-    return MatchingConfig(power=1.0, least_divisor=0.005, sure_inliers=RouteConfig().stored + 1)
+    proof = ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12))
+    return MatchingConfig(power=1.0, least_divisor=0.005, least_response=threshold, proof=proof)
 
 
 @dataclass(frozen=True)
@@ -188,12 +189,11 @@ class SequenceMatching:
 
     def _belief(self, judgement: Judgement, response: float) -> Belief:
         proof = judgement.proof
-        sure = response >= self._threshold or proof.inliers >= self.config.sure_inliers
         return Belief(
             query=int(self._route.ids[proof.query]),
             match=int(self._route.ids[proof.location]),
             score=max(response, 0.0) + judgement.evidence,
-            accepted=proof.verified and sure,
+            accepted=judgement.sure and response >= self.config.least_response,
             inliers=proof.inliers,
             verified=proof.verified,
         )
@@ -205,10 +205,7 @@ def _best_of(rows: tuple[Floats, ...], count: int) -> Indices:
 
 
 def _best(row: Floats, count: int) -> Indices:
-    if len(row) > count:
-        best = np.argpartition(-row, count)[:count]
-    else:
-        best = np.arange(len(row))
+    best = np.argpartition(-row, count)[:count] if len(row) > count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)
 
 

@@ -8,7 +8,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
   break while the view stays. And not the very longest track counts, but nearly (`FeatureTracks.longest`).
 * Each word votes once (`count_votes`).
 * Where tracks are short, the best of them become words all the same (`TrackConfig.least_length`).
-* In a small map nothing is improbable enough: many inliers make up for it (`sure_inliers`).
+* Geometry chooses among the best voted places, and decides: in a small map no votes are improbable enough.
 * The score adds the evidence of geometry, of this image and of those just before it, to that of the votes.
 """
 
@@ -23,7 +23,7 @@ from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.proof import ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.votes import count_votes
+from place_recognition.belief.votes import Ballot, count_votes
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.route import Route, RouteConfig
@@ -43,9 +43,8 @@ class TrackedWordsConfig:
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
         consistency: which earlier proofs speak for a new one.
-        neighbours: images before and after the voted one among which the best match is sought.
-        sure_inliers: with so many the votes may be likelier than `chance`: in a map of a hundred words even a perfect
-            revisit is not improbable enough, while images of different places share half as many at the very most.
+        neighbours: images before and after a voted one among which the best match is sought.
+        places: voted places that are looked at; the paper tries the one with the most votes only.
     """
 
     chance: float = 2e-11
@@ -54,7 +53,13 @@ class TrackedWordsConfig:
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=9)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
     neighbours: int = 6
-    sure_inliers: int = 60
+    places: int = 3
+
+    @classmethod
+    def published(cls) -> "TrackedWordsConfig":
+        """The paper's numbers (Table II): one place is tried, and 9 inliers are enough."""
+        proof = ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=9))
+        return cls(neighbours=0, places=1, proof=proof)
 
 
 class TrackedWords:
@@ -107,33 +112,30 @@ class TrackedWords:
         ballot = count_votes(self._words.hit(self._tracks.descriptors), self._words)
         query = int(self._route.ids[-1])
         self._rows.add(query, self._route.ids[ballot.locations], ballot.votes.astype(np.float64))
-        voted = ballot.best(math.log(self.config.chance))
-        if voted is None:
-            return Belief(query, None, 0.0, accepted=False)
-        return self._verified(int(ballot.locations[voted]), -float(ballot.log_density[voted]) / math.log(10))
+        return self._verified(query, ballot)
 
     def _past(self) -> int:
         """The latest location of which no point is still being followed and that is far enough behind."""
         return min(self._route.guarded(), self._route.latest - 2 * self._tracks.longest)
 
-    def _verified(self, voted: int, improbable: float) -> Belief:
-        """The belief in the best neighbour of the voted location, proved by geometry or not.
-
-        Args:
-            voted: the location.
-            improbable: powers of ten by which so many votes are unlikely.
-        """
-        near = range(max(voted - self.config.neighbours, 0), min(voted + self.config.neighbours, self._horizon) + 1)
-        nearest_first = sorted(near, key=lambda location: abs(location - voted))
-        judgement = self._judge.judge(self._route.latest, nearest_first, self._horizon)
-        assert judgement is not None  # the voted location is a candidate
+    def _verified(self, query: int, ballot: Ballot) -> Belief:
+        """The belief in the best neighbour of a voted location, proved by geometry or not."""
+        voted = ballot.leaders(self.config.places, self.config.neighbours, math.log(self.config.chance))
+        judgement = self._judge.judge(self._route.latest, self._around(voted), self._horizon)
+        if judgement is None:
+            return Belief(query, None, 0.0, accepted=False)
         proof = judgement.proof
-        sure = improbable > -math.log10(self.config.chance) or proof.inliers >= self.config.sure_inliers
         return Belief(
-            query=int(self._route.ids[-1]),
+            query=query,
             match=int(self._route.ids[proof.location]),
-            score=improbable + judgement.evidence,
-            accepted=proof.verified and sure,
+            score=ballot.improbability(proof.location, self.config.neighbours) + judgement.evidence,
+            accepted=judgement.sure,
             inliers=proof.inliers,
             verified=proof.verified,
         )
+
+    def _around(self, voted: list[int]) -> list[int]:
+        """The voted locations and those beside them that may be matched, the nearest to a voted one first."""
+        steps = sorted(range(-self.config.neighbours, self.config.neighbours + 1), key=abs)
+        near = dict.fromkeys(location + step for step in steps for location in voted)
+        return [location for location in near if 0 <= location <= self._horizon]

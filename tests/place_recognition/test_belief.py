@@ -183,7 +183,7 @@ def test_random_matches_rarely_look_rigid(inliers):
     rng = np.random.default_rng(6)
     config = VerificationConfig(least_inliers=20)
     pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
-    assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)
+    assert all(inliers(first, second, config) is None for first, second in pixels)
 
 
 def test_quantised_descriptors_of_real_size_match_as_floats_do():
@@ -193,8 +193,6 @@ def test_quantised_descriptors_of_real_size_match_as_floats_do():
     expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
     assert len(expected) >= 85
-
-    assert all(inliers(first, second, config) is None for first, second in pixels)
 
 
 def test_an_essential_matrix_knows_the_camera_that_a_fundamental_one_must_guess():
