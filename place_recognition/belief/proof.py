@@ -149,7 +149,7 @@ def chance_evidence(inliers: int, matches: int, chance: float) -> float:
 
 def _chance(features: StoredFeatures, distance: float) -> float:
     """Probability that a random point of the features' bounding box lies so near to a line through it, at most."""
-    if len(features.pixels) == 0:
+    if len(features) == 0:
         return 0.5
     width, height = np.maximum(np.ptp(features.pixels, axis=0), 1.0)
     return float(min(2 * distance * math.hypot(width, height) / (width * height), 0.5))
