@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
@@ -125,8 +126,8 @@ def surplus_of_one_object(pixels: Floats, radius: float) -> int:
     """
     if len(pixels) <= SAMPLE:
         return 0
-    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
-    return max(int((apart <= radius).sum(axis=1).max()) - SAMPLE, 0)
+    apart = cdist(pixels, pixels, "sqeuclidean")
+    return max(int(np.count_nonzero(apart <= radius**2, axis=1).max()) - SAMPLE, 0)
 
 
 def chance_evidence(inliers: int, matches: int, chance: float) -> float:
