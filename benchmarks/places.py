@@ -7,21 +7,20 @@ TRUTH is a .npz with `truth` or the authors' .mat.
 """
 
 import argparse
-import re
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
+from place_benchmarks import Stopwatch, image_files
 
+from place_recognition.belief.judge import Judge
 from place_recognition.evaluation.ground_truth import load_truth
 from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map import tracked_words as tracking
+from place_recognition.map.word_tree import GrowingWordIndex
 from place_recognition.paradigms import tracked_words as paradigm
 from place_recognition.recognizer import Belief
 
@@ -30,39 +29,11 @@ STAGES = {
     "features (SURF)": (Surf, "extract"),
     "optical flow (KLT)": (tracking, "optical_flow"),
     "guided selection": (tracking, "select_guided"),
-    "nearest words": (paradigm, "nearest_words"),
+    "nearest words": (GrowingWordIndex, "nearest"),
     "votes": (paradigm, "count_votes"),
-    "refinement": (paradigm.TrackedWords, "_refine"),
-    "verification": (paradigm, "epipolar_inliers"),
+    "judge": (Judge, "judge"),
     "all": (paradigm.TrackedWords, "observe"),
 }
-
-
-class Stopwatch:
-    """Measures how long functions take, per call, by standing in for them."""
-
-    def __init__(self) -> None:
-        self.milliseconds: dict[str, list[float]] = defaultdict(list)
-
-    def watch(self, stage: str, owner: Any, name: str) -> None:
-        """Measure every call of owner.name from now on."""
-        setattr(owner, name, self._timed(stage, getattr(owner, name)))
-
-    def _timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def timed(*arguments: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*arguments)
-            self.milliseconds[stage].append(1e3 * (time.perf_counter() - begin))
-            return result
-
-        return timed
-
-
-def image_files(folder: Path) -> list[Path]:
-    """Images of a folder, or of the image_0 in it, in the natural order of their names."""
-    folder = folder / "image_0" if (folder / "image_0").is_dir() else folder
-    files = [f for f in folder.iterdir() if f.suffix.lower() in {".png", ".jpg", ".jpeg"}]
-    return sorted(files, key=lambda f: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", f.name)])
 
 
 def ways(count: int, step: float, poses: Path | None) -> np.ndarray:

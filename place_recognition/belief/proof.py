@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist, pdist
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
@@ -13,6 +14,7 @@ from place_recognition.map.image_store import ImageStore, StoredFeatures
 
 Floats = NDArray[np.float32]
 
+LEAST_SPREAD = 50.0  # pixels between two matches whose distance says something about the zoom
 SAMPLE = 7  # matches that settle a fundamental matrix, of which there may be three
 
 
@@ -29,6 +31,8 @@ class ProofConfig:
         tried: best candidates whose geometry is checked.
         object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
         beside: images up to so far apart show one place: the one that agrees with the query in more matches is nearer.
+        same_size: greatest zoom of images of one spot, logarithm to base 2. Of simulated revisits within 3 m 95 % stay
+            below 0.14, of matches more than 10 m off three in four are above 0.2.
         sure: evidence of an image and of those just before it that is enough to accept a match, powers of ten.
         verification: what proves a revisit.
     """
@@ -40,6 +44,7 @@ class ProofConfig:
     tried: int = 4
     object_share: float = 0.1
     beside: int = 6
+    same_size: float = 0.2
     sure: float = 40.0
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
@@ -51,6 +56,7 @@ class Proof:
     Attributes:
         query, location: the later and the earlier image, by location.
         inliers: matches that agree with one epipolar geometry; 0 where too few do.
+        zoom: how much larger the later image shows what both show, logarithm to base 2: 0 from the same spot.
         evidence: powers of ten by which so much agreement is unlikely by chance (`chance_evidence`).
         verified: whether enough matches agree.
     """
@@ -60,6 +66,7 @@ class Proof:
     inliers: int
     evidence: float
     verified: bool
+    zoom: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,8 +96,9 @@ class Pairing:
         agree = epipolar_inliers(self.now, self.then, config)
         if agree is None:
             return Proof(self.query, self.location, 0, 0.0, verified=False)
-        inliers = int(np.count_nonzero(agree))
-        return self._proof(inliers, surplus_of_objects(self.now[agree], self.object_size))
+        now, then = self.now[agree], self.then[agree]
+        proof = self._proof(len(now), surplus_of_objects(now, self.object_size))
+        return replace(proof, zoom=zoom_between(now, then))
 
     def _proof(self, inliers: int, surplus: int = 0) -> Proof:
         evidence = chance_evidence(inliers - surplus, len(self.now) - surplus, self.chance)
@@ -127,6 +135,18 @@ def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> 
     return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance, size)
 
 
+def zoom_between(now: Floats, then: Floats) -> float:
+    """Median logarithm to base 2 of the distances between matches (N, 2) in one image over those in the other.
+
+    Turning the camera or moving it sideways hardly changes them; moving ahead spreads them.
+    """
+    spread_now, spread_then = pdist(now), pdist(then)
+    apart = (spread_now >= LEAST_SPREAD) & (spread_then >= LEAST_SPREAD)
+    if not apart.any():
+        return 0.0
+    return float(np.median(np.log2(spread_now[apart] / spread_then[apart])))
+
+
 def surplus_of_objects(pixels: Floats, radius: float) -> int:
     """How many of the agreeing matches (N, 2) say no more than that some object was seen twice.
 
@@ -134,7 +154,7 @@ def surplus_of_objects(pixels: Floats, radius: float) -> int:
     and can be seen in any street. What lies within the radius of one match is taken for one object, the best filled
     circle first: it is counted for `SAMPLE` matches, those that settle a geometry, however many it has.
     """
-    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) <= radius
+    apart = cdist(pixels, pixels, "sqeuclidean") <= radius**2
     surplus = 0
     while len(apart):
         inside = apart[int(apart.sum(axis=1).argmax())]

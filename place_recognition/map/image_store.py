@@ -68,13 +68,17 @@ class ImageStore:
         count = int(record["count"])
         pixels = record["pixels"][:count].astype(np.float32) * record["pixel_step"]
         octaves = record["octaves"][:count] * np.float32(1 / OCTAVE_STEPS) + np.float32(FIRST_OCTAVE)
-        return StoredFeatures(pixels, record["quantised"][:count], octaves)
+        return StoredFeatures(pixels, record["quantised"][:count].copy(), octaves)
 
     def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
         """Quantised descriptors (L, count, D) of the strongest features at L locations, and how many are valid (L,)."""
-        records = [self._record(location) for location in locations]
-        counts = np.array([min(int(record["count"]), count) for record in records], np.int64)
-        return np.stack([record["quantised"][:count] for record in records]), counts
+        dimension = self._records.dtype["quantised"].shape[1] if self._records else 0
+        descriptors, counts = np.zeros((len(locations), count, dimension), np.int8), np.zeros(len(locations), np.int64)
+        for k, location in enumerate(locations):
+            record = self._record(location)
+            counts[k] = min(int(record["count"]), count)
+            descriptors[k, : counts[k]] = record["quantised"][: counts[k]]
+        return descriptors, counts
 
     def add(self, features: LocalFeatures) -> None:
         """Keep the strongest features of the next image.

@@ -43,9 +43,9 @@ class RecordFile:
         self._count += 1
 
     def read(self, index: int) -> Record:
-        """The record () of an index, a copy."""
+        """The record () of an index; good until the next one is appended."""
         if index >= self._count - len(self._latest):
-            return self._latest[index % len(self._latest)].copy()
+            return self._latest[index % len(self._latest)]
         size = self.dtype.itemsize
         return np.frombuffer(os.pread(self._file.fileno(), size, index * size), self.dtype)[0]
 

@@ -31,7 +31,8 @@ from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
 from place_recognition.map.places import PlaceConfig, PlaceFormation, PlaceMap
 from place_recognition.map.route import Route, RouteConfig
-from place_recognition.map.word_index import ExactWordIndex, WordIndex
+from place_recognition.map.word_index import WordIndex
+from place_recognition.map.word_tree import GrowingWordIndex
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 Floats = NDArray[np.float32]
@@ -105,7 +106,7 @@ class HierarchicalPlaces:
         features: SharedFeatures,
         config: HierarchicalPlacesConfig | None = None,
         rows: RowSink | None = None,
-        index: Callable[[], WordIndex] = ExactWordIndex,
+        index: Callable[[], WordIndex] = GrowingWordIndex,
     ) -> None:
         self.config = config or HierarchicalPlacesConfig()
         self._features = features
