@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from place_recognition.belief.matrix_filter import FilterConfig
+from place_recognition.belief.matrix_filter import FilterConfig, with_background
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -77,11 +77,10 @@ def sequence_matrix(matrix: Array, truth: Truth) -> tuple[Array, Truth]:
 def samples_of(matrix: Array, truth: Truth, config: TrainingConfig | None = None) -> Samples:
     """Samples of a matrix of sequences (S, S), NaN where not compared, and its truth (S, S).
 
-    Every compared cell is one; neighbours that were not compared count as 0, as they do for the filter.
+    Every compared cell is one; neighbours that were not compared are background, as they are for the filter.
     """
     config = config or TrainingConfig()
-    padded = np.pad(np.nan_to_num(matrix), 1)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    windows = np.lib.stride_tricks.sliding_window_view(with_background(matrix), (3, 3))
     compared = np.isfinite(matrix)
     positive, negative = np.argwhere(compared & truth), np.argwhere(compared & ~truth)
     wanted = config.negatives * len(positive)

@@ -1,7 +1,7 @@
 """Place recognition by word vectors of sequences cut where the view changes, and a learnt filter (section 4.4.2).
 
-Bampis, Amanatiadis, Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1)
-2018. For what differs from the paper see `sequence_matching`.
+Bampis, Amanatiadis, Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences',
+IJRR 37(1) 2018. For what differs from the paper see `sequence_matching`.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from place_recognition.belief.matrix_filter import LEARNT, FilterConfig
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.map.sequences import WordVariance, WordVarianceConfig
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching
+from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
 from place_recognition.recognizer import Belief, RowSink
 
 
@@ -30,6 +30,12 @@ class DynamicSequencesConfig:
     sequences: WordVarianceConfig = field(default_factory=WordVarianceConfig)
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNT, 3.5))
     matching: MatchingConfig = field(default_factory=MatchingConfig)
+
+    @classmethod
+    def published(cls) -> "DynamicSequencesConfig":
+        """The paper's numbers: variance 0.75, which belongs to a vocabulary of a million words, and k' = 3.5."""
+        sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
+        return cls(sequences, FilterConfig(LEARNT, 3.5), published_matching())
 
 
 class DynamicSequences:

@@ -13,7 +13,7 @@ from place_recognition.belief.matrix_filter import DIAGONAL, FilterConfig
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.map.sequences import FixedWay, FixedWayConfig
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching
+from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
 from place_recognition.recognizer import Belief, RowSink
 
 
@@ -30,6 +30,11 @@ class SequenceHistogramsConfig:
     sequences: FixedWayConfig = field(default_factory=FixedWayConfig)
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
     matching: MatchingConfig = field(default_factory=MatchingConfig)
+
+    @classmethod
+    def published(cls) -> "SequenceHistogramsConfig":
+        """The paper's numbers: 5 m (Table III), k = 0.32, 12 inliers."""
+        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), published_matching())
 
 
 class SequenceHistograms:

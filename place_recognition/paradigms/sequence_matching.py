@@ -68,6 +68,15 @@ class MatchingConfig:
             raise ValueError(f"expected a score of {', '.join(SCORES)}, got {self.score!r}")
 
 
+def published_matching() -> MatchingConfig:
+    """The papers' numbers where they are known: plain term frequencies, 12 inliers, no revisit without a response.
+
+    The score is the one in [0, 1] all the same: with equation 4.6 as printed, no revisit would reach the learnt
+    filter's threshold of 3.5.
+    """
+    return MatchingConfig(power=1.0, least_divisor=0.005, sure_inliers=RouteConfig().stored + 1)
+
+
 @dataclass(frozen=True)
 class _Sequence:
     """A sequence that has ended and waits for the next one, without which its row cannot be filtered.
@@ -161,9 +170,8 @@ class SequenceMatching:
         ]
 
     def _show(self, query: int, row: Floats, stage: str) -> None:
-        known = np.flatnonzero(row)
-        firsts = self._map.first(known)
-        self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row[known].astype(np.float64), stage)
+        firsts = self._map.first(np.arange(len(row)))
+        self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row.astype(np.float64), stage)
 
     def _believe(self, query: int, pool: Indices, horizon: int, response: Floats) -> Belief:
         alike = _spread(pool, self._words.likeness(query, pool), self.config.images)
