@@ -172,7 +172,7 @@ def test_the_orientation_of_a_ramp_is_the_way_it_rises(degrees):
 
 
 def test_upright_and_oriented_descriptors_agree_where_the_orientation_is_upright():
-    half = textured_world(128, seed=2, height=64) // 4 + np.arange(128, dtype=np.uint8)
+    half = textured_world(128, seed=2, height=64) // 16 + np.arange(128, dtype=np.uint8)
     image = np.vstack([half, half[::-1]])  # what is the same above and below points along its middle
     integral, points = cv2.integral(image), np.array([[50, 63.5, 2.0], [70, 63.5, 2.0]], np.float32)
     assert np.abs([orientation(integral, point) for point in points]).max() < 1e-6
