@@ -1,7 +1,7 @@
 """Place recognition by word vectors of sequences cut where the view changes, and a learnt filter (section 4.4.2).
 
-Bampis, Amanatiadis, Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1)
-2018. For what differs from the paper see `sequence_matching`.
+Bampis, Amanatiadis, Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences',
+IJRR 37(1) 2018. For what differs from the paper see `sequence_matching`.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from place_recognition.belief.matrix_filter import LEARNT, FilterConfig
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.map.sequences import WordVariance, WordVarianceConfig
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching
+from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
 from place_recognition.recognizer import Belief, RowSink
 
 
@@ -31,6 +31,12 @@ class DynamicSequencesConfig:
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNT, 3.5))
     matching: MatchingConfig = field(default_factory=MatchingConfig)
 
+    @classmethod
+    def published(cls) -> "DynamicSequencesConfig":
+        """The paper's numbers: variance 0.75, which belongs to a vocabulary of a million words, and k' = 3.5."""
+        sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
+        return cls(sequences, FilterConfig(LEARNT, 3.5), published_matching())
+
 
 class DynamicSequences:
     """Recognises places by sequences of like views (a PlaceRecognizer); answers when the next sequence has ended."""
@@ -45,8 +51,14 @@ class DynamicSequences:
         self.config = config or DynamicSequencesConfig()
         segmentation = WordVariance(len(vocabulary), self.config.sequences)
         self._matching = SequenceMatching(features, vocabulary, segmentation, self.config.matching, self.config.filter)
+        self._word_count = len(vocabulary)
         if rows is not None:
             self._matching.show_rows(rows)
+
+    @property
+    def word_count(self) -> int:
+        """Words of the vocabulary."""
+        return self._word_count
 
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Add an image; if it begins a sequence, answer for the images of the last but one before it.

@@ -13,7 +13,7 @@ from place_recognition.belief.matrix_filter import DIAGONAL, FilterConfig
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.map.sequences import FixedWay, FixedWayConfig
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching
+from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
 from place_recognition.recognizer import Belief, RowSink
 
 
@@ -31,6 +31,11 @@ class SequenceHistogramsConfig:
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
     matching: MatchingConfig = field(default_factory=MatchingConfig)
 
+    @classmethod
+    def published(cls) -> "SequenceHistogramsConfig":
+        """The paper's numbers: 5 m (Table III), k = 0.32, 12 inliers."""
+        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), published_matching())
+
 
 class SequenceHistograms:
     """Recognises places by sequences of 5 m (a PlaceRecognizer); answers when the next sequence has ended."""
@@ -45,8 +50,14 @@ class SequenceHistograms:
         self.config = config or SequenceHistogramsConfig()
         segmentation = FixedWay(self.config.sequences)
         self._matching = SequenceMatching(features, vocabulary, segmentation, self.config.matching, self.config.filter)
+        self._word_count = len(vocabulary)
         if rows is not None:
             self._matching.show_rows(rows)
+
+    @property
+    def word_count(self) -> int:
+        """Words of the vocabulary."""
+        return self._word_count
 
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Add an image; if it begins a sequence, answer for the images of the last but one before it.

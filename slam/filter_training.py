@@ -1,0 +1,72 @@
+"""`revisit filter train`: a matrix and its truth in, a filter that fits the features and the vocabulary out."""
+
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from place_recognition.belief.filter_training import Samples, samples_of, sequence_matrix, train_filter
+from place_recognition.belief.matrix_filter import FilterConfig
+from place_recognition.evaluation.ground_truth import load_truth
+from slam.errors import DataError
+from slam.storage.atomic import atomic_writer
+
+
+def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> str:
+    """Learn the filter of a paradigm of sequences, write it as settings, and say what was learnt.
+
+    Args:
+        matrix: the matrix.npz that `revisit places` wrote for that paradigm.
+        truth: which of its images show one place, .npz or .mat.
+        out: TOML file for the option --config.
+        paradigm: sequence-histograms or dynamic-sequences.
+
+    Raises:
+        DataError: a file is missing or damaged, or the two do not belong together.
+        OutputError: the file cannot be written.
+    """
+    samples = _samples(matrix, truth)
+    try:
+        learnt = train_filter(samples)
+    except ValueError as error:
+        raise DataError(f"{matrix} and {truth}: {error}") from error
+    with atomic_writer(out, "wb") as file:
+        tomli_w.dump(_settings(learnt, paradigm), file)
+    return _summary(learnt, samples, out)
+
+
+def _samples(matrix: Path, truth: Path) -> Samples:
+    similarities = _read_matrix(matrix)
+    try:
+        return samples_of(*sequence_matrix(similarities, load_truth(truth)))
+    except (ValueError, OSError) as error:
+        raise DataError(f"{matrix} and {truth}: {error}") from error
+
+
+def _read_matrix(path: Path) -> NDArray[np.float64]:
+    try:
+        with np.load(path) as arrays:
+            if "similarity" not in arrays:
+                found = ", ".join(arrays.files) or "none"
+                raise DataError(
+                    f"{path}: expected an array named similarity, found {found}; write it with: revisit places"
+                )
+            if "step" in arrays and int(arrays["step"]) != 1:
+                raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
+            return np.asarray(arrays["similarity"], np.float64)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: expected the matrix.npz of revisit places, {error}") from error
+
+
+def _settings(learnt: FilterConfig, paradigm: str) -> dict[str, object]:
+    section = {"kernel": [list(row) for row in learnt.kernel], "threshold": learnt.threshold}
+    return {"places": {paradigm.replace("-", "_"): {"filter": section}}}
+
+
+def _summary(learnt: FilterConfig, samples: Samples, out: Path) -> str:
+    kernel = np.array2string(np.array(learnt.kernel), precision=2, suppress_small=True)
+    response = samples.patches @ np.ravel(learnt.kernel) >= learnt.threshold
+    found, wrong = int((response & samples.labels).sum()), int((response & ~samples.labels).sum())
+    counts = f"{int(samples.labels.sum())} cells of revisits, {found} of them found; {wrong} others taken for one"
+    return f"{kernel}\nthreshold {learnt.threshold:.2f}; {counts}\n{out}: use it with --config {out}"
