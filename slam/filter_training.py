@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from place_recognition.belief.filter_training import Samples, samples_of, sequence_matrix, train_filter
 from place_recognition.belief.matrix_filter import FilterConfig
 from place_recognition.evaluation.ground_truth import load_truth
-from slam.errors import DataError
+from slam.errors import ConfigError, DataError
 from slam.storage.atomic import atomic_writer
+
+PARADIGMS = ("sequence-histograms", "dynamic-sequences")
 
 
 def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> str:
@@ -23,9 +25,12 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
         paradigm: sequence-histograms or dynamic-sequences.
 
     Raises:
+        ConfigError: another paradigm.
         DataError: a file is missing or damaged, or the two do not belong together.
         OutputError: the file cannot be written.
     """
+    if paradigm not in PARADIGMS:
+        raise ConfigError(f"paradigm {paradigm!r}: expected one with a filter, {' or '.join(PARADIGMS)}")
     samples = _samples(matrix, truth)
     try:
         learnt = train_filter(samples)
@@ -48,8 +53,9 @@ def _read_matrix(path: Path) -> NDArray[np.float64]:
     try:
         with np.load(path) as arrays:
             if "similarity" not in arrays:
-                found = ", ".join(arrays.files) or "none"
-                raise DataError(f"{path}: expected an array named similarity, found {found}; write it with: revisit places")
+                raise DataError(
+                    f"{path}: expected an array named similarity, found {', '.join(arrays.files) or 'none'}"
+                )
             if "step" in arrays and int(arrays["step"]) != 1:
                 raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
             return np.asarray(arrays["similarity"], np.float64)

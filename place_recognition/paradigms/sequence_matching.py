@@ -8,10 +8,11 @@ from the papers, each for a reason found on images that do not judge:
   feature by feature, and the geometry of an image and of those just before it joins the response in the score.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
 from place_recognition.belief.geometric_verification import VerificationConfig
@@ -31,7 +32,11 @@ from place_recognition.recognizer import Belief, NoRows, RowSink
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-SCORES = {"scaled-l2": scaled_l2_score_of_cosine, "l2": l2_score_of_cosine, "cosine": np.asarray}
+SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {
+    "scaled-l2": scaled_l2_score_of_cosine,
+    "l2": l2_score_of_cosine,
+    "cosine": np.asarray,
+}
 
 
 @dataclass(frozen=True)
@@ -205,17 +210,18 @@ def _best_of(rows: tuple[Floats, ...], count: int) -> Indices:
 
 
 def _best(row: Floats, count: int) -> Indices:
-    if len(row) > count:
-        best = np.argpartition(-row, count)[:count]
-    else:
-        best = np.arange(len(row))
+    best = np.argpartition(-row, count)[:count] if len(row) > count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)
 
 
 def _spread(locations: Indices, likeness: Floats, count: int) -> list[int]:
-    """So many locations (K,), the most alike first, leaving out those beside a better one: they show the same."""
+    """So many of the locations (K,), the most alike first; of neighbours the better one, as they show the same.
+
+    Images that are no more alike than any two, like those without features, are left out.
+    """
     chosen: list[int] = []
-    for k in np.argsort(-likeness, kind="stable"):
+    order = np.argsort(-likeness, kind="stable")
+    for k in order[likeness[order] > 0]:
         location = int(locations[k])
         if location - 1 not in chosen and location + 1 not in chosen:
             chosen.append(location)

@@ -9,12 +9,17 @@ from place_images import sliding_view, textured_world
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.hog import Hog
 from place_recognition.image_processing.surf import Surf
+from place_recognition.map.vocabulary import default_vocabulary
+from place_recognition.paradigms.dynamic_sequences import DynamicSequences
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.pixel_sequences import PixelSequences
+from place_recognition.paradigms.sequence_histograms import SequenceHistograms
 from place_recognition.paradigms.tracked_words import TrackedWords
 from place_recognition.recognizer import Belief, PlaceRecognizer
 
 RECOGNIZERS: dict[str, Callable[[], PlaceRecognizer]] = {
+    "sequence-histograms": lambda: SequenceHistograms(SharedFeatures(Surf()), default_vocabulary()),
+    "dynamic-sequences": lambda: DynamicSequences(SharedFeatures(Surf()), default_vocabulary()),
     "tracked-words": lambda: TrackedWords(SharedFeatures(Surf())),
     "pixel-sequences": PixelSequences,
     "global-descriptor": lambda: GlobalDescriptorMatching(Hog()),
