@@ -1,119 +1,97 @@
-"""How well and how fast places are recognised: a table for one folder of images with a truth file.
+"""How well and how fast places are recognised: one line for each paradigm over one folder of images.
 
-    python benchmarks/places.py IMAGES TRUTH [--way METRES_PER_IMAGE] [--poses FILE]
+    python benchmarks/places.py SOURCE [TRUTH] [--paradigms NAME ...] [--repeat N]
 
-IMAGES is a folder of images in the natural order of their names, or a KITTI sequence folder, which holds image_0.
-TRUTH is a .npz with `truth` or the authors' .mat.
+SOURCE is a KITTI root or a folder of images; TRUTH a .mat, a .npz with `truth`, or poses. Milliseconds an image, median
+(99th percentile): of features, of all the rest, and of both; and the mean of both, which alone is fair to paradigms
+that answer for many images at once. The least of N repetitions each, since other work on the machine only ever adds
+time. Reading images is not counted. With --growth also the medians over each fifth of the drive: what a query costs as
+the map grows.
 """
 
 import argparse
-import re
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import load_truth
-from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.surf import Surf
-from place_recognition.map import tracked_words as tracking
-from place_recognition.paradigms import tracked_words as paradigm
-from place_recognition.recognizer import Belief
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig
+from slam.datasets.images import ImageSequence, open_images
+from slam.evaluation.truth import KnownTruth, check_size, read_truth
+from slam.place_metrics import judge_places
+from slam.places.drive import Bench, Recognised, recognise, stage_times
 
-# stage: (module or class, function) as they are looked up when the recogniser runs
-STAGES = {
-    "features (SURF)": (Surf, "extract"),
-    "optical flow (KLT)": (tracking, "optical_flow"),
-    "guided selection": (tracking, "select_guided"),
-    "nearest words": (paradigm, "nearest_words"),
-    "votes": (paradigm, "count_votes"),
-    "refinement": (paradigm.TrackedWords, "_refine"),
-    "verification": (paradigm, "epipolar_inliers"),
-    "all": (paradigm.TrackedWords, "observe"),
-}
-
-
-class Stopwatch:
-    """Measures how long functions take, per call, by standing in for them."""
-
-    def __init__(self) -> None:
-        self.milliseconds: dict[str, list[float]] = defaultdict(list)
-
-    def watch(self, stage: str, owner: Any, name: str) -> None:
-        """Measure every call of owner.name from now on."""
-        setattr(owner, name, self._timed(stage, getattr(owner, name)))
-
-    def _timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def timed(*arguments: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*arguments)
-            self.milliseconds[stage].append(1e3 * (time.perf_counter() - begin))
-            return result
-
-        return timed
-
-
-def image_files(folder: Path) -> list[Path]:
-    """Images of a folder, or of the image_0 in it, in the natural order of their names."""
-    folder = folder / "image_0" if (folder / "image_0").is_dir() else folder
-    files = [f for f in folder.iterdir() if f.suffix.lower() in {".png", ".jpg", ".jpeg"}]
-    return sorted(files, key=lambda f: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", f.name)])
-
-
-def ways(count: int, step: float, poses: Path | None) -> np.ndarray:
-    """Way driven (count,) up to each image, metres: from KITTI poses, or equal steps."""
-    if poses is None:
-        return step * np.arange(count)
-    positions = np.loadtxt(poses).reshape(-1, 3, 4)[:, :, 3]
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-
-
-def recognise(recognizer: paradigm.TrackedWords, files: list[Path], way: np.ndarray) -> Iterator[Belief]:
-    """Beliefs of all images."""
-    for i, file in enumerate(files):
-        yield from recognizer.observe(i, cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), float(way[i]))
-    yield from recognizer.finish()
-
-
-def report(beliefs: list[Belief], truth: np.ndarray, words: int) -> None:
-    """Print the figures of recognition."""
-    print(f"{len(beliefs)} images, {int(truth.any(axis=1).sum())} of them with a true match, {words} words")
-    for tolerance in (0, 10):
-        curve = precision_recall(beliefs, truth, tolerance)
-        right, wrong = accepted_counts(beliefs, truth, tolerance)
-        print(
-            f"tolerance {tolerance:2d}: R@P100 {curve.recall_at_full_precision:.4f}  AP {curve.average_precision:.4f}  "
-            f"threshold {curve.threshold_at_full_precision}  accepted {right} true {wrong} false"
-        )
+Array = NDArray[np.float64]
+STAGES = ("features", "place recognition")
+PARTS = 5
 
 
 def main() -> None:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("images", type=Path)
-    parser.add_argument("truth", type=Path)
-    parser.add_argument("--way", type=float, default=float("nan"), help="metres from image to image, if known")
-    parser.add_argument("--poses", type=Path, help="KITTI poses to measure the way by")
-    arguments = parser.parse_args()
+    given = parser().parse_args()
+    images, truth = open_images(given.source, given.sequence), KnownTruth(None, "none")
+    if given.truth is not None:
+        truth = read_truth(given.truth)
+        check_size(truth, len(images), given.source)
+    print(f"{len(images)} images of {images[0].shape[1]} x {images[0].shape[0]}; ground truth: {truth.origin}")
+    print(f"{'paradigm':20} {'R@P100':>7} {'AP':>7} {'true':>5} {'false':>5} {'map MB':>7}", end="")
+    print(f" {'features':>14} {'recognition':>14} {'total':>14} {'mean':>6}")
+    for paradigm in given.paradigms:
+        runs = [drive(images, paradigm, given.vocabulary) for _ in range(given.repeat)]
+        print(line(paradigm, runs, truth))
+        if given.growth:
+            print(growth(runs))
 
-    files = image_files(arguments.images)
-    truth = load_truth(arguments.truth)
-    Surf().extract(np.zeros((64, 64), np.uint8))  # compile, or load what was compiled
-    stopwatch = Stopwatch()
-    for stage, (owner, name) in STAGES.items():
-        stopwatch.watch(stage, owner, name)
-    recognizer = paradigm.TrackedWords(SharedFeatures(Surf()))
-    beliefs = list(recognise(recognizer, files, ways(len(files), arguments.way, arguments.poses)))
-    report(beliefs, truth, recognizer.word_count)
-    print(f"{'ms a call':20s} {'median':>8s} {'p99':>8s} {'an image':>8s}")
-    for stage in STAGES:
-        calls = np.array(stopwatch.milliseconds[stage] or [0.0])
-        print(f"{stage:20s} {np.median(calls):8.2f} {np.percentile(calls, 99):8.2f} {calls.sum() / len(files):8.2f}")
+
+def parser() -> argparse.ArgumentParser:
+    """What the command line takes."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("source", type=Path)
+    made.add_argument("truth", type=Path, nargs="?")
+    made.add_argument("--sequence")
+    made.add_argument("--vocabulary", default="")
+    made.add_argument("--paradigms", nargs="+", default=list(PARADIGMS), choices=PARADIGMS, metavar="NAME")
+    made.add_argument("--repeat", type=int, default=1)
+    made.add_argument("--growth", action="store_true")
+    return made
+
+
+def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> Recognised:
+    """One drive through all images."""
+    bench = Bench(paradigm, ParadigmsConfig(vocabulary=vocabulary))
+    return recognise(images, bench, lambda done, total: None, lambda: False)
+
+
+def line(paradigm: str, runs: list[Recognised], truth: KnownTruth) -> str:
+    """The figures of one paradigm."""
+    section = judge_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
+    names = ("recall_at_100_precision", "average_precision")
+    ratios = " ".join(f"{'-' if section[name] is None else f'{section[name]:.4f}':>7}" for name in names)
+    counts = " ".join(f"{section[name] if section[name] is not None else '-':>5}" for name in _COUNTS)
+    size = f"{float(str(section['map_bytes'])) / 1e6:7.1f}"
+    spent = " ".join(f"{_spent(runs, stages):>14}" for stages in (STAGES[:1], STAGES[1:], STAGES))
+    mean = min(float(_total(run, STAGES).mean()) for run in runs)
+    return f"{paradigm:20} {ratios} {counts} {size} {spent} {mean:6.1f}"
+
+
+def growth(runs: list[Recognised]) -> str:
+    """Medians of the recognition alone over each part of the drive."""
+    parts = [np.array_split(_total(run, STAGES[1:]), PARTS) for run in runs]
+    medians = [min(float(np.median(run[part])) for run in parts) for part in range(PARTS)]
+    return "  recognition over the drive, ms: " + " ".join(f"{median:.1f}" for median in medians)
+
+
+_COUNTS = ("true_positives", "false_positives")
+
+
+def _spent(runs: list[Recognised], stages: tuple[str, ...]) -> str:
+    median, p99 = np.min([np.percentile(_total(run, stages), (50, 99)) for run in runs], axis=0)
+    return f"{median:.1f} ({p99:.0f})"
+
+
+def _total(run: Recognised, stages: tuple[str, ...]) -> Array:
+    times = stage_times(run)
+    return np.sum([times.get(stage, np.zeros(run.images)) for stage in stages], axis=0)
 
 
 if __name__ == "__main__":

@@ -53,8 +53,9 @@ def _read_matrix(path: Path) -> NDArray[np.float64]:
     try:
         with np.load(path) as arrays:
             if "similarity" not in arrays:
+                found = ", ".join(arrays.files) or "none"
                 raise DataError(
-                    f"{path}: expected an array named similarity, found {', '.join(arrays.files) or 'none'}"
+                    f"{path}: expected an array named similarity, found {found}; write it with: revisit places"
                 )
             if "step" in arrays and int(arrays["step"]) != 1:
                 raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")

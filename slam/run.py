@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from slam.report.tables import summary
 from slam.results import Finished, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder
-from slam.system import Processed, Slam
+from slam.system import LoopAttempt, Processed, Slam
 from slam.viewer.viewer import NullViewer, Viewer
 from slam.watching import Watcher
 
@@ -134,6 +134,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
                 messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break
     late, optimized = slam.finish(config.robust)
+    note_loops(late)
     drive_log.attempts.extend(late)
     return Finished(drive, config, slam, drive_log, optimized, stop.made, time.perf_counter() - start)
 
@@ -149,7 +150,12 @@ def note(processed: Processed) -> None:
     """Log what is out of the ordinary about a frame."""
     if processed.motion.predicted:
         log.warning("frame %d: motion predicted, %s", processed.frame.index, processed.motion.reason)
-    for attempt in processed.attempts:
+    note_loops(processed.attempts)
+
+
+def note_loops(attempts: Sequence[LoopAttempt]) -> None:
+    """Log what became of each loop that was proposed."""
+    for attempt in attempts:
         if attempt.reason:
             verdict = "closed" if attempt.closed else "not closed"
             log.info("loop %d -> %s %s: %s", attempt.belief.query, attempt.belief.match, verdict, attempt.reason)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from slam.datasets.dataset import Dataset
+from slam.datasets.dataset import Dataset, Frame
 from slam.loop_closing import LoopClosure
 from slam.system import LoopAttempt, Processed, Slam
 from slam.viewer.viewer import ClosedLoop, Step, Viewer
@@ -47,7 +47,7 @@ class Watcher:
         return ClosedLoop(
             query=belief.query,
             match=belief.match,
-            image_query=processed.frame.left if with_pair and belief.query == processed.frame.index else None,
+            image_query=self._query_image(belief.query, processed.frame) if with_pair else None,
             image_match=self._drive[belief.match].left if with_pair else None,
             pixels_query=_NO_PIXELS if proved is None else proved.pixels_query.astype(np.float64),
             pixels_match=_NO_PIXELS if proved is None else proved.pixels_match.astype(np.float64),
@@ -55,9 +55,14 @@ class Watcher:
             reason=attempt.reason,
         )
 
+    def _query_image(self, query: int, frame: Frame) -> NDArray[np.uint8]:
+        """The image asked about: the current one, unless the recogniser answers late."""
+        return frame.left if query == frame.index else self._drive[query].left
+
 
 def _step(processed: Processed) -> Step:
-    belief = processed.attempts[-1].belief if processed.attempts else None
+    beliefs = [attempt.belief for attempt in processed.attempts]  # several at once, or none, where answers come late
+    belief = max(beliefs, key=lambda belief: (belief.accepted, belief.score), default=None)
     return Step(
         index=processed.frame.index,
         timestamp=processed.frame.timestamp,

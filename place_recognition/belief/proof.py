@@ -21,15 +21,22 @@ class ProofConfig:
     """How candidates are compared.
 
     Attributes:
-        ratio: nearest to second nearest descriptor distance of a match between two images.
+        likeness: nearest to second nearest descriptor distance of the matches by which candidates are ranked.
+        ratio: the same for the matches that geometry is asked about: nearly all, as it tells good ones from bad.
+        zoom: factor by which the scales of two matched features may differ: the same place shows things at about the
+            same size, and what is left out is mostly wrong, or shows that the two cameras stood far apart.
         compared: strongest features of each image by which the candidates are ranked.
         tried: best candidates whose geometry is checked.
+        object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
         verification: what proves a revisit.
     """
 
-    ratio: float = 0.8
+    likeness: float = 0.8
+    ratio: float = 0.95
+    zoom: float = 1.35
     compared: int = 200
-    tried: int = 2
+    tried: int = 4
+    object_share: float = 0.1
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
 
@@ -59,6 +66,7 @@ class Pairing:
         query, location: the later and the earlier image, by location.
         now, then: (N, 2) float32 pixels of the matches in each.
         chance: probability that a random match agrees with a given fundamental matrix.
+        object_size: radius of an object that may occur twice, pixels.
     """
 
     query: int
@@ -66,6 +74,7 @@ class Pairing:
     now: Floats
     then: Floats
     chance: float
+    object_size: float
 
     def at_best(self) -> Proof:
         """The proof if all matches agreed: no check says more."""
@@ -76,10 +85,11 @@ class Pairing:
         agree = epipolar_inliers(self.now, self.then, config)
         if agree is None:
             return Proof(self.query, self.location, 0, 0.0, verified=False)
-        return self._proof(int(np.count_nonzero(agree)))
+        inliers = int(np.count_nonzero(agree))
+        return self._proof(inliers, surplus_of_objects(self.now[agree], self.object_size))
 
-    def _proof(self, inliers: int) -> Proof:
-        evidence = chance_evidence(inliers, len(self.now), self.chance)
+    def _proof(self, inliers: int, surplus: int = 0) -> Proof:
+        evidence = chance_evidence(inliers - surplus, len(self.now) - surplus, self.chance)
         return Proof(self.query, self.location, inliers, evidence, verified=True)
 
 
@@ -93,7 +103,7 @@ def rank(images: ImageStore, query: int, candidates: Sequence[int], config: Proo
     if len(candidates) == 0:
         return []
     now = images[query].strongest(config.compared).quantised
-    likeness = count_matches(now, *images.strongest(candidates, config.compared), config.ratio)
+    likeness = count_matches(now, *images.strongest(candidates, config.compared), config.likeness)
     return [candidates[k] for k in np.argsort(-likeness, kind="stable")[: config.tried]]
 
 
@@ -106,8 +116,29 @@ def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> 
     """The matches of a query and the image at an earlier location."""
     now, then = images[query], images[location]
     pairs = match_pairs(now.quantised, then.quantised, config.ratio)
+    zoom = np.abs(now.octaves[pairs[:, 0]] - then.octaves[pairs[:, 1]])
+    pairs = pairs[zoom <= math.log2(config.zoom)]
     chance = _chance(then, config.verification.distance)
-    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance)
+    size = config.object_share * float(np.ptp(then.pixels[:, 0])) if len(then.pixels) else 0.0
+    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance, size)
+
+
+def surplus_of_objects(pixels: Floats, radius: float) -> int:
+    """How many of the agreeing matches (N, 2) say no more than that some object was seen twice.
+
+    A car of the same make at the same kerb, or the sign of a shop, has dozens of matches that agree with one another,
+    and can be seen in any street. What lies within the radius of one match is taken for one object, the best filled
+    circle first: it is counted for `SAMPLE` matches, those that settle a geometry, however many it has.
+    """
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) <= radius
+    surplus = 0
+    while len(apart):
+        inside = apart[int(apart.sum(axis=1).argmax())]
+        if inside.sum() <= SAMPLE:
+            break
+        surplus += int(inside.sum()) - SAMPLE
+        apart = apart[~inside][:, ~inside]
+    return surplus
 
 
 def chance_evidence(inliers: int, matches: int, chance: float) -> float:
@@ -130,6 +161,8 @@ def chance_evidence(inliers: int, matches: int, chance: float) -> float:
 
 def _chance(features: StoredFeatures, distance: float) -> float:
     """Probability that a random point of the features' bounding box lies so near to a line through it, at most."""
+    if len(features.pixels) == 0:
+        return 0.5
     width, height = np.maximum(np.ptp(features.pixels, axis=0), 1.0)
     return float(min(2 * distance * math.hypot(width, height) / (width * height), 0.5))
 

@@ -62,7 +62,7 @@ def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
     for i in range(len(rows)):
         similarity[:count] = 0
         similarity[count:] = NONE
-        _add_products(rows[i], columns, similarity)
+        add_integer_products(rows[i], columns, similarity)
         back[i] = _first_largest(similarity)
         _keep_nearest(similarity, np.int16(i), nearest, best, runner_up)
     one = np.float32(127.0 * 127.0)  # of unit vectors: distance^2 = 2 - 2 similarity
@@ -74,7 +74,7 @@ def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
 
 
 @njit(cache=True)
-def _add_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
+def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M).
 
     Eight rows of columns a pass: plain unit-stride loops, which compilers turn into SIMD. One byte a number keeps the
@@ -100,13 +100,20 @@ def _add_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
 @njit(cache=True)
 def _first_largest(values: Shorts) -> int:
     """Index of the largest; of equal ones the first. Two passes, both SIMD, where one that keeps an index is not."""
-    largest = values[0]
+    most = largest(values)
     for j in range(len(values)):
-        largest = max(largest, values[j])
-    for j in range(len(values)):
-        if values[j] == largest:
+        if values[j] == most:
             return j
     return 0
+
+
+@njit(cache=True)
+def largest(values: Shorts) -> int:
+    """The largest of values (M,), M > 0."""
+    most = values[0]
+    for j in range(len(values)):
+        most = max(most, values[j])
+    return most
 
 
 @njit(cache=True)

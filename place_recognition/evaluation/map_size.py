@@ -2,11 +2,8 @@
 
 from collections import deque
 from dataclasses import dataclass
-from types import FunctionType, ModuleType
 
 import numpy as np
-
-_OPAQUE = (str, bytes, int, float, complex, bool, type(None), type, FunctionType, ModuleType)
 
 
 @dataclass(frozen=True)
@@ -29,21 +26,33 @@ def map_size(recognizer: object) -> MapSize:
 
 
 def array_bytes(thing: object) -> int:
-    """Bytes of all numpy arrays that can be reached from a thing, each counted once however many share it."""
+    """Bytes of all numpy arrays that a thing holds, each counted once however many share it.
+
+    Looks into containers and into objects of the thing's own package: those of others may lead anywhere.
+    """
+    package = _package(thing)
     seen: set[int] = set()
     buffers: dict[int, int] = {}
     waiting = [thing]
     while waiting:
         item = waiting.pop()
-        if isinstance(item, _OPAQUE) or id(item) in seen:
+        if id(item) in seen:
             continue
         seen.add(id(item))
         if isinstance(item, np.ndarray):
             owner = _owner(item)
             buffers[id(owner)] = owner.nbytes
-        else:
-            waiting.extend(_parts(item))
+        elif isinstance(item, dict):
+            waiting += [*item.keys(), *item.values()]
+        elif isinstance(item, list | tuple | set | frozenset | deque):
+            waiting += item
+        elif _package(item) == package:
+            waiting += _attributes(item)
     return sum(buffers.values())
+
+
+def _package(thing: object) -> str:
+    return type(thing).__module__.split(".")[0]
 
 
 def _owner(array: np.ndarray) -> np.ndarray:
@@ -53,10 +62,6 @@ def _owner(array: np.ndarray) -> np.ndarray:
     return array
 
 
-def _parts(item: object) -> list[object]:
-    if isinstance(item, dict):
-        return [*item.keys(), *item.values()]
-    if isinstance(item, list | tuple | set | frozenset | deque):
-        return list(item)
-    named = list(vars(item).values()) if hasattr(item, "__dict__") else []
-    return named + [getattr(item, name) for name in getattr(type(item), "__slots__", ()) if hasattr(item, name)]
+def _attributes(item: object) -> list[object]:
+    slots = [getattr(item, name) for name in getattr(type(item), "__slots__", ()) if hasattr(item, name)]
+    return [*getattr(item, "__dict__", {}).values(), *slots]

@@ -25,14 +25,15 @@ class HogConfig:
     Attributes:
         width: the image is reduced to this first, pixels, a multiple of cell.
         height: the same.
-        cell: side of a cell, pixels. An eighth of the width forgives that the second pass is driven beside the first.
+        cell: side of a cell, pixels. Of two simulated towns R@P100 was 0.41 with 8, 0.41 and 0.43 with 16 and 0.37 with
+            32, but with 8 first passes stay further below revisits.
         orientations: bins over 180 degrees.
         noise: length of a block's vector that counts as none, grey levels.
     """
 
     width: int = 128
     height: int = 64
-    cell: int = 16
+    cell: int = 8
     orientations: int = 9
     noise: float = 16.0
 
@@ -46,7 +47,7 @@ class HogConfig:
 
 
 class Hog:
-    """Describes an image by the directions of its edges (a GlobalDescriptor): 756 numbers by default."""
+    """Describes an image by the directions of its edges (a GlobalDescriptor): 3,780 numbers by default."""
 
     def __init__(self, config: HogConfig | None = None) -> None:
         self.config = config or HogConfig()

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.image_processing.features import check_grey as check_grey
 from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
-from place_recognition.image_processing.surf_blobs import find_blobs, take_apart
+from place_recognition.image_processing.surf_blobs import find_blobs
 from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
+from place_recognition.image_processing.surf_hessian import take_apart
 from place_recognition.image_processing.surf_orientation import describe_oriented
 
 SIGMA_PER_SIZE = 1.2 / 9  # a box filter of side 9 stands for a Gaussian of sigma 1.2

@@ -38,7 +38,7 @@ class DenseMap:
     def similarities(self, vector: Floats, count: int) -> NDArray[np.float64]:
         """Cosine of a query (D,) and each of the first so many vectors: (count,), 0 where either is all zeros."""
         small = self._quantised(vector)
-        lengths = self._lengths.rows[:count] * _length(small)
+        lengths = self._lengths.rows.reshape(-1)[:count] * _length(small)
         products = dot_products(small, self._vectors.rows[:count]) if count else np.empty(0, np.int64)
         return np.divide(products, lengths, out=np.zeros(count), where=lengths > 0)
 

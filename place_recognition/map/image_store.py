@@ -14,6 +14,7 @@ Bytes = NDArray[np.int8]
 
 STEPS = 127  # a number of a unit descriptor is kept as a multiple of 1 / STEPS: 0.02 of distance, one byte
 PIXEL_STEP = 1 / 16  # of the pixels as they are kept: a 30th of the distance within which matches agree
+FIRST_OCTAVE, OCTAVE_STEPS = -1.0, 32  # scales from half a pixel to 125 are kept to 1 % of themselves, one byte
 IN_MEMORY = 2048  # latest images kept in memory: 74 MB of 500 SURF features each
 
 
@@ -24,10 +25,12 @@ class StoredFeatures:
     Attributes:
         pixels: (N, 2) float32, to a sixteenth (coarser in images of more than 4096 pixels a side).
         quantised: (N, D) int8, descriptors in steps of 1 / STEPS.
+        octaves: (N,) float32, logarithm to base 2 of the scales.
     """
 
     pixels: Floats
     quantised: Bytes
+    octaves: Floats
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -39,7 +42,7 @@ class StoredFeatures:
 
     def strongest(self, count: int) -> "StoredFeatures":
         """The first so many."""
-        return StoredFeatures(self.pixels[:count], self.quantised[:count])
+        return StoredFeatures(self.pixels[:count], self.quantised[:count], self.octaves[:count])
 
 
 class ImageStore:
@@ -64,7 +67,8 @@ class ImageStore:
         record = self._record(location)
         count = int(record["count"])
         pixels = record["pixels"][:count].astype(np.float32) * record["pixel_step"]
-        return StoredFeatures(pixels, record["quantised"][:count])
+        octaves = record["octaves"][:count] * np.float32(1 / OCTAVE_STEPS) + np.float32(FIRST_OCTAVE)
+        return StoredFeatures(pixels, record["quantised"][:count], octaves)
 
     def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
         """Quantised descriptors (L, count, D) of the strongest features at L locations, and how many are valid (L,)."""
@@ -89,6 +93,8 @@ class ImageStore:
         record["count"], record["pixel_step"] = count, step
         record["pixels"][:count] = np.round(np.maximum(pixels, 0) / step)
         record["quantised"][:count] = np.round(features.descriptors[:count] * STEPS)
+        steps = OCTAVE_STEPS * (np.log2(np.maximum(features.scales[:count], 1e-6)) - FIRST_OCTAVE)
+        record["octaves"][:count] = np.clip(np.round(steps), 0, 255)
         records.append(record)
 
     def _begin(self, dimension: int) -> RecordFile:
@@ -109,5 +115,6 @@ def record_type(features: int, dimension: int) -> np.dtype[np.void]:
             ("pixel_step", np.float32),
             ("pixels", np.uint16, (features, 2)),
             ("quantised", np.int8, (features, dimension)),
+            ("octaves", np.uint8, features),
         ]
     )

@@ -14,6 +14,7 @@ Bits = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 ROUNDS = 15  # of assignment and vote; they have mostly settled after ten
+ROWS = 65536  # whose distances are worked out at a time: as floats they take four times their room
 
 
 def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator) -> Bits:
@@ -50,7 +51,7 @@ def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]
     centres = _first_centres(bits, clusters, rng)
     nearest = np.full(len(bits), -1)
     for _ in range(ROUNDS):
-        before, nearest = nearest, _distances(bits, centres).argmin(axis=1)
+        before, nearest = nearest, _nearest(bits, centres)
         if np.array_equal(before, nearest):
             break
         centres = np.array([_vote(bits[nearest == k]) for k in np.unique(nearest)])
@@ -60,11 +61,11 @@ def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]
 def _first_centres(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
     # k-means++: each next centre with a chance that grows with the square of its distance from those so far
     centres = [bits[rng.integers(len(bits))]]
-    far = _distances(bits, centres[0][None])[:, 0]
+    far = _hamming(bits, centres[0])
     while len(centres) < clusters and far.any():
         chance = np.cumsum(far.astype(np.float64) ** 2)
         centres.append(bits[np.searchsorted(chance, rng.random() * chance[-1], side="right")])
-        far = np.minimum(far, _distances(bits, centres[-1][None])[:, 0])
+        far = np.minimum(far, _hamming(bits, centres[-1]))
     return np.array(centres)
 
 
@@ -72,7 +73,13 @@ def _vote(bits: Bits) -> Bits:
     return bits.sum(axis=0) * 2 > len(bits)
 
 
-def _distances(bits: Bits, centres: Bits) -> NDArray[np.float32]:
-    """Hamming distances (N, K); whole numbers, so that no order of summation changes them."""
-    first, second = bits.astype(np.float32), centres.astype(np.float32)
-    return first.sum(axis=1)[:, None] + second.sum(axis=1) - 2 * first @ second.T
+def _hamming(bits: Bits, centre: Bits) -> Indices:
+    return np.count_nonzero(bits != centre, axis=1)
+
+
+def _nearest(bits: Bits, centres: Bits) -> Indices:
+    """The centre (N,) at the least Hamming distance; products of whole numbers, which no order of summation changes."""
+    signs = centres.astype(np.float32).T * 2 - 1
+    zeros = np.count_nonzero(~centres, axis=1)
+    blocks = (bits[begin : begin + ROWS].astype(np.float32) for begin in range(0, len(bits), ROWS))
+    return np.concatenate([(block @ signs + zeros).argmax(axis=1) for block in blocks])

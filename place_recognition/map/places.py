@@ -67,7 +67,7 @@ class PlaceFormation:
         return ended
 
     def _carry(self, descriptors: Floats) -> Floats | None:
-        """What would be matched through all images of the place with this one; None while no image has said anything."""
+        """What would be matched through the place with this image; None while no image has said anything."""
         if len(descriptors) < self.config.least_features:
             return self._carried
         if self._carried is None:

@@ -30,12 +30,15 @@ class PresentViewConfig:
             simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated ones by 42,
             only one in twenty of them by less than 36.
         thumbnail: what is compared.
+        exclusion: images nearer than this to the latest are never matched, whatever the rest says; 0 leaves it to
+            the rest. For comparisons with papers, which exclude a time.
     """
 
     least_gap: int = 10
     least_way: float = 20.0
     connected: float = 32.0
     thumbnail: ThumbnailConfig = field(default_factory=ThumbnailConfig)
+    exclusion: int = 0
 
 
 class PresentView:
@@ -75,8 +78,8 @@ class PresentView:
 
     def past(self) -> int:
         """Images that may be matched with the latest one: the first so many."""
-        begin = len(self._ids) - len(self._view)
-        return max(min(begin - self.config.least_gap, self._far_behind()) + 1, 0)
+        begin, admitted = len(self._ids) - len(self._view), len(self._ids) - 1 - self.config.exclusion
+        return max(min(begin - self.config.least_gap, self._far_behind(), admitted) + 1, 0)
 
     def _far_behind(self) -> int:
         """The latest location that is far enough behind in way."""

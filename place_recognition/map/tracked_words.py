@@ -4,6 +4,7 @@ Tsintotas, Bampis, Gasteratos, 'Probabilistic Appearance-Based Place Recognition
 RA-L 4(2) 2019, sections III-A and III-B. A location is one image, counted from 0.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from place_recognition.image_processing.guided_tracking import (
     select_guided,
 )
 from place_recognition.map.growing import GrowingArray
+from place_recognition.map.word_index import WordIndex
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -127,30 +129,64 @@ class FeatureTracks:
 
 
 class WordMap:
-    """All words so far, in the order in which their tracks ended, and the index from each word to its locations."""
+    """All words, in the order in which their tracks ended; those that are past may be found.
 
-    def __init__(self) -> None:
-        self._descriptors: GrowingArray[np.float32] = GrowingArray(np.float32)
-        self._spans: GrowingArray[np.int64] = GrowingArray(np.int64)
+    The index takes a word once the horizon has passed it, and the horizon never goes back.
+    """
+
+    def __init__(self, index: WordIndex) -> None:
+        self._index = index
+        self._spans: GrowingArray[np.int32] = GrowingArray(np.int32)
+        self._covering = np.zeros(0, np.int32)
+        self._waiting: deque[Words] = deque()
 
     def __len__(self) -> int:
+        return len(self._spans) + sum(map(len, self._waiting))
+
+    @property
+    def past(self) -> int:
+        """Words that may be found."""
         return len(self._spans)
 
     def add(self, words: Words) -> None:
-        """Add words that ended no earlier than those before them."""
+        """Add words that ended at one location, no earlier than those before them."""
         if len(words):
-            self._descriptors.extend(words.descriptors)
-            self._spans.extend(np.stack([words.first, words.last], axis=1))
+            self._waiting.append(words)
 
-    def until(self, location: int) -> Words:
-        """Words last seen at a location or before: a view of the first ones, as they are ordered by their end."""
-        spans = self._spans.rows.reshape(-1, 2)
-        count = int(np.searchsorted(spans[:, 1], location, side="right"))
-        return Words(self._descriptors.rows[:count], spans[:count, 0], spans[:count, 1])
+    def pass_until(self, location: int) -> None:
+        """Let the words that were last seen at a location or before be found from now on."""
+        while self._waiting and self._waiting[0].last[-1] <= location:
+            words = self._waiting.popleft()
+            self._index.add(words.descriptors)
+            self._spans.extend(np.stack([words.first, words.last], axis=1).astype(np.int32))
+            self._cover(words)
+
+    def hit(self, query: Floats) -> Indices:
+        """The distinct words (K,) that are nearest to some query descriptor (N, D)."""
+        if self.past == 0 or len(query) == 0:
+            return np.empty(0, np.int64)
+        return np.unique(self._index.nearest(query))
+
+    def spans(self, words: Indices) -> NDArray[np.int32]:
+        """First and last location (K, 2) of words (K,)."""
+        return self._spans.rows.reshape(-1, 2)[words]
+
+    def covering(self, locations: Indices) -> NDArray[np.int32]:
+        """Words (K,) that may be found and were seen at each of the locations (K,)."""
+        return self._covering[locations]
+
+    def _cover(self, words: Words) -> None:
+        end = int(words.last.max()) + 1
+        if end > len(self._covering):
+            larger = np.zeros(max(end, 2 * len(self._covering)), np.int32)
+            larger[: len(self._covering)] = self._covering
+            self._covering = larger
+        begin = int(words.first.min())
+        self._covering[begin:end] += count_covering(words.first - begin, words.last - begin, end - begin)
 
 
-def count_covering(first: Indices, last: Indices, locations: int) -> Indices:
-    """Spans (K,) to (K,), both ends included, that cover each of so many locations: (locations,) int64."""
+def count_covering(first: Indices, last: Indices, locations: int) -> NDArray[np.int32]:
+    """Spans (K,) to (K,), both ends included, that cover each of so many locations: (locations,)."""
     begins = np.bincount(first, minlength=locations + 1)
     ends = np.bincount(last + 1, minlength=locations + 1)
-    return np.cumsum(begins - ends)[:locations]
+    return np.cumsum(begins - ends)[:locations].astype(np.int32)

@@ -1,6 +1,7 @@
 """Words from many descriptors: k-means for float descriptors, hierarchical k-majority for binary ones.
 
-FAISS does the k-means; it is imported here alone, when words are trained.
+`revisit vocabulary train` works with it, and `benchmarks/default_vocabulary.py`, which built the words that ship.
+FAISS does the k-means; it is imported when words are trained, and not before.
 """
 
 from dataclasses import dataclass

@@ -6,12 +6,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.surf import SurfConfig
-from place_recognition.map.route import RouteConfig
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
 from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
+from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
+from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
 from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
 from place_recognition.recognizer import PlaceRecognizer, RowSink
@@ -24,7 +28,7 @@ class ParadigmsConfig:
     Attributes:
         features: how local features are found.
         vocabulary: path of a vocabulary file for the paradigms that need one; empty for the general one.
-        descriptor: of `global-descriptor`: "hog", or "onnx:FILE" for a learned one.
+        descriptor: of `global-descriptor`: "hog" or another of GLOBAL_DESCRIPTORS, or "onnx:FILE" for a learned one.
     """
 
     features: SurfConfig = field(default_factory=SurfConfig)
@@ -34,6 +38,8 @@ class ParadigmsConfig:
     dynamic_sequences: DynamicSequencesConfig = field(default_factory=DynamicSequencesConfig)
     hierarchical_places: HierarchicalPlacesConfig = field(default_factory=HierarchicalPlacesConfig)
     tracked_words: TrackedWordsConfig = field(default_factory=TrackedWordsConfig)
+    pixel_sequences: PixelSequencesConfig = field(default_factory=PixelSequencesConfig)
+    global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
 
 Builder = Callable[[SharedFeatures, ParadigmsConfig, RowSink | None], PlaceRecognizer]
@@ -55,11 +61,23 @@ def _tracked_words(features: SharedFeatures, config: ParadigmsConfig, rows: RowS
     return TrackedWords(features, config.tracked_words, rows)
 
 
+def _pixel_sequences(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+    return PixelSequences(config.pixel_sequences, rows)
+
+
+def _global_descriptor(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+    descriptor = make_global_descriptor(config.descriptor)
+    descriptor.describe(np.zeros((48, 64), np.uint8))  # a network that does not run is refused here, not midway
+    return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
+
+
 PARADIGMS: dict[str, Builder] = {
     "sequence-histograms": _sequence_histograms,
     "dynamic-sequences": _dynamic_sequences,
     "hierarchical-places": _hierarchical_places,
     "tracked-words": _tracked_words,
+    "pixel-sequences": _pixel_sequences,
+    "global-descriptor": _global_descriptor,
 }
 
 
@@ -91,13 +109,12 @@ def excluding(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
 
 
 def _replaced(settings: Any, images: int) -> Any:
-    """Settings in which every route has the exclusion, wherever it stands."""
-    if isinstance(settings, RouteConfig):
-        return replace(settings, exclusion=images)
+    """Settings in which everything that knows of an exclusion has this one, wherever it stands."""
     if not dataclasses.is_dataclass(settings) or isinstance(settings, type):
         return settings
     inner = {item.name: getattr(settings, item.name) for item in dataclasses.fields(settings)}
-    return replace(settings, **{name: _replaced(value, images) for name, value in inner.items()})
+    changed = {name: images if name == "exclusion" else _replaced(value, images) for name, value in inner.items()}
+    return replace(settings, **changed)
 
 
 def _vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:

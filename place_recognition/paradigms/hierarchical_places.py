@@ -1,7 +1,16 @@
 """Place recognition by places with words of their own: first the place is found, then the image in it.
 
 Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closure Detection', ICRA 2018; section 4.4.3
-of the chapter.
+of the chapter. What differs from the paper:
+* Not the likeliest place alone is searched but a few, and the places beside the best: near its ends a place and its
+  neighbour look alike, and a way driven twice is two places.
+* The image in a place is the one with which most descriptors are matched both ways, not the one with most nearest
+  descriptors: on a simulated drive of 1,600 images it was the right one for 0.91 of the revisits instead of 0.86.
+* The last word has the `Judge` that all paradigms share: it adds temporal consistency, which the paper describes and
+  its program leaves out, and its evidence adds to the score.
+* Each word votes once (`vote_for_places`); the last place is closed when the drive ends.
+* What is past is found out (`Route.horizon`) instead of 40 s.
+* In a small map nothing is improbable enough: many inliers make up for it (`sure_inliers`).
 """
 
 import math
@@ -13,61 +22,85 @@ from numpy.typing import NDArray
 
 from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
+from place_recognition.belief.place_votes import PlaceBallot, vote_for_places
 from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.votes import log_binomial
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
 from place_recognition.map.places import PlaceConfig, PlaceFormation, PlaceMap
 from place_recognition.map.route import Route, RouteConfig
-from place_recognition.map.word_index import ExactWordIndex, WordIndex, nearest_words
+from place_recognition.map.word_index import ExactWordIndex, WordIndex
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class HierarchicalPlacesConfig:
+    """The paper's numbers, and those of the additions.
+
+    Attributes:
+        chance: a place whose votes are likelier than this is no revisit, sigma in the paper.
+        features: strongest features of an image that make words, nu.
+        asked: strongest features of an image that vote. Half of the paper's: 0.872 instead of 0.909 of the revisits of
+            a simulated drive have the right place first, but of those no less are found among `searched` places.
+        compared: strongest features of each image by which the images of a place are compared.
+        ratio: nearest to second nearest descriptor distance of a match for this.
+        searched: likeliest places in which the image is sought, besides the two beside the best.
+        proposed: images proposed to the judge.
+        sure_inliers: with so many the votes may be likelier than `chance`: in a map of a hundred words even a perfect
+            revisit is not improbable enough, while images of different places share half as many at the very most.
+        seed: of the order in which descriptors are shown to the gas.
+        place: when a place ends.
+        gas: how words grow.
+        route: what is kept of each image, and which are past.
+        proof: how a revisit is proved.
+        consistency: which earlier proofs speak for a new one.
+    """
+
     chance: float = 1e-12
     features: int = 300
     asked: int = 150
-    searched: int = 100
-    places: int = 3
+    compared: int = 150
+    ratio: float = 0.8
+    searched: int = 3
     proposed: int = 8
     sure_inliers: int = 60
     seed: int = 0
-    once: bool = True
     place: PlaceConfig = field(default_factory=PlaceConfig)
     gas: GasConfig = field(default_factory=GasConfig)
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
 
+    @classmethod
+    def published(cls) -> "HierarchicalPlacesConfig":
+        """The values of the paper's Table II and, for the gas, of its authors' program.
 
-@dataclass(frozen=True)
-class PlaceBallot:
-    """What one image's descriptors voted for.
+        All 300 features vote, one place is searched, places end by coherence alone and votes alone decide. The 40 s
+        are left to `RouteConfig.exclusion`, which counts images.
+        """
+        return cls(
+            asked=300,
+            compared=300,
+            searched=1,
+            sure_inliers=NEVER,
+            place=PlaceConfig(longest=NEVER),
+            gas=GasConfig(winner_step=0.8, neighbour_step=0.01, oldest=10),
+        )
 
-    Attributes:
-        places: (P,) int64, places with more votes than expected, the least likely first.
-        votes: (P,) int64, votes of each.
-        log_density: (P,) natural logarithm of the binomial probability of just these votes.
-    """
 
-    places: Indices
-    votes: Indices
-    log_density: NDArray[np.float64]
-
-    def improbability(self, place: int) -> float:
-        """-log10 of the probability of the votes of a place; 0 for one that has not more than expected."""
-        found = np.flatnonzero(self.places == place)
-        return -float(self.log_density[found[0]]) / math.log(10) if len(found) else 0.0
+NEVER = 1_000_000  # more inliers or images than there are
 
 
 class HierarchicalPlaces:
-    """Recognises places by the words that each has of its own (a PlaceRecognizer). Answers each image at once."""
+    """Recognises places by the words that each has of its own (a PlaceRecognizer). Answers each image at once.
+
+    Args of the constructor:
+        index: makes the index in which all words are kept and found.
+    """
 
     def __init__(
         self,
@@ -89,6 +122,11 @@ class HierarchicalPlaces:
         """Words in the map so far."""
         return self._places.word_count
 
+    @property
+    def place_count(self) -> int:
+        """Places that have ended so far."""
+        return len(self._places)
+
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Answer for this image and add it to the map.
 
@@ -102,7 +140,9 @@ class HierarchicalPlaces:
         self._route.add(image_id, features, travelled)
         descriptors = features.descriptors[: self.config.features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
-        return [self._believe(descriptors)]
+        if len(descriptors) < self.config.place.least_features:
+            return [self._no_match()]
+        return [self._believe(descriptors[: self.config.asked])]
 
     def finish(self) -> list[Belief]:
         """End the last place; nothing is left unanswered."""
@@ -110,25 +150,28 @@ class HierarchicalPlaces:
         return []
 
     def _learn(self, ended: list[Floats], last: int) -> None:
-        """Find the words of a place that has ended at a location."""
+        """Find the words of the images (N, D) of a place that has ended at a location, if one has."""
         if ended:
             rng = np.random.default_rng((self.config.seed, len(self._places)))
             self._places.add(grow_gas(np.concatenate(ended), rng, self.config.gas).nodes, last)
 
+    def _no_match(self) -> Belief:
+        return Belief(int(self._route.ids[-1]), None, 0.0, accepted=False)
+
     def _believe(self, descriptors: Floats) -> Belief:
-        """The belief about the latest image."""
+        """The belief about the latest image, whose strongest descriptors (N, D) vote."""
         horizon = self._route.horizon()
-        ballot = self._vote(descriptors, horizon)
+        count = self._places.until(horizon)
+        ballot = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._show(ballot)
-        judgement = self._judge.judge(self._route.latest, self._propose(ballot, descriptors), horizon)
-        query = int(self._route.ids[-1])
+        judgement = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)
         if judgement is None:
-            return Belief(query, None, 0.0, accepted=False)
+            return self._no_match()
         proof = judgement.proof
-        improbable = ballot.improbability(int(self._places.place_of(proof.location)))
+        improbable = ballot.improbability(self._places.place_of(proof.location))
         sure = improbable > -math.log10(self.config.chance) or proof.inliers >= self.config.sure_inliers
         return Belief(
-            query=query,
+            query=int(self._route.ids[-1]),
             match=int(self._route.ids[proof.location]),
             score=improbable + judgement.evidence,
             accepted=proof.verified and sure,
@@ -136,39 +179,22 @@ class HierarchicalPlaces:
             verified=proof.verified,
         )
 
-    def _vote(self, descriptors: Floats, horizon: int) -> PlaceBallot:
-        count = self._places.until(horizon)
-        words = np.empty(0, np.int64)
-        if len(descriptors) >= self.config.place.least_features:
-            words = self._places.nearest_words(descriptors[: self.config.asked])
-        words = words[words < self._places.words_of_first(count)]
-        if self.config.once:
-            words = np.unique(words)
-        places, votes = np.unique(self._places.owners(words), return_counts=True)
-        share = self._places.word_counts(places) / max(self._places.words_of_first(count), 1)
-        above = votes > len(words) * share
-        places, votes, share = places[above], votes[above], share[above]
-        density = log_binomial(votes, len(words), share)
-        order = np.argsort(density, kind="stable")
-        return PlaceBallot(places[order], votes[order], density[order])
-
-    def _propose(self, ballot: PlaceBallot, descriptors: Floats) -> list[int]:
-        """Locations of the images that look most like the query, in the likeliest places."""
+    def _propose(self, ballot: PlaceBallot, count: int) -> list[int]:
+        """Locations of the images most alike in the likeliest places and in those of the first so many beside them."""
         if len(ballot.places) == 0:
             return []
         best = int(ballot.places[0])
-        beside = [p for p in (best - 1, best + 1) if 0 <= p < self._places.until(self._route.horizon())]
-        places = dict.fromkeys([*ballot.places[: self.config.places].tolist(), *beside])
-        locations = [k for p in places for k in self._places.images(p)]
-        stored = [self._route.images[k].strongest(self.config.searched).descriptors for k in locations]
-        image_of = np.repeat(np.arange(len(stored)), [len(d) for d in stored])
-        nearest = nearest_words(descriptors[: self.config.asked], np.concatenate(stored))
-        votes = np.bincount(image_of[nearest], minlength=len(stored))
-        order = np.argsort(-votes, kind="stable")[: self.config.proposed]
-        return [locations[k] for k in order]
+        beside = [place for place in (best - 1, best + 1) if 0 <= place < count]
+        places = dict.fromkeys([*ballot.places[: self.config.searched].tolist(), *beside])
+        locations = [location for place in places for location in self._places.images(place)]
+        images, compared = self._route.images, self.config.compared
+        query = images[self._route.latest].strongest(compared).quantised
+        alike = count_matches(query, *images.strongest(locations, compared), self.config.ratio)
+        return [locations[k] for k in np.argsort(-alike, kind="stable")[: self.config.proposed]]
 
     def _show(self, ballot: PlaceBallot) -> None:
         """Show the votes of each place beside all its images."""
-        for place, votes in zip(ballot.places, ballot.votes, strict=True):
-            ids = self._route.ids[self._places.images(int(place))]
-            self._rows.add(int(self._route.ids[-1]), ids, np.full(len(ids), float(votes)))
+        spans = [self._places.images(int(place)) for place in ballot.places]
+        locations = np.array([location for span in spans for location in span], np.int64)
+        votes = np.repeat(ballot.votes.astype(np.float64), [len(span) for span in spans])
+        self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], votes)

@@ -50,8 +50,14 @@ class SequenceHistograms:
         self.config = config or SequenceHistogramsConfig()
         segmentation = FixedWay(self.config.sequences)
         self._matching = SequenceMatching(features, vocabulary, segmentation, self.config.matching, self.config.filter)
+        self._word_count = len(vocabulary)
         if rows is not None:
             self._matching.show_rows(rows)
+
+    @property
+    def word_count(self) -> int:
+        """Words of the vocabulary."""
+        return self._word_count
 
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Add an image; if it begins a sequence, answer for the images of the last but one before it.

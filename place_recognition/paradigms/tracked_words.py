@@ -13,6 +13,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,15 +23,14 @@ from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.proof import ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.votes import Ballot, count_votes
+from place_recognition.belief.votes import count_votes
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.route import Route, RouteConfig
 from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap
-from place_recognition.map.word_index import nearest_words
+from place_recognition.map.word_index import WordIndex
+from place_recognition.map.word_tree import GrowingWordIndex
 from place_recognition.recognizer import Belief, NoRows, RowSink
-
-NOTHING = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,18 @@ class TrackedWords:
     """Recognises places by words that it learns as it goes (a PlaceRecognizer). Answers each image at once."""
 
     def __init__(
-        self, features: SharedFeatures, config: TrackedWordsConfig | None = None, rows: RowSink | None = None
+        self,
+        features: SharedFeatures,
+        config: TrackedWordsConfig | None = None,
+        rows: RowSink | None = None,
+        index: Callable[[], WordIndex] = GrowingWordIndex,
     ) -> None:
         self.config = config or TrackedWordsConfig()
         self._features = features
         self._tracks = FeatureTracks(self.config.tracks)
         self._route = Route(self.config.route)
-        self._words = WordMap()
+        self._words = WordMap(index())
+        self._horizon = -1
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
         self._rows = NoRows() if rows is None else rows
 
@@ -96,28 +101,33 @@ class TrackedWords:
 
     def _believe(self) -> Belief:
         """The belief about the latest image."""
-        horizon = min(self._route.guarded(), self._route.latest - 2 * self._tracks.longest)
-        words = self._words.until(horizon)
-        hit = np.unique(nearest_words(self._tracks.descriptors, words.descriptors)) if len(words) else NOTHING
-        ballot = count_votes(hit, words, max(horizon, -1) + 1)
-        self._show(ballot)
+        # what was past once stays past, however long tracks grow: words that were given to the index stay there
+        self._horizon = max(self._horizon, self._past())
+        self._words.pass_until(self._horizon)
+        ballot = count_votes(self._words.hit(self._tracks.descriptors), self._words)
+        query = int(self._route.ids[-1])
+        self._rows.add(query, self._route.ids[ballot.locations], ballot.votes.astype(np.float64))
         voted = ballot.best(math.log(self.config.chance))
         if voted is None:
-            return Belief(int(self._route.ids[-1]), None, 0.0, accepted=False)
-        return self._verified(voted, ballot, horizon)
+            return Belief(query, None, 0.0, accepted=False)
+        return self._verified(int(ballot.locations[voted]), -float(ballot.log_density[voted]) / math.log(10))
 
-    def _show(self, ballot: Ballot) -> None:
-        voted = np.flatnonzero(ballot.votes)
-        self._rows.add(int(self._route.ids[-1]), self._route.ids[voted], ballot.votes[voted].astype(np.float64))
+    def _past(self) -> int:
+        """The latest location of which no point is still being followed and that is far enough behind."""
+        return min(self._route.guarded(), self._route.latest - 2 * self._tracks.longest)
 
-    def _verified(self, voted: int, ballot: Ballot, horizon: int) -> Belief:
-        """The belief in the best neighbour of the voted location, proved by geometry or not."""
-        near = range(max(voted - self.config.neighbours, 0), min(voted + self.config.neighbours, horizon) + 1)
+    def _verified(self, voted: int, improbable: float) -> Belief:
+        """The belief in the best neighbour of the voted location, proved by geometry or not.
+
+        Args:
+            voted: the location.
+            improbable: powers of ten by which so many votes are unlikely.
+        """
+        near = range(max(voted - self.config.neighbours, 0), min(voted + self.config.neighbours, self._horizon) + 1)
         nearest_first = sorted(near, key=lambda location: abs(location - voted))
-        judgement = self._judge.judge(self._route.latest, nearest_first, horizon)
+        judgement = self._judge.judge(self._route.latest, nearest_first, self._horizon)
         assert judgement is not None  # the voted location is a candidate
         proof = judgement.proof
-        improbable = -float(ballot.log_density[voted]) / math.log(10)
         sure = improbable > -math.log10(self.config.chance) or proof.inliers >= self.config.sure_inliers
         return Belief(
             query=int(self._route.ids[-1]),

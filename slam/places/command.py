@@ -41,14 +41,26 @@ def recognise_places(options: PlacesOptions, messages: Console, results: Console
     """
     check(options)
     images = open_images(options.source, options.sequence, options.fps)
-    truth = find_truth(options, images)
+    record = recognise_images(options, images, find_truth(options, images), messages)
+    _print(record, options.out, results, json)
+    return bool(record.metrics["interrupted"])
+
+
+def recognise_images(
+    options: PlacesOptions, images: ImageSequence, truth: KnownTruth, messages: Console
+) -> PlacesRecord:
+    """Recognise the places of images that are open already, and write every result into `options.out`.
+
+    Raises:
+        RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
+    """
+    config = _config(options, images)
     with RunFolder.create(options.out, options.overwrite) as folder:
-        done = _recognised(options, images, messages)
+        done = _recognised(options, config, images, messages)
         record = make_record(done, truth, provenance(options.source, images.name) | _settings(options))
         write_results(folder.path, record)
         folder.commit()
-    _print(record, options.out, results, json)
-    return done.interrupted
+    return record
 
 
 def find_truth(options: PlacesOptions, images: ImageSequence) -> KnownTruth:
@@ -76,10 +88,12 @@ def without_recent(beliefs: Sequence[Belief], images: ImageSequence, seconds: fl
     return [Belief(b.query, None, 0.0, accepted=False) if r else b for b, r in zip(beliefs, recent, strict=True)]
 
 
-def _recognised(options: PlacesOptions, images: ImageSequence, messages: Console) -> Recognised:
+def _recognised(
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageSequence, messages: Console
+) -> Recognised:
     import cv2
 
-    bench = Bench(options.paradigm, _config(options, images))
+    bench = Bench(options.paradigm, config)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
         done = recognise(images, bench, progress, lambda: stop.made)

@@ -36,3 +36,11 @@ def changed(image: Image, seed: int) -> Image:
     height, width = image.shape
     moved = cv2.warpAffine(image, np.float32([[1.01, 0, -6], [0, 1.01, 3]]), (width, height), borderMode=2)
     return np.clip(0.85 * moved + rng.normal(0, 2, moved.shape), 0, 255).astype(np.uint8)
+
+
+def gaussian_blob(
+    sigma: float, centre: tuple[float, float] = (70.0, 60.0), shape: tuple[int, int] = (128, 144)
+) -> Image:
+    """One bright blob on black, centred at x and y."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.round(200 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from place_images import kitti_images
 from scipy.stats import binom
 
-from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
+from place_recognition.belief.geometric_verification import VerificationConfig, calibrated_inliers, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.belief.votes import Ballot, count_votes, log_binomial
-from place_recognition.map.tracked_words import Words
-from place_recognition.map.word_index import nearest_words
+from place_recognition.image_processing.surf import Surf
+from place_recognition.map.tracked_words import WordMap, Words
+from place_recognition.map.word_index import ExactWordIndex, nearest_words
 
 
 def unit(rng, n, d=64):
@@ -26,6 +28,19 @@ def two_views(rng, n):
     R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     moved = points @ R.T + [0.8, 0.1, 0.3]
     return [(700 * p[:, :2] / p[:, 2:] + [600, 180]).astype(np.float32) for p in (points, moved)]
+
+
+K = np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]])  # of two_views
+VERIFICATIONS = {
+    "fundamental": epipolar_inliers,
+    "essential": lambda first, second, config: calibrated_inliers(first, second, K, config),
+}
+
+
+@pytest.fixture(params=VERIFICATIONS.values(), ids=VERIFICATIONS.keys())
+def inliers(request):
+    """Finds which matches agree with one geometry."""
+    return request.param
 
 
 @settings(max_examples=50, deadline=None)
@@ -44,21 +59,32 @@ def test_nearest_words_are_those_that_scipy_finds():
 
 
 def test_each_word_hit_votes_once_for_each_image_it_spans():
-    words = Words(np.zeros((4, 2), np.float32), np.array([0, 1, 1, 3]), np.array([1, 1, 2, 4]))
-    ballot = count_votes(np.array([0, 2]), words, 6)
-    np.testing.assert_array_equal(ballot.votes, [1, 2, 1, 0, 0, 0])
-    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5, 0.5, 0.5, 0])
-    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1, 1, 1, 0]) / 4))
+    words = WordMap(ExactWordIndex())
+    for first, last in ((0, 1), (1, 1), (1, 2), (3, 4)):
+        words.add(Words(np.zeros((1, 2), np.float32), np.array([first]), np.array([last])))
+    words.pass_until(4)
+    ballot = count_votes(np.array([0, 2]), words)
+    np.testing.assert_array_equal(ballot.locations, [0, 1, 2])
+    np.testing.assert_array_equal(ballot.votes, [1, 2, 1])
+    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5])
+    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1]) / 4))
+
+
+def test_without_hits_there_are_no_votes():
+    ballot = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
+    assert len(ballot.locations) == 0
+    assert ballot.best(-20) is None
 
 
 def test_the_most_votes_win_among_the_improbable():
-    ballot = Ballot(np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90]))
+    votes, expected, density = np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90])
+    ballot = Ballot(np.array([3, 4, 8, 9]), votes, expected, density)
     assert ballot.best(log_threshold=-20) == 2
     assert ballot.best(log_threshold=-100) == 0
 
 
 def test_fewer_votes_than_expected_are_no_match_however_improbable():
-    assert Ballot(np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
+    assert Ballot(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
 
 
 def test_mutual_matches_undo_a_shuffle():
@@ -129,31 +155,31 @@ def test_an_image_without_features_matches_nothing():
     assert mutual_matches(np.empty((0, 64), np.float32), unit(np.random.default_rng(0), 5)).shape == (0, 2)
 
 
-def test_matches_of_a_rigid_scene_are_proved_and_outliers_named():
+def test_matches_of_a_rigid_scene_are_proved_and_outliers_named(inliers):
     rng = np.random.default_rng(3)
     first, second = two_views(rng, 100)
     second[:30] = rng.uniform([0, 0], [1200, 360], (30, 2))
-    agree = epipolar_inliers(first, second, VerificationConfig())
+    agree = inliers(first, second, VerificationConfig())
     assert agree[30:].mean() > 0.95
     assert agree[:30].mean() < 0.2
 
 
-def test_verification_is_the_same_each_time():
+def test_verification_is_the_same_each_time(inliers):
     first, second = two_views(np.random.default_rng(4), 60)
     first += np.random.default_rng(5).normal(0, 1, first.shape).astype(np.float32)
-    masks = [epipolar_inliers(first, second, VerificationConfig()) for _ in range(3)]
+    masks = [inliers(first, second, VerificationConfig()) for _ in range(3)]
     np.testing.assert_array_equal(masks[0], masks[1])
     np.testing.assert_array_equal(masks[0], masks[2])
 
 
 @pytest.mark.parametrize("count", [0, 3, 8, 40])
-def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(count):
+def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(inliers, count):
     same = np.full((count, 2), 5, np.float32)
-    agree = epipolar_inliers(same, same, VerificationConfig())
+    agree = inliers(same, same, VerificationConfig())
     assert agree is None or len(agree) == count
 
 
-def test_random_matches_rarely_look_rigid():
+def test_random_matches_rarely_look_rigid(inliers):
     rng = np.random.default_rng(6)
     config = VerificationConfig(least_inliers=20)
     pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
@@ -167,3 +193,30 @@ def test_quantised_descriptors_of_real_size_match_as_floats_do():
     expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
     assert len(expected) >= 85
+
+    assert all(inliers(first, second, config) is None for first, second in pixels)
+
+
+def test_an_essential_matrix_knows_the_camera_that_a_fundamental_one_must_guess():
+    rng = np.random.default_rng(7)
+    first, second = two_views(rng, 60)
+    stretched = (second * [1.3, 0.8]).astype(np.float32)  # another camera: still a fundamental matrix
+    assert epipolar_inliers(first, stretched, VerificationConfig()).mean() > 0.9
+    agree = calibrated_inliers(first, stretched, K, VerificationConfig())
+    assert agree is None or agree.mean() < 0.7
+
+
+@pytest.mark.parametrize("wrong", [np.eye(4), np.zeros((3, 3)), np.full((3, 3), np.nan)])
+def test_what_is_no_calibration_matrix_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"expected a calibration matrix \(3, 3\) with positive focal lengths"):
+        calibrated_inliers(np.zeros((9, 2), np.float32), np.zeros((9, 2), np.float32), wrong, VerificationConfig())
+
+
+def test_both_geometries_find_the_same_inliers_in_real_images(test_data):
+    K05 = np.array([[707.0912, 0, 601.8873], [0, 707.0912, 183.1104], [0, 0, 1]])
+    first, second = (Surf().extract(image) for image in kitti_images(test_data, "05", range(0, 9, 8)))
+    pairs = mutual_matches(first.descriptors, second.descriptors)
+    now, then, config = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], VerificationConfig()
+    fundamental, essential = epipolar_inliers(now, then, config), calibrated_inliers(now, then, K05, config)
+    assert fundamental.sum() > 50
+    assert np.mean(fundamental == essential) > 0.9

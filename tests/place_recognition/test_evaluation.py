@@ -1,5 +1,7 @@
 """Truth and its measures."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -44,6 +46,43 @@ def test_the_time_between_is_kept():
     assert (query - match).min() == 4
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_truth_agrees_with_a_plain_loop_over_all_pairs(seed):
+    rng = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (int(rng.integers(1, 600, endpoint=True)) // 15 + 1, 1, 1))
+    angles, times = rng.uniform(0, 6, len(poses)), np.sort(rng.uniform(0, 60, len(poses)))
+    poses[:, 0, 3], poses[:, 2, 3] = rng.uniform(0, 9, (2, len(poses)))
+    poses[:, 0, 2], poses[:, 2, 2] = np.sin(angles), np.cos(angles)
+    rule = SamePlace(radius=4, heading=50, gap=3, way=15)
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+    truth = truth_from_poses(poses, times, rule)
+    for q, m in np.ndindex(truth.shape):
+        near = np.linalg.norm(poses[q, :3, 3] - poses[m, :3, 3]) <= 4
+        aligned = np.cos(angles[q] - angles[m]) >= np.cos(np.radians(50))
+        assert truth[q, m] == (m < q and near and aligned and way[q] - way[m] >= 15 and times[q] - times[m] >= 3)
+
+
+def test_blocks_of_rows_join_without_a_seam():
+    truth = truth_from_poses(circle(3, 901, 60)[:-1], rule=SamePlace(radius=0.5))
+    np.testing.assert_array_equal(
+        np.argwhere(truth), [[i, j] for i in range(900) for j in range(i % 300, i, 300) if i - j >= 300]
+    )
+
+
+def test_one_to_one_keeps_the_nearest_image_of_each_band():
+    poses = circle(2, 201, 50)[:-1]
+    band = truth_from_poses(poses, rule=SamePlace(radius=7))
+    nearest = truth_from_poses(poses, rule=SamePlace(radius=7, one_to_one=True))
+    assert (band[150:].sum(axis=1) > 1).all()
+    np.testing.assert_array_equal(nearest.any(axis=1), band.any(axis=1))
+    np.testing.assert_array_equal(np.argwhere(nearest[120:]), [[i, i + 20] for i in range(80)])
+
+
+def test_standing_still_is_no_revisit():
+    assert not truth_from_poses(np.tile(np.eye(4), (50, 1, 1))).any()
+
+
 def test_poses_without_as_many_times_are_refused():
     poses = np.tile(np.eye(4), (2, 1, 1))
     with pytest.raises(ValueError, match="expected as many times as there are poses, 2, got"):
@@ -74,6 +113,36 @@ def test_a_file_without_a_truth_matrix_is_named(tmp_path):
     (tmp_path / "d.txt").touch()
     with pytest.raises(ValueError, match=r"expected a truth file \.npz or \.mat"):
         load_truth(tmp_path / "d.txt")
+
+
+@pytest.mark.parametrize("kept", [0, 10, 60, 200])
+@pytest.mark.parametrize("suffix", [".npz", ".mat"])
+def test_a_file_cut_short_is_named(tmp_path, suffix, kept):
+    path, truth = tmp_path / f"cut{suffix}", np.eye(40, k=-3)
+    savemat(path, {"truth": truth}, do_compression=True) if suffix == ".mat" else np.savez_compressed(path, truth=truth)
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(ValueError, match=rf"cut\{suffix}: expected"):
+        load_truth(path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(position=st.integers(0, 2000), byte=st.integers(0, 255), suffix=st.sampled_from([".npz", ".mat"]))
+def test_a_damaged_byte_gives_a_matrix_or_a_clear_error(tmp_path_factory, position, byte, suffix):
+    path, truth = tmp_path_factory.mktemp("damaged") / f"d{suffix}", np.random.default_rng(0).random((30, 30)) > 0.5
+    savemat(path, {"truth": truth}, do_compression=True) if suffix == ".mat" else np.savez_compressed(path, truth=truth)
+    content = bytearray(path.read_bytes())
+    content[position % len(content)] ^= byte
+    path.write_bytes(bytes(content))
+    with contextlib.suppress(ValueError):  # the only kind of error that may come
+        assert load_truth(path).dtype == bool
+
+
+def test_a_matrix_of_words_and_a_missing_file_are_refused(tmp_path):
+    np.savez(tmp_path / "w.npz", truth=np.array([["a", "b"], ["c", "d"]]))
+    with pytest.raises(ValueError, match=r"w\.npz: expected a truth matrix of numbers"):
+        load_truth(tmp_path / "w.npz")
+    with pytest.raises(ValueError, match=r"none\.npz: expected a truth file, found none"):
+        load_truth(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize(("name", "images", "rows"), [("KITTI00", 4541, 851), ("KITTI06", 1101, 272)])

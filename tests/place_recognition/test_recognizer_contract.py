@@ -1,29 +1,16 @@
-"""What every recogniser promises. A new paradigm joins by one line in RECOGNIZERS."""
+"""What every recogniser promises. A new paradigm joins by its line in the catalogue."""
 
-from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from place_images import sliding_view, textured_world
 
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.hog import Hog
+from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.vocabulary import default_vocabulary
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences
-from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
-from place_recognition.paradigms.pixel_sequences import PixelSequences
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms
-from place_recognition.paradigms.tracked_words import TrackedWords
-from place_recognition.recognizer import Belief, PlaceRecognizer
+from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.recognizer import Belief
 
-RECOGNIZERS: dict[str, Callable[[], PlaceRecognizer]] = {
-    "sequence-histograms": lambda: SequenceHistograms(SharedFeatures(Surf()), default_vocabulary()),
-    "dynamic-sequences": lambda: DynamicSequences(SharedFeatures(Surf()), default_vocabulary()),
-    "tracked-words": lambda: TrackedWords(SharedFeatures(Surf())),
-    "pixel-sequences": PixelSequences,
-    "global-descriptor": lambda: GlobalDescriptorMatching(Hog()),
-}
 STEP = 2.0  # metres from image to image
 
 
@@ -35,10 +22,22 @@ def drive(recognizer, images, first_id=0, id_step=1):
     return beliefs + recognizer.finish()
 
 
-@pytest.fixture(scope="module", params=RECOGNIZERS.values(), ids=RECOGNIZERS.keys())
+class RememberingSurf(Surf):
+    """Extracts the features of each image once for all tests."""
+
+    known: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
+
+    def extract(self, image):
+        key = image.tobytes(), image.shape
+        if key not in self.known:
+            self.known[key] = super().extract(image)
+        return self.known[key]
+
+
+@pytest.fixture(scope="module", params=PARADIGMS)
 def make(request):
     """Makes a recogniser that has seen nothing."""
-    return request.param
+    return lambda: build(request.param, SharedFeatures(RememberingSurf()))
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from place_recognition.image_processing.guided_tracking import GuidedTrackingCon
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.growing import GrowingArray
 from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap, Words, count_covering
+from place_recognition.map.word_index import ExactWordIndex
 
 GUIDED = GuidedTrackingConfig()
 
@@ -102,12 +103,37 @@ def test_one_track_that_never_ends_does_not_count_as_the_longest():
     assert tracks.longest < 12
 
 
-def test_the_map_returns_the_words_that_ended_by_a_location():
-    words = WordMap()
-    assert len(words.until(3)) == 0
+def test_words_are_found_once_the_horizon_has_passed_them():
+    words = WordMap(ExactWordIndex())
     words.add(words_ending([4, 4]))
-    words.add(words_ending([6, 9]))
-    assert [len(words.until(location)) for location in (3, 4, 8, 9)] == [0, 2, 3, 4]
+    words.add(words_ending([6]))
+    assert (len(words), words.past) == (3, 0)
+    assert len(words.hit(np.ones((1, 2), np.float32))) == 0
+    past = []
+    for location in (3, 4, 5, 6, 5):
+        words.pass_until(location)
+        past.append(words.past)
+    assert past == [0, 2, 2, 3, 3]
+    np.testing.assert_array_equal(words.spans(np.array([2, 0])), [[2, 6], [0, 4]])
+
+
+def test_several_descriptors_hit_a_word_once():
+    words = WordMap(ExactWordIndex())
+    words.add(Words(np.eye(3, dtype=np.float32), np.zeros(3, np.int64), np.full(3, 2)))
+    words.pass_until(2)
+    np.testing.assert_array_equal(words.hit(np.float32([[0, 0, 1], [0.1, 0, 1], [1, 0, 0]])), [0, 2])
+
+
+def test_the_words_that_cover_a_location_are_counted_as_they_come():
+    rng, words = np.random.default_rng(2), WordMap(ExactWordIndex())
+    last = np.sort(rng.integers(0, 200, 60))
+    spans = [(rng.integers(max(end - 30, 0), end + 1, 5), np.full(5, end)) for end in last]
+    for first, end in spans:
+        words.add(Words(np.ones((5, 2), np.float32), first, end))
+    words.pass_until(150)
+    first, end = (np.concatenate([span[k] for span in spans if span[1][0] <= 150]) for k in (0, 1))
+    covered = [int(np.sum((first <= location) & (location <= end))) for location in range(end.max() + 1)]
+    np.testing.assert_array_equal(words.covering(np.arange(end.max() + 1)), covered)
 
 
 def test_locations_know_how_many_spans_cover_them():

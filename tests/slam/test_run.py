@@ -101,6 +101,27 @@ def test_a_real_drive_home_closes_true_loops_and_ends_nearer_to_the_truth(
     assert metrics["corrected"]["end_error_m"] < metrics["odometry"]["end_error_m"]
 
 
+def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path, tmp_path: Path):
+    source = out_and_back(test_data / "kitti_clips", "06", tmp_path / "drive")
+    metrics = run(source, tmp_path / "out", paradigm="sequence-histograms")  # recorded: the viewer must bear it too
+    assert metrics["places"]["queries"] == metrics["frames"]
+    assert metrics["places"]["truth_rows"] > 0
+    assert metrics["places"]["recall_at_100_precision"] > 0.5
+    assert metrics["places"]["words"] > 0
+    assert metrics["loops"]["kept"] >= 5
+    assert metrics["loops"]["false"] == 0
+    queries = [int(line.split(",")[0]) for line in (tmp_path / "out" / "loops.csv").read_text().splitlines()[1:]]
+    assert queries == sorted(set(queries))
+
+
+def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):
+    (tmp_path / "x.vocabulary").write_bytes(b"no words")
+    settings = {"paradigm": "sequence-histograms", "vocabulary": str(tmp_path / "x.vocabulary"), "record": False}
+    with pytest.raises(DataError, match=r"x\.vocabulary"):
+        run_recorded(RunOptions(test_data / "kitti_clips", "06", tmp_path / "out"), settings, QUIET, QUIET)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_same_drive_gives_the_same_bits_with_any_number_of_threads(test_data: Path, tmp_path: Path):
     source = out_and_back(test_data / "kitti_clips", "06", tmp_path / "drive")
     threads = cv2.getNumThreads()

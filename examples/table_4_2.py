@@ -1,0 +1,136 @@
+"""Table 4.2 of the chapter: every paradigm over the five recordings, from their original downloads.
+
+    python examples/table_4_2.py --data data --truth TRUTH --out runs/table_4_2
+
+DATA holds what was unpacked: `kitti` (sequences 00 and 05), `malaga_6L`, `new_college`, `city_centre`;
+`data/README.md` says where to get them. TRUTH holds the matrices that the chapter's authors published:
+`groundTruthKITTI00.mat`, `groundTruthKITTI05.mat`, `groundTruthMalaga6L.mat`, `groundTruthNC.mat`,
+`groundTruthCityCentre.mat`. What is missing is named and left out. Each cell is kept in OUT and not computed again; all
+settings are the defaults, the same everywhere.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from place_recognition.paradigms.catalogue import PARADIGMS
+from slam.datasets.city_centre import open_city_centre
+from slam.datasets.images import ImageSequence, open_images
+from slam.datasets.malaga import open_malaga
+from slam.datasets.new_college import open_new_college
+from slam.errors import DataError, RevisitError
+from slam.evaluation.truth import KnownTruth, check_size, read_truth
+from slam.places.command import recognise_images
+from slam.places.options import PlacesOptions
+from slam.report.figures import save_png
+from slam.report.recall_table import SETS, RecallTable, as_latex, as_picture, as_text
+from slam.storage.atomic import atomic_writer
+from slam.storage.metrics import read_metrics
+
+EXCLUDE_S = 40.0  # the papers' rule: nothing younger is a revisit
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A data set of the table.
+
+    Attributes:
+        folder: its name below DATA.
+        open: reads it as the chapter does.
+        truth: its matrix below TRUTH.
+    """
+
+    folder: str
+    open: Callable[[Path], ImageSequence]
+    truth: str
+
+
+RECORDINGS = dict(
+    zip(
+        SETS,
+        (
+            Recording("kitti", lambda root: open_images(root, "00"), "groundTruthKITTI00.mat"),
+            Recording("kitti", lambda root: open_images(root, "05"), "groundTruthKITTI05.mat"),
+            Recording("malaga_6L", open_malaga, "groundTruthMalaga6L.mat"),
+            Recording("new_college", open_new_college, "groundTruthNC.mat"),
+            Recording("city_centre", open_city_centre, "groundTruthCityCentre.mat"),
+        ),
+        strict=True,
+    )
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fill the table. Returns an exit code."""
+    given = parser().parse_args(arguments)
+    unknown = sorted(set(given.paradigms) - set(PARADIGMS))
+    if unknown:
+        print(f"unknown paradigm {unknown[0]}: expected some of {', '.join(PARADIGMS)}", file=sys.stderr)
+        return 2
+    messages, measured, problems = Console(stderr=True), {}, []
+    for name, recording in RECORDINGS.items():
+        try:
+            images, truth = opened(recording, given.data, given.truth)
+            for paradigm in given.paradigms:
+                options = PlacesOptions(given.data / recording.folder, paradigm, given.out / name / paradigm)
+                measured[paradigm, name] = 100 * cell(options, images, truth, messages)
+        except RevisitError as error:
+            problems.append(f"{name}: left out. {error}")
+    write(RecallTable(tuple(given.paradigms), measured), given.out)
+    print("\n".join(problems), file=sys.stderr)
+    return 0 if measured else 1
+
+
+def parser() -> argparse.ArgumentParser:
+    """What the command line takes."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--data", type=Path, default=Path("data"))
+    made.add_argument("--truth", type=Path, required=True)
+    made.add_argument("--out", type=Path, default=Path("runs/table_4_2"))
+    made.add_argument("--paradigms", nargs="+", default=list(PARADIGMS), help="some of them; all by default")
+    return made
+
+
+def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence, KnownTruth]:
+    """Images and truth of one recording.
+
+    Raises:
+        DataError: either is missing or damaged, or they do not belong together.
+    """
+    root = data / recording.folder
+    if not root.is_dir():
+        raise DataError(f"{root}: expected the recording, found nothing; data/README.md says where to get it")
+    images, known = recording.open(root), read_truth(truth / recording.truth)
+    check_size(known, len(images), root)
+    return images, known
+
+
+def cell(options: PlacesOptions, images: ImageSequence, truth: KnownTruth, messages: Console) -> float:
+    """R@P100 of one paradigm on one recording, kept from an earlier time or computed now."""
+    kept = options.out / "metrics.json"
+    if not kept.is_file():
+        messages.print(f"{images.name}: {options.paradigm}")
+        options = PlacesOptions(options.source, options.paradigm, options.out, exclude=EXCLUDE_S, overwrite=True)
+        if recognise_images(options, images, truth, messages).metrics["interrupted"]:
+            raise KeyboardInterrupt
+    places = read_metrics(kept)["places"]
+    assert isinstance(places, dict)
+    return float(places["recall_at_100_precision"])
+
+
+def write(table: RecallTable, out: Path) -> None:
+    """Print the table, and keep it as text, LaTeX and picture."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in (("table_4_2.txt", as_text(table) + "\n"), ("table_4_2.tex", as_latex(table))):
+        with atomic_writer(out / name) as file:
+            file.write(text)
+    save_png(as_picture(table), out / "table_4_2.png")
+    print(as_text(table))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
