@@ -51,6 +51,9 @@ class MatchingConfig:
         least_divisor: a row is divided by at least so much (eq. 4.7).
         sequences: best sequences by response, and as many by similarity, whose images are looked at.
         images: best images of those that are compared feature by feature.
+        worth: of a response at the filter's threshold in the score, powers of ten; more or less in proportion.
+        least_evidence: of geometry, powers of ten, that makes a response at the threshold a revisit. In simulated
+            blocks responses of other places at the threshold came with 16 at most.
         sure_inliers: with so many the response may be below the filter's threshold.
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
@@ -63,6 +66,8 @@ class MatchingConfig:
     least_divisor: float = 0.05
     sequences: int = 4
     images: int = 8
+    worth: float = 10.0
+    least_evidence: float = 20.0
     sure_inliers: int = 60
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
@@ -79,7 +84,7 @@ def published_matching() -> MatchingConfig:
     The score is the one in [0, 1] all the same: with equation 4.6 as printed, no revisit would reach the learnt
     filter's threshold of 3.5.
     """
-    return MatchingConfig(power=1.0, least_divisor=0.005, sure_inliers=RouteConfig().stored + 1)
+    return MatchingConfig(power=1.0, least_divisor=0.005, least_evidence=0.0, sure_inliers=RouteConfig().stored + 1)
 
 
 @dataclass(frozen=True)
@@ -192,12 +197,13 @@ class SequenceMatching:
         return float(around.max()) if len(around) else 0.0
 
     def _belief(self, judgement: Judgement, response: float) -> Belief:
-        proof = judgement.proof
-        sure = response >= self._threshold or proof.inliers >= self.config.sure_inliers
+        proof, config = judgement.proof, self.config
+        responds = response >= self._threshold and judgement.evidence >= config.least_evidence
+        sure = responds or proof.inliers >= config.sure_inliers
         return Belief(
             query=int(self._route.ids[proof.query]),
             match=int(self._route.ids[proof.location]),
-            score=max(response, 0.0) + judgement.evidence,
+            score=config.worth * max(response, 0.0) / self._threshold + judgement.evidence,
             accepted=proof.verified and sure,
             inliers=proof.inliers,
             verified=proof.verified,
