@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 evaluate_app = typer.Typer(no_args_is_help=True)
 app.add_typer(evaluate_app, name="evaluate", help="Measure results against ground truth.")
+filter_app = typer.Typer(no_args_is_help=True)
+app.add_typer(filter_app, name="filter", help="The filter by which sequences are recognised.")
 vocabulary_app = typer.Typer(no_args_is_help=True)
 app.add_typer(vocabulary_app, name="vocabulary", help="Visual words for the paradigms that need them in advance.")
 
@@ -221,6 +223,24 @@ def train_vocabulary(
     with progress_bar(Console(stderr=True), "Describing images") as progress:
         message = train_from_images(options, {"words": words, "sample": sample, "seed": seed}, progress)
     Console().print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@filter_app.command("train")
+def filter_train(
+    matrix: Annotated[Path, typer.Argument(help="matrix.npz of revisit places with a paradigm of sequences.")],
+    truth: Annotated[Path, typer.Argument(help="Matrix of its revisits: .mat, or .npz with truth.")],
+    out: Annotated[Path, typer.Option("--out", help="Settings to write, a TOML file.")],
+    paradigm: Annotated[
+        str, typer.Option(help="Whose filter: sequence-histograms or dynamic-sequences.")
+    ] = "dynamic-sequences",
+) -> None:
+    """Learn the 3x3 filter of the similarity matrix by logistic regression.
+
+    Example: revisit filter train runs/places05/matrix.npz loops_05.npz --out filter.toml
+    """
+    from slam.filter_training import train_filter_file
+
+    Console().print(train_filter_file(matrix, truth, out, paradigm), markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command()

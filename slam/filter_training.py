@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from place_recognition.belief.filter_training import Samples, samples_of, sequence_matrix, train_filter
 from place_recognition.belief.matrix_filter import FilterConfig
 from place_recognition.evaluation.ground_truth import load_truth
-from slam.errors import DataError
+from slam.errors import ConfigError, DataError
 from slam.storage.atomic import atomic_writer
+
+PARADIGMS = ("sequence-histograms", "dynamic-sequences")
 
 
 def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> str:
@@ -23,9 +25,12 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
         paradigm: sequence-histograms or dynamic-sequences.
 
     Raises:
+        ConfigError: another paradigm.
         DataError: a file is missing or damaged, or the two do not belong together.
         OutputError: the file cannot be written.
     """
+    if paradigm not in PARADIGMS:
+        raise ConfigError(f"paradigm {paradigm!r}: expected one with a filter, {' or '.join(PARADIGMS)}")
     samples = _samples(matrix, truth)
     try:
         learnt = train_filter(samples)

@@ -30,7 +30,7 @@ def cosine_similarity(first: ArrayLike, second: ArrayLike) -> Array:
 
 
 def cosine_distance(first: ArrayLike, second: ArrayLike) -> Array:
-    """1 - cosine (...) of vectors (..., n) (eq. 4.3): 0 for the same direction, 1 for a right angle or a zero vector."""
+    """1 - cosine (...) of vectors (..., n) (eq. 4.3): 0 for one direction, 1 for a right angle or a zero vector."""
     return 1.0 - cosine_similarity(first, second)
 
 

@@ -6,12 +6,14 @@ Row = query sequence, column = earlier sequence.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate
 
 Floats = NDArray[np.float32]
+Matrix = NDArray[np.floating[Any]]
 Kernel = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 # Made by hand, equation 4.8: it sums to 0, so that only contrast counts; threshold 0.32.
@@ -50,7 +52,7 @@ def normalised(row: Floats, previous: float, floor: float) -> Floats:
     return row / np.float32(max(previous, floor))
 
 
-def filtered(matrix: Floats, kernel: Kernel) -> Floats:
+def filtered(matrix: Matrix, kernel: Kernel) -> Matrix:
     """Response (N, M) of a whole matrix (N, M), NaN where it is NaN: where two sequences were not compared.
 
     A correlation, not a convolution: the learnt kernel is not symmetric.
@@ -59,7 +61,7 @@ def filtered(matrix: Floats, kernel: Kernel) -> Floats:
     return np.where(np.isnan(matrix), matrix, response)
 
 
-def with_background(matrix: Floats) -> Floats:
+def with_background(matrix: Matrix) -> Matrix:
     """The matrix (N, M) with a border (N + 2, M + 2), where what was not compared counts as the mean of its row.
 
     With zeros instead, the latest sequences that may be matched would stand out for want of a right neighbour: in

@@ -50,8 +50,8 @@ def word_vector(words: Indices, weights: Floats, power: float = 1.0) -> WordVect
     distinct, counts = np.unique(words, return_counts=True)
     values = counts**power * weights[distinct].astype(np.float64)
     known = values > 0
-    length = np.linalg.norm(values[known])
-    return WordVector(distinct[known].astype(np.int64), (values[known] / max(length, 1e-12)).astype(np.float32))
+    length = max(float(np.linalg.norm(values[known])), 1e-12)
+    return WordVector(distinct[known].astype(np.int64), (values[known] / length).astype(np.float32))
 
 
 class ImageWords:

@@ -8,10 +8,11 @@ from the papers, each for a reason found on images that do not judge:
   feature by feature, and the geometry of an image and of those just before it joins the response in the score.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
 from place_recognition.belief.geometric_verification import VerificationConfig
@@ -31,7 +32,11 @@ from place_recognition.recognizer import Belief, NoRows, RowSink
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-SCORES = {"scaled-l2": scaled_l2_score_of_cosine, "l2": l2_score_of_cosine, "cosine": np.asarray}
+SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {
+    "scaled-l2": scaled_l2_score_of_cosine,
+    "l2": l2_score_of_cosine,
+    "cosine": np.asarray,
+}
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class MatchingConfig:
     least_divisor: float = 0.05
     sequences: int = 4
     images: int = 8
+    worth: float = 10.0
     least_response: float = -100.0
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
@@ -192,7 +198,7 @@ class SequenceMatching:
         return Belief(
             query=int(self._route.ids[proof.query]),
             match=int(self._route.ids[proof.location]),
-            score=max(response, 0.0) + judgement.evidence,
+            score=self.config.worth * max(response, 0.0) / self._threshold + judgement.evidence,
             accepted=judgement.sure and response >= self.config.least_response,
             inliers=proof.inliers,
             verified=proof.verified,
@@ -210,9 +216,13 @@ def _best(row: Floats, count: int) -> Indices:
 
 
 def _spread(locations: Indices, likeness: Floats, count: int) -> list[int]:
-    """So many locations (K,), the most alike first, leaving out those beside a better one: they show the same."""
+    """So many of the locations (K,), the most alike first; of neighbours the better one, as they show the same.
+
+    Images that are no more alike than any two, like those without features, are left out.
+    """
     chosen: list[int] = []
-    for k in np.argsort(-likeness, kind="stable"):
+    order = np.argsort(-likeness, kind="stable")
+    for k in order[likeness[order] > 0]:
         location = int(locations[k])
         if location - 1 not in chosen and location + 1 not in chosen:
             chosen.append(location)
