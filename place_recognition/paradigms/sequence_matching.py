@@ -51,6 +51,7 @@ class MatchingConfig:
         least_divisor: a row is divided by at least so much (eq. 4.7).
         sequences: best sequences by response, and as many by similarity, whose images are looked at.
         images: best images of those that are compared feature by feature.
+        worth: powers of ten that a response at the filter's threshold adds to the evidence of geometry.
         least_response: a match whose sequence responds less is not accepted; any will do where geometry decides.
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
