@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,22 +87,15 @@ class Pairing:
     chance: float
     object_size: float
 
-    def at_best(self) -> Proof:
-        """The proof if all matches agreed: no check says more."""
-        return self._proof(len(self.now))
-
     def check(self, config: VerificationConfig) -> Proof:
         """What geometry says."""
         agree = epipolar_inliers(self.now, self.then, config)
         if agree is None:
             return Proof(self.query, self.location, 0, 0.0, verified=False)
         now, then = self.now[agree], self.then[agree]
-        proof = self._proof(len(now), surplus_of_objects(now, self.object_size))
-        return replace(proof, zoom=zoom_between(now, then))
-
-    def _proof(self, inliers: int, surplus: int = 0) -> Proof:
-        evidence = chance_evidence(inliers - surplus, len(self.now) - surplus, self.chance)
-        return Proof(self.query, self.location, inliers, evidence, verified=True)
+        surplus = surplus_of_objects(now, self.object_size)
+        evidence = chance_evidence(len(now) - surplus, len(self.now) - surplus, self.chance)
+        return Proof(self.query, self.location, len(now), evidence, verified=True, zoom=zoom_between(now, then))
 
 
 def prove(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:

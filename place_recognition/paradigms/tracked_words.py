@@ -115,8 +115,8 @@ class TrackedWords:
         return self._verified(query, ballot)
 
     def _past(self) -> int:
-        """The latest location of which no point is still being followed and that is far enough behind."""
-        return min(self._route.guarded(), self._route.latest - 2 * self._tracks.longest)
+        """The latest location of which no point is still being followed and that is out of the present view."""
+        return min(self._route.horizon(), self._route.latest - 2 * self._tracks.longest)
 
     def _verified(self, query: int, ballot: Ballot) -> Belief:
         """The belief in the best neighbour of a voted location, proved by geometry or not."""

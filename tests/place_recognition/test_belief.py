@@ -73,18 +73,35 @@ def test_each_word_hit_votes_once_for_each_image_it_spans():
 def test_without_hits_there_are_no_votes():
     ballot = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
     assert len(ballot.locations) == 0
-    assert ballot.best(-20) is None
+    assert ballot.leaders(3, 1, -20) == []
+    assert ballot.improbability(0, 6) == 0
 
 
-def test_the_most_votes_win_among_the_improbable():
+@pytest.fixture
+def ballot():
     votes, expected, density = np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90])
-    ballot = Ballot(np.array([3, 4, 8, 9]), votes, expected, density)
-    assert ballot.best(log_threshold=-20) == 2
-    assert ballot.best(log_threshold=-100) == 0
+    return Ballot(np.array([3, 4, 8, 9]), votes, expected, density)
+
+
+def test_the_most_votes_lead_among_the_improbable_and_the_others_follow(ballot):
+    assert ballot.leaders(3, 1, log_threshold=-20) == [8, 4, 3]
+    assert ballot.leaders(3, 1, log_threshold=-100) == [4, 8, 3]
+
+
+def test_leaders_are_places_apart(ballot):
+    assert ballot.leaders(3, 2, log_threshold=-20) == [8, 4]
+    assert ballot.leaders(1, 1, log_threshold=-20) == [8]
 
 
 def test_fewer_votes_than_expected_are_no_match_however_improbable():
-    assert Ballot(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0])).best(-20) is None
+    poor = Ballot(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0]))
+    assert poor.leaders(3, 1, -20) == []
+    assert poor.improbability(7, 0) == 0
+
+
+def test_a_location_is_as_improbable_as_the_least_likely_beside_it(ballot):
+    assert ballot.improbability(3, 0) == pytest.approx(5 / np.log(10))
+    assert ballot.improbability(3, 1) == pytest.approx(40 / np.log(10))
 
 
 def test_mutual_matches_undo_a_shuffle():
@@ -199,8 +216,9 @@ def test_an_essential_matrix_knows_the_camera_that_a_fundamental_one_must_guess(
     rng = np.random.default_rng(7)
     first, second = two_views(rng, 60)
     stretched = (second * [1.3, 0.8]).astype(np.float32)  # another camera: still a fundamental matrix
-    assert epipolar_inliers(first, stretched, VerificationConfig()).mean() > 0.9
-    agree = calibrated_inliers(first, stretched, K, VerificationConfig())
+    config = VerificationConfig(distance=1.0)
+    assert epipolar_inliers(first, stretched, config).mean() > 0.9
+    agree = calibrated_inliers(first, stretched, K, config)
     assert agree is None or agree.mean() < 0.7
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from place_images import textured_world
 
+from place_recognition.image_processing.spread import SpreadConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.word_index import ExactWordIndex
 from place_recognition.map.word_tree import GrowingWordIndex, WordTree, beam
@@ -15,7 +16,7 @@ def words():
     """Real descriptors, shortened as means of tracks are."""
     images = [textured_world(1200, seed, height=500) for seed in range(12)]
     descriptors = np.concatenate(
-        [Surf(SurfConfig(features=2000, bucket=10)).extract(image).descriptors for image in images]
+        [Surf(SurfConfig(features=2000, spread=SpreadConfig(bucket=10))).extract(image).descriptors for image in images]
     )
     return 0.95 * np.random.default_rng(0).permutation(descriptors)
 
