@@ -58,25 +58,19 @@ class Judge:
         return few + rank(self._images, query, expected, replace(self._proof, tried=1))
 
     def _best(self, pairings: list[Pairing]) -> Proof:
-        """The place whose proof weighs most, and of its images the one from nearest to where the query was taken.
+        """The place whose proof weighs most, and of its images that with the most inliers.
 
-        Evidence tells places apart, but hardly two images of one place a few metres apart; what they show larger or
-        smaller does.
+        Evidence tells places apart, but hardly two images of one place a few metres apart; inliers do.
         """
-        proofs = {pairing.location: self._check(pairing) for pairing in pairings}
-        best = max(proofs.values(), key=self._weight)
-        beside = [p for p in proofs.values() if abs(p.location - best.location) <= self._proof.beside]
-        most = max(proof.inliers for proof in beside)
-        clear = [proof for proof in beside if 2 * proof.inliers >= most]
-        nearest = min(clear, key=lambda proof: abs(proof.zoom))
+        proofs = [pairing.check(self._proof.verification) for pairing in pairings]
+        best = max(proofs, key=self._weight)
+        beside = [proof for proof in proofs if abs(proof.location - best.location) <= self._proof.beside]
+        nearest = max(beside, key=lambda proof: proof.inliers)
         return replace(nearest, evidence=best.evidence * self._nearness(nearest))
 
     def _nearness(self, proof: Proof) -> float:
         """1 where both images show things at about one size, less where the cameras must have stood far apart."""
         return min(1.0, (self._proof.same_size / max(abs(proof.zoom), 1e-9)) ** 2)
-
-    def _check(self, pairing: Pairing) -> Proof:
-        return pairing.check(self._proof.verification)
 
     def _weight(self, proof: Proof) -> float:
         """Evidence, and as much again at most by the way so far: it cannot speak where the image does not."""

@@ -102,6 +102,12 @@ class Route:
         """The latest location that may be matched: out of the present view, and far enough behind; -1 for none."""
         return max(min(self._view_begin - self.config.least_gap, self.guarded()), -1)
 
+    @property
+    def measured(self) -> bool:
+        """Whether the way driven is measured: it is known, and has not always been the same."""
+        ways = self._ways.rows
+        return bool(np.isfinite(ways[-1]) and ways[-1] != ways[0])
+
     def way_since(self, location: int) -> float:
         """Way from an earlier image to the latest, metres; NaN where it is not measured."""
         ways = self._ways.rows
@@ -109,7 +115,7 @@ class Route:
 
     def _far_behind(self) -> int:
         ways = self._ways.rows
-        if not np.isfinite(ways[-1]) or ways[-1] == ways[0]:
+        if not self.measured:
             return self.latest
         return int(np.searchsorted(ways, ways[-1] - self.config.least_way, side="right")) - 1
 

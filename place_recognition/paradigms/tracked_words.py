@@ -77,7 +77,6 @@ class TrackedWords:
         self._tracks = FeatureTracks(self.config.tracks)
         self._route = Route(self.config.route)
         self._words = WordMap(index())
-        self._horizon = -1
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
         self._rows = NoRows() if rows is None else rows
 
@@ -106,22 +105,25 @@ class TrackedWords:
 
     def _believe(self) -> Belief:
         """The belief about the latest image."""
-        # what was past once stays past, however long tracks grow: words that were given to the index stay there
-        self._horizon = max(self._horizon, self._past())
-        self._words.pass_until(self._horizon)
+        horizon = self._past()
+        self._words.pass_until(horizon)
         ballot = count_votes(self._words.hit(self._tracks.descriptors), self._words)
         query = int(self._route.ids[-1])
         self._rows.add(query, self._route.ids[ballot.locations], ballot.votes.astype(np.float64))
-        return self._verified(query, ballot)
+        return self._verified(query, ballot, horizon)
 
     def _past(self) -> int:
-        """The latest location of which no point is still being followed and that is out of the present view."""
-        return min(self._route.horizon(), self._route.latest - 2 * self._tracks.longest)
+        """The latest location of which no point is still being followed and that is far enough behind.
 
-    def _verified(self, query: int, ballot: Ballot) -> Belief:
+        Where no way is measured, only what is in view can tell a slow drive or a stop from one that goes on.
+        """
+        behind = self._route.guarded() if self._route.measured else self._route.horizon()
+        return min(behind, self._route.latest - 2 * self._tracks.longest)
+
+    def _verified(self, query: int, ballot: Ballot, horizon: int) -> Belief:
         """The belief in the best neighbour of a voted location, proved by geometry or not."""
         voted = ballot.leaders(self.config.places, self.config.neighbours, math.log(self.config.chance))
-        judgement = self._judge.judge(self._route.latest, self._around(voted), self._horizon)
+        judgement = self._judge.judge(self._route.latest, self._around(voted, horizon), horizon)
         if judgement is None:
             return Belief(query, None, 0.0, accepted=False)
         proof = judgement.proof
@@ -134,8 +136,8 @@ class TrackedWords:
             verified=proof.verified,
         )
 
-    def _around(self, voted: list[int]) -> list[int]:
+    def _around(self, voted: list[int], horizon: int) -> list[int]:
         """The voted locations and those beside them that may be matched, the nearest to a voted one first."""
         steps = sorted(range(-self.config.neighbours, self.config.neighbours + 1), key=abs)
         near = dict.fromkeys(location + step for step in steps for location in voted)
-        return [location for location in near if 0 <= location <= self._horizon]
+        return [location for location in near if 0 <= location <= horizon]
