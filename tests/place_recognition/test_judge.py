@@ -29,8 +29,6 @@ def test_one_object_counts_as_a_geometry_and_no_more():
     assert surplus_of_objects(street, 60.0) == 0
     assert surplus_of_objects(np.concatenate([car, street + np.float32([300, 0])]), 60.0) == 60 - 7
     assert surplus_of_objects(np.concatenate([car, car + np.float32([500, 0])]), 60.0) == 2 * (60 - 7)
-        60 - 7
-    )
 
 
 def test_zoom_is_known_whatever_the_shift():
