@@ -5,7 +5,10 @@ of the chapter. What differs from the paper:
 * Not the likeliest place alone is searched but a few, and the places beside the best: near its ends a place and its
   neighbour look alike, and a way driven twice is two places.
 * The image in a place is the one with which most descriptors are matched both ways, not the one with most nearest
-  descriptors: on a simulated drive of 1,600 images it was the right one for 0.91 of the revisits instead of 0.86.
+  descriptors: on a simulated drive of 1,600 images it was the right one for 0.91 of the revisits instead of 0.86. It is
+  sought among every third image first: neighbours look alike, so the time is better spent on more places, and the judge
+  gets the neighbours of the best (right image among the proposed for 0.956 instead of 0.951, in three quarters of the
+  time).
 * The last word has the `Judge` that all paradigms share: it adds temporal consistency, which the paper describes and
   its program leaves out, and its evidence adds to the score.
 * Each word votes once (`vote_for_places`); the last place is closed when the drive ends.
@@ -47,10 +50,12 @@ class HierarchicalPlacesConfig:
         features: strongest features of an image that make words, nu.
         asked: strongest features of an image that vote. Half of the paper's: 0.872 instead of 0.909 of the revisits of
             a simulated drive have the right place first, but of those no less are found among `searched` places.
-        compared: strongest features of each image by which the images of a place are compared.
-        ratio: nearest to second nearest descriptor distance of a match for this.
         searched: likeliest places in which the image is sought, besides the two beside the best.
-        proposed: images proposed to the judge.
+        stride: of the images of a place every so many-th is looked at.
+        compared: strongest features of each image by which these are compared with the query.
+        ratio: nearest to second nearest descriptor distance of a match for this.
+        proposed: best of them proposed to the judge,
+        neighbours: with so many images before and after each.
         seed: of the order in which descriptors are shown to the gas.
         place: when a place ends.
         gas: how words grow.
@@ -62,10 +67,12 @@ class HierarchicalPlacesConfig:
     chance: float = 1.0
     features: int = 300
     asked: int = 150
+    searched: int = 5
+    stride: int = 3
     compared: int = 150
     ratio: float = 0.8
-    searched: int = 3
-    proposed: int = 8
+    proposed: int = 6
+    neighbours: int = 2
     seed: int = 0
     place: PlaceConfig = field(default_factory=PlaceConfig)
     gas: GasConfig = field(default_factory=GasConfig)
@@ -82,8 +89,11 @@ class HierarchicalPlacesConfig:
         """
         return cls(
             asked=300,
-            compared=300,
             searched=1,
+            stride=1,
+            compared=300,
+            proposed=1,
+            neighbours=0,
             chance=1e-12,
             proof=ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12)),
             place=PlaceConfig(longest=NEVER),
@@ -178,17 +188,25 @@ class HierarchicalPlaces:
         )
 
     def _propose(self, ballot: PlaceBallot, count: int) -> list[int]:
-        """Locations of the images most alike in the likeliest places and in those of the first so many beside them."""
+        """Locations of the images most alike in the likeliest of the first so many places, and of their neighbours."""
         if len(ballot.places) == 0:
             return []
-        best = int(ballot.places[0])
-        beside = [place for place in (best - 1, best + 1) if 0 <= place < count]
-        places = dict.fromkeys([*ballot.places[: self.config.searched].tolist(), *beside])
-        locations = [location for place in places for location in self._places.images(place)]
+        locations = self._sampled(ballot, count)
         images, compared = self._route.images, self.config.compared
         query = images[self._route.latest].strongest(compared).quantised
         alike = count_matches(query, *images.strongest(locations, compared), self.config.ratio)
-        return [locations[k] for k in np.argsort(-alike, kind="stable")[: self.config.proposed]]
+        best = [locations[k] for k in np.argsort(-alike, kind="stable")[: self.config.proposed]]
+        last = self._places.images(count - 1)[-1]
+        near = [k for offset in _outwards(self.config.neighbours) for k in (at + offset for at in best)]
+        return list(dict.fromkeys(k for k in near if 0 <= k <= last))
+
+    def _sampled(self, ballot: PlaceBallot, count: int) -> list[int]:
+        """Locations of every so many-th image, from the middle of the first so many, of the places to be searched."""
+        best, stride = int(ballot.places[0]), self.config.stride
+        beside = [place for place in (best - 1, best + 1) if 0 <= place < count]
+        places = dict.fromkeys([*ballot.places[: self.config.searched].tolist(), *beside])
+        spans = [self._places.images(place) for place in places]
+        return [location for span in spans for location in span[min(stride, len(span)) // 2 :: stride]]
 
     def _show(self, ballot: PlaceBallot) -> None:
         """Show the votes of each place beside all its images."""
@@ -196,3 +214,8 @@ class HierarchicalPlaces:
         locations = np.array([location for span in spans for location in span], np.int64)
         votes = np.repeat(ballot.votes.astype(np.float64), [len(span) for span in spans])
         self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], votes)
+
+
+def _outwards(reach: int) -> list[int]:
+    """0, then -1, 1, -2, 2 and so on."""
+    return sorted(range(-reach, reach + 1), key=abs)

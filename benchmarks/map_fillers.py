@@ -1,0 +1,220 @@
+"""Maps of any size for benchmarks, made of what real images look like and put together by the parts' own methods."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.map.route import Route
+from place_recognition.map.tracked_words import Words
+from place_recognition.map.vocabulary import default_vocabulary
+from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.word_vectors import word_vector
+from place_recognition.paradigms.dynamic_sequences import DynamicSequences
+from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
+from place_recognition.paradigms.sequence_histograms import SequenceHistograms
+from place_recognition.paradigms.tracked_words import TrackedWords
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+BLOCK = 1000  # images filled in at a time
+AUDITED = 500  # descriptors whose nearest words are also sought exhaustively
+# As on the clips of KITTI: words an image that tracks leave, images they last; words of a place, images of a place.
+TRACKED_WORDS, TRACK_LENGTH, PLACE_WORDS, PLACE_LENGTH, SEQUENCE_LENGTH = 11, 8, 145, 12, 6
+
+
+class Material:
+    """Features of real images, and descriptors crossed from them.
+
+    A SURF descriptor is made of 16 cells of four numbers. A new one takes each cell from one of two real descriptors
+    that are alike, so that it differs from all others, and still looks like one.
+    """
+
+    def __init__(self, features: list[LocalFeatures]) -> None:
+        self.features = features
+        self.rng = np.random.default_rng(0)
+        self._real = np.concatenate([image.descriptors for image in features])
+        self._alike = np.concatenate([self._most_alike(block) for block in np.array_split(self._real, 100)])
+
+    def descriptors(self, count: int) -> Floats:
+        """So many new descriptors (count, 64), a little shorter than unit length, as means are."""
+        which = self.rng.integers(0, len(self._real), count)
+        partner = self._alike[which, self.rng.integers(0, self._alike.shape[1], count)]
+        swapped = np.repeat(self.rng.random((count, 16)) < 0.3, 4, axis=1)
+        crossed = np.where(swapped, self._real[partner], self._real[which])
+        crossed += self.rng.normal(0, 0.01, crossed.shape).astype(np.float32)
+        return np.float32(0.95) * crossed / np.linalg.norm(crossed, axis=1, keepdims=True)
+
+    def queries(self, count: int) -> Floats:
+        """So many of the real descriptors."""
+        return self._real[np.random.default_rng(1).permutation(len(self._real))[:count]]
+
+    def _most_alike(self, block: Floats) -> Indices:
+        """For each descriptor (N, D) the 8 most alike of a random sample of all."""
+        sample = self.rng.permutation(len(self._real))[:1000]
+        closeness = block @ self._real[sample].T
+        return sample[np.argpartition(-closeness, 8, axis=1)[:, :8]]
+
+
+class RecalledFeatures:
+    """Gives the features of the queries (a FeatureExtractor) in their order, again and again."""
+
+    def __init__(self, kind: str, features: list[LocalFeatures]) -> None:
+        self.kind = kind
+        self._features, self._next = features, 0
+
+    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
+        """Features of the next image."""
+        self._next += 1
+        return self._features[(self._next - 1) % len(self._features)]
+
+
+class AuditedIndex(GrowingWordIndex):
+    """A word index that also knows what an exhaustive search finds for a few descriptors."""
+
+    def __init__(self, queries: Floats) -> None:
+        super().__init__()
+        self._queries = queries
+        self._nearest = np.zeros(len(queries), np.int64)
+        self._closeness = np.full(len(queries), -np.inf, np.float32)
+
+    def add(self, descriptors: Floats) -> None:
+        """Append words (K, D)."""
+        if len(descriptors):
+            closeness = self._queries @ descriptors.T - np.float32(0.5) * np.sum(descriptors**2, axis=1)
+            best = closeness.argmax(axis=1)
+            value = closeness[np.arange(len(best)), best]
+            nearer = value > self._closeness
+            self._nearest[nearer], self._closeness[nearer] = len(self) + best[nearer], value[nearer]
+        super().add(descriptors)
+
+    def recall(self) -> float:
+        """Share of the descriptors whose nearest word is found."""
+        return float(np.mean(self.nearest(self._queries) == self._nearest))
+
+
+def fill_route(route: Route, material: Material, size: int) -> int:
+    """Add real images until the route has so many, without looking where their views begin; returns how many it had."""
+    before = len(route)
+    follow, route._follow_view = route._follow_view, lambda: None  # type: ignore[method-assign]
+    for location in range(len(route), size):
+        route.add(location, material.features[location % len(material.features)], float(location))
+    route._follow_view = follow  # type: ignore[method-assign]
+    route._view_begin = size - 1
+    return before
+
+
+class Filler(Protocol):
+    """Fills the map of one paradigm.
+
+    Attributes:
+        recognizer: whose map it is.
+        route: its route.
+    """
+
+    recognizer: Any
+    route: Route
+
+    def fill(self, size: int) -> None:
+        """Bring the map to so many images."""
+        ...
+
+    def recall(self) -> float:
+        """Share of nearest words found; NaN where the search is exhaustive."""
+        ...
+
+
+class TrackedWordsFiller:
+    """Fills the map of tracked-words (a Filler)."""
+
+    def __init__(self, features: RecalledFeatures, material: Material) -> None:
+        self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
+        self.recognizer = TrackedWords(SharedFeatures(features), index=lambda: self._index)
+        self.route = self.recognizer._route
+
+    def fill(self, size: int) -> None:
+        """Let tracks have ended at all images up to a size."""
+        words = self.recognizer._words
+        words.pass_until(size)
+        for begin in range(fill_route(self.route, self._material, size), size, BLOCK):
+            last = np.repeat(np.arange(begin, min(begin + BLOCK, size)), TRACKED_WORDS)
+            first = np.maximum(last - self._material.rng.integers(4, 2 * TRACK_LENGTH - 4, len(last)), 0)
+            words.add(Words(self._material.descriptors(len(last)), first, last))
+            words.pass_until(int(last[-1]))
+        self.recognizer._tracks._location = size - 1
+
+    def recall(self) -> float:
+        """Share of nearest words found."""
+        return self._index.recall()
+
+
+class PlacesFiller:
+    """Fills the map of hierarchical-places (a Filler)."""
+
+    def __init__(self, features: RecalledFeatures, material: Material) -> None:
+        self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
+        self.recognizer = HierarchicalPlaces(SharedFeatures(features), index=lambda: self._index)
+        self.route = self.recognizer._route
+
+    def fill(self, size: int) -> None:
+        """Let places have ended up to a size; the open one is dropped."""
+        places = self.recognizer._places
+        self.recognizer._open.flush()
+        before = fill_route(self.route, self._material, size)
+        for last in range(before + PLACE_LENGTH - 1, size, PLACE_LENGTH):
+            places.add(self._material.descriptors(PLACE_WORDS), last)
+            places.until(last)
+
+    def recall(self) -> float:
+        """Share of nearest words found."""
+        return self._index.recall()
+
+
+class SequencesFiller:
+    """Fills the map of a paradigm of sequences (a Filler)."""
+
+    def __init__(
+        self,
+        make: Callable[..., SequenceHistograms | DynamicSequences],
+        features: RecalledFeatures,
+        material: Material,
+    ) -> None:
+        self._vocabulary, self._material = default_vocabulary(), material
+        self.recognizer = make(SharedFeatures(features), self._vocabulary)
+        self._matching = self.recognizer._matching
+        self.route = self._matching._route
+        shown = self._matching.config.features
+        self._images = [self._vocabulary.assign(image.descriptors[:shown]) for image in material.features]
+
+    def fill(self, size: int) -> None:
+        """Let sequences have ended up to a size; the open ones are dropped."""
+        matching = self._matching
+        matching.finish()
+        fill_route(self.route, self._material, size)
+        while len(matching._words) < size:
+            begin = len(matching._words)
+            words = [self._mixed() for _ in range(min(SEQUENCE_LENGTH, size - begin))]
+            for image in words:
+                matching._words.add(image)
+            vector = word_vector(np.concatenate(words), self._vocabulary.weights, matching.config.power)
+            matching._map.add(len(matching._words) - 1, vector)
+
+    def recall(self) -> float:
+        """An inverted index leaves nothing out."""
+        return float("nan")
+
+    def _mixed(self) -> Indices:
+        """Words of an image that shares half with each of two real ones."""
+        one, other = (self._images[k] for k in self._material.rng.integers(0, len(self._images), 2))
+        return np.concatenate([one[::2], other[1::2]])
+
+
+FILLERS: dict[str, Callable[[RecalledFeatures, Material], Filler]] = {
+    "sequence-histograms": lambda *parts: SequencesFiller(SequenceHistograms, *parts),
+    "dynamic-sequences": lambda *parts: SequencesFiller(DynamicSequences, *parts),
+    "hierarchical-places": PlacesFiller,
+    "tracked-words": TrackedWordsFiller,
+}
