@@ -46,27 +46,36 @@ class Judge:
         chosen = self._chosen(query, list(candidates), horizon)
         if not chosen:
             return None
-        best = self._best([pair(self._images, query, location, self._proof) for location in chosen])
+        best = self._best(pair(self._images, query, location, self._proof) for location in chosen)
         support = self._consistency.support(best) if best.verified else 0.0
         self._consistency.remember(best)
         return Judgement(best, support, best.verified and best.evidence + support >= self._proof.sure)
 
     def _chosen(self, query: int, proposed: list[int], horizon: int) -> list[int]:
-        """The locations that match best: of the proposed ones, and one of the expected ones."""
+        """The locations that match best: one of the expected ones, and of the proposed ones."""
         expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon and k not in proposed]
-        few = rank(self._images, query, proposed, self._proof)
-        return few + rank(self._images, query, expected, replace(self._proof, tried=1))
+        likely = rank(self._images, query, expected, replace(self._proof, tried=1))
+        return likely + rank(self._images, query, proposed, self._proof)
 
-    def _best(self, pairings: list[Pairing]) -> Proof:
+    def _best(self, pairings: Iterable[Pairing]) -> Proof:
         """The place whose proof weighs most, and of its images that with the most inliers.
 
         Evidence tells places apart, but hardly two images of one place a few metres apart; inliers do.
         """
-        proofs = [pairing.check(self._proof.verification) for pairing in pairings]
+        proofs = self._proofs(pairings)
         best = max(proofs, key=self._weight)
         beside = [proof for proof in proofs if abs(proof.location - best.location) <= self._proof.beside]
         nearest = max(beside, key=lambda proof: proof.inliers)
         return replace(nearest, evidence=best.evidence * self._nearness(nearest))
+
+    def _proofs(self, pairings: Iterable[Pairing]) -> list[Proof]:
+        """The proofs of the pairings, the likeliest first, up to one that leaves no doubt: each check costs time."""
+        proofs: list[Proof] = []
+        for pairing in pairings:
+            proofs.append(pairing.check(self._proof.verification))
+            if proofs[-1].evidence >= self._proof.plenty:
+                break
+        return proofs
 
     def _nearness(self, proof: Proof) -> float:
         """1 where both images show things at about one size, less where the cameras must have stood far apart."""

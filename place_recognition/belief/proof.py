@@ -15,6 +15,7 @@ from place_recognition.map.image_store import ImageStore, StoredFeatures
 Floats = NDArray[np.float32]
 
 LEAST_SPREAD = 50.0  # pixels between two matches whose distance says something about the zoom
+MEASURED = 60  # strongest matches between which distances are measured
 SAMPLE = 7  # matches that settle a fundamental matrix, of which there may be three
 
 
@@ -34,6 +35,7 @@ class ProofConfig:
         same_size: greatest zoom of images of one spot, logarithm to base 2. Of simulated revisits within 3 m 95 % stay
             below 0.14, of matches more than 10 m off three in four are above 0.2.
         sure: evidence of an image and of those just before it that is enough to accept a match, powers of ten.
+        plenty: evidence of an image alone that leaves no doubt: no further candidate is looked at.
         verification: what proves a revisit.
     """
 
@@ -46,6 +48,7 @@ class ProofConfig:
     beside: int = 6
     same_size: float = 0.2
     sure: float = 40.0
+    plenty: float = 60.0
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
 
@@ -133,7 +136,7 @@ def zoom_between(now: Floats, then: Floats) -> float:
 
     Turning the camera or moving it sideways hardly changes them; moving ahead spreads them.
     """
-    spread_now, spread_then = pdist(now), pdist(then)
+    spread_now, spread_then = pdist(now[:MEASURED]), pdist(then[:MEASURED])
     apart = (spread_now >= LEAST_SPREAD) & (spread_then >= LEAST_SPREAD)
     if not apart.any():
         return 0.0
