@@ -53,9 +53,9 @@ class Judge:
 
     def _chosen(self, query: int, proposed: list[int], horizon: int) -> list[int]:
         """The locations that match best: one of the expected ones, and of the proposed ones."""
-        expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon and k not in proposed]
+        expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon]
         likely = rank(self._images, query, expected, replace(self._proof, tried=1))
-        return likely + rank(self._images, query, proposed, self._proof)
+        return likely + rank(self._images, query, [k for k in proposed if k not in likely], self._proof)
 
     def _best(self, pairings: Iterable[Pairing]) -> Proof:
         """The place whose proof weighs most, and of its images that with the most inliers.

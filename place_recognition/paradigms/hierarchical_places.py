@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.place_votes import PlaceBallot, vote_for_places
@@ -105,7 +106,9 @@ NEVER = 1_000_000  # more inliers or images than there are
 
 
 class HierarchicalPlaces:
-    """Recognises places by the words that each has of its own (a PlaceRecognizer). Answers each image at once.
+    """Recognises places by the words that each has of its own (a PlaceRecognizer).
+
+    Answers at once, or a few images late (`Bridge`).
 
     Args of the constructor:
         index: makes the index in which all words are kept and found.
@@ -124,6 +127,7 @@ class HierarchicalPlaces:
         self._open = PlaceFormation(self.config.place)
         self._places = PlaceMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
+        self._bridge = Bridge(self._route)
         self._rows = NoRows() if rows is None else rows
 
     @property
@@ -150,13 +154,13 @@ class HierarchicalPlaces:
         descriptors = features.descriptors[: self.config.features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
         if len(descriptors) < self.config.place.least_features:
-            return [self._no_match()]
-        return [self._believe(descriptors[: self.config.asked])]
+            return self._bridge.add([self._no_match()])
+        return self._bridge.add([self._believe(descriptors[: self.config.asked])])
 
     def finish(self) -> list[Belief]:
-        """End the last place; nothing is left unanswered."""
+        """End the last place, and answer for the last images if they wait for a sure one to follow."""
         self._learn(self._open.flush(), self._route.latest)
-        return []
+        return self._bridge.finish()
 
     def _learn(self, ended: list[Floats], last: int) -> None:
         """Find the words of the images (N, D) of a place that has ended at a location, if one has."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
 from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge, Judgement
@@ -121,6 +122,7 @@ class SequenceMatching:
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
         self._judge = Judge(self._route.images, config.proof, config.consistency)
+        self._bridge = Bridge(self._route)
         self._open: list[int] = []  # horizons of the images of the sequence that has not ended
         self._waiting: _Sequence | None = None
         self._rows: RowSink = NoRows()
@@ -139,7 +141,7 @@ class SequenceMatching:
         beliefs = self._end_sequence(location - 1) if begins else []
         self._words.add(words)
         self._open.append(self._route.horizon())
-        return beliefs
+        return self._bridge.add(beliefs)
 
     def finish(self) -> list[Belief]:
         """Answer for the images of the last two sequences."""
@@ -147,7 +149,7 @@ class SequenceMatching:
         if self._waiting is not None:
             beliefs += self._answer(self._waiting, self._filter.finish())
         self._waiting = None
-        return beliefs
+        return self._bridge.add(beliefs) + self._bridge.finish()
 
     def _end_sequence(self, last: int) -> list[Belief]:
         """Compare the open sequence with earlier ones; that completes the neighbourhood of the one before it."""

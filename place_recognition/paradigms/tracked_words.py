@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.geometric_verification import VerificationConfig
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.proof import ProofConfig
@@ -63,7 +64,10 @@ class TrackedWordsConfig:
 
 
 class TrackedWords:
-    """Recognises places by words that it learns as it goes (a PlaceRecognizer). Answers each image at once."""
+    """Recognises places by words that it learns as it goes (a PlaceRecognizer).
+
+    Answers at once, or a few images late (`Bridge`).
+    """
 
     def __init__(
         self,
@@ -78,6 +82,7 @@ class TrackedWords:
         self._route = Route(self.config.route)
         self._words = WordMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
+        self._bridge = Bridge(self._route)
         self._rows = NoRows() if rows is None else rows
 
     @property
@@ -97,11 +102,11 @@ class TrackedWords:
         features = self._features.of(image_id, image)
         self._route.add(image_id, features, travelled)
         self._words.add(self._tracks.advance(image, features))
-        return [self._believe()]
+        return self._bridge.add([self._believe()])
 
     def finish(self) -> list[Belief]:
-        """Nothing is left unanswered."""
-        return []
+        """Answer for the last images, if they wait for a sure one to follow."""
+        return self._bridge.finish()
 
     def _believe(self) -> Belief:
         """The belief about the latest image."""
