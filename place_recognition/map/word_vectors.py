@@ -32,6 +32,13 @@ class WordVector:
     def __len__(self) -> int:
         return len(self.words)
 
+    def heaviest(self, count: int) -> "WordVector":
+        """The words of greatest weight, at most so many, with the values that they have; of equal ones the first."""
+        if len(self) <= count:
+            return self
+        kept = np.sort(np.argsort(-self.values, kind="stable")[:count])
+        return WordVector(self.words[kept], self.values[kept])
+
     def cosine(self, other: "WordVector") -> float:
         """Cosine of the angle to another vector; 0 if either has no words."""
         _, mine, theirs = np.intersect1d(self.words, other.words, assume_unique=True, return_indices=True)

@@ -33,6 +33,8 @@ from place_recognition.recognizer import Belief, NoRows, RowSink
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
+ALL = 1_000_000  # more words than a sequence has
+
 SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {
     "scaled-l2": scaled_l2_score_of_cosine,
     "l2": l2_score_of_cosine,
@@ -48,6 +50,8 @@ class MatchingConfig:
         features: strongest of an image that become words.
         power: of the number of times that a word occurs in a sequence (see `word_vector`). With 1, as published, the
             best four sequences hold the right one in 0.86 of the revisits of simulated blocks, with 0.5 in 0.91.
+        asked: words of greatest weight of a sequence with which it is compared with earlier ones. The time of a query
+            grows with it and with the map; at a million images all thousand words would take most of a second.
         score: of two word vectors: scaled-l2, l2 (equation 4.6 as printed) or cosine.
         least_divisor: a row is divided by at least so much (eq. 4.7).
         sequences: best sequences by response, and as many by similarity, whose images are looked at.
@@ -61,6 +65,7 @@ class MatchingConfig:
 
     features: int = 300
     power: float = 0.5
+    asked: int = 256
     score: str = "scaled-l2"
     least_divisor: float = 0.05
     sequences: int = 4
@@ -83,7 +88,7 @@ def published_matching(threshold: float) -> MatchingConfig:
     filter's threshold of 3.5.
     """
     proof = ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12))
-    return MatchingConfig(power=1.0, least_divisor=0.005, least_response=threshold, proof=proof)
+    return MatchingConfig(power=1.0, asked=ALL, least_divisor=0.005, least_response=threshold, proof=proof)
 
 
 @dataclass(frozen=True)
@@ -163,9 +168,9 @@ class SequenceMatching:
 
     def _compare(self, images: range) -> _Sequence:
         vector = word_vector(self._words.of(images[0], images[-1]), self._vocabulary.weights, self.config.power)
-        score = SCORES[self.config.score]
-        scores = score(self._map.index.cosines(vector, self._map.ended_by(self._open[-1]))).astype(np.float32)
-        previous = float(score(vector.cosine(self._waiting.vector))) if self._waiting else 1.0
+        asked, score = vector.heaviest(self.config.asked), SCORES[self.config.score]
+        scores = score(self._map.index.cosines(asked, self._map.ended_by(self._open[-1]))).astype(np.float32)
+        previous = float(score(asked.cosine(self._waiting.vector))) if self._waiting else 1.0
         row = normalised(scores, previous, self.config.least_divisor)
         return _Sequence(images, self._open, vector, row)
 

@@ -9,7 +9,7 @@ from place_recognition.belief.distances import cosine_similarity
 from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.sequence_map import SequenceMap
 from place_recognition.map.sequences import FixedWay, FixedWayConfig, WordVariance, WordVarianceConfig
-from place_recognition.map.word_vectors import ImageWords, word_vector
+from place_recognition.map.word_vectors import ImageWords, WordVector, word_vector
 
 WORDS = 50
 WEIGHTS = np.linspace(0.1, 3, WORDS).astype(np.float32)
@@ -137,3 +137,11 @@ def test_the_map_of_sequences_knows_its_images():
     np.testing.assert_array_equal(sequences.images_around(np.array([0])), np.arange(4))
     np.testing.assert_array_equal(sequences.images_around(np.array([3, 2])), np.arange(3, 10))
     assert len(sequences.images_around(np.empty(0, np.int64))) == 0
+
+
+def test_the_heaviest_words_keep_their_values():
+    vector = WordVector(np.array([2, 5, 7, 9]), np.array([0.1, 0.7, 0.2, 0.7], np.float32))
+    heaviest = vector.heaviest(3)
+    np.testing.assert_array_equal(heaviest.words, [5, 7, 9])
+    np.testing.assert_array_equal(heaviest.values, np.float32([0.7, 0.2, 0.7]))
+    assert vector.heaviest(4) is vector
