@@ -26,7 +26,6 @@ from place_recognition.map import tracked_words as tracking
 from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.places import PlaceFormation
 from place_recognition.map.route import Route
-from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.map.word_tree import GrowingWordIndex
 from place_recognition.paradigms import hierarchical_places
 from place_recognition.paradigms.catalogue import PARADIGMS, build
@@ -45,7 +44,6 @@ STAGES: dict[str, tuple[Any, str]] = {
     "words added": (GrowingWordIndex, "add"),
     "place formation": (PlaceFormation, "add"),
     "words of a place": (hierarchical_places, "grow_gas"),
-    "word assignment": (Vocabulary, "assign"),
     "inverted index": (InvertedIndex, "cosines"),
     "judge": (Judge, "judge"),
 }

@@ -181,7 +181,7 @@ def evaluate_loops(
         Path, typer.Argument(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
     ],
     tolerance: Annotated[int | None, typer.Option(help="Columns that a match may be off, besides 0 and 10.")] = None,
-    radius: Annotated[float, typer.Option(help="Of one place, metres; for poses.")] = 5.0,
+    radius: Annotated[float, typer.Option(help="Of one place, metres; for poses.")] = 10.0,
     heading: Annotated[float, typer.Option(help="Within which one looks the same way, degrees; for poses.")] = 45.0,
     gap: Annotated[float, typer.Option(help="Least time between the images of a revisit, seconds; for poses.")] = 0.0,
     way: Annotated[float, typer.Option(help="Least way between the images of a revisit, metres; for poses.")] = 20.0,

@@ -14,6 +14,6 @@ RULE = SamePlace(way=50.0)
 def loop_truth(T_world_camera: Array) -> NDArray[np.uint8]:
     """Matrix (N, N) of poses (N, 4, 4), metres: row = query image, column = earlier image, 1 = the same place.
 
-    The same place: within 5 m, looking within 45 degrees of each other, with at least 50 m of way in between.
+    The same place: within 10 m, looking within 45 degrees of each other, with at least 50 m of way in between.
     """
     return truth_from_poses(T_world_camera, rule=RULE).astype(np.uint8)
