@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist, pdist
+from scipy.spatial.distance import cdist
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
@@ -14,8 +14,6 @@ from place_recognition.map.image_store import ImageStore, StoredFeatures
 
 Floats = NDArray[np.float32]
 
-LEAST_SPREAD = 50.0  # pixels between two matches whose distance says something about the zoom
-MEASURED = 60  # strongest matches between which distances are measured
 SAMPLE = 7  # matches that settle a fundamental matrix, of which there may be three
 
 
@@ -31,10 +29,6 @@ class ProofConfig:
         compared: strongest features of each image by which the candidates are ranked.
         tried: best candidates whose geometry is checked.
         object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
-        beside: images up to so far apart show one place: the one that agrees with the query in more matches is nearer.
-        same_size: greatest zoom of images of one spot, logarithm to base 2. Of simulated revisits within 3 m 95 % stay
-            below 0.14, of matches more than 10 m off three in four are above 0.2.
-        sure: evidence of an image and of those just before it that is enough to accept a match, powers of ten.
         plenty: evidence of an image alone that leaves no doubt: no further candidate is looked at.
         verification: what proves a revisit.
     """
@@ -45,9 +39,6 @@ class ProofConfig:
     compared: int = 200
     tried: int = 4
     object_share: float = 0.1
-    beside: int = 6
-    same_size: float = 0.2
-    sure: float = 40.0
     plenty: float = 60.0
     verification: VerificationConfig = field(default_factory=VerificationConfig)
 
@@ -59,7 +50,6 @@ class Proof:
     Attributes:
         query, location: the later and the earlier image, by location.
         inliers: matches that agree with one epipolar geometry; 0 where too few do.
-        zoom: how much larger the later image shows what both show, logarithm to base 2: 0 from the same spot.
         evidence: powers of ten by which so much agreement is unlikely by chance (`chance_evidence`).
         verified: whether enough matches agree.
     """
@@ -69,7 +59,6 @@ class Proof:
     inliers: int
     evidence: float
     verified: bool
-    zoom: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,10 +84,10 @@ class Pairing:
         agree = epipolar_inliers(self.now, self.then, config)
         if agree is None:
             return Proof(self.query, self.location, 0, 0.0, verified=False)
-        now, then = self.now[agree], self.then[agree]
+        now = self.now[agree]
         surplus = surplus_of_objects(now, self.object_size)
         evidence = chance_evidence(len(now) - surplus, len(self.now) - surplus, self.chance)
-        return Proof(self.query, self.location, len(now), evidence, verified=True, zoom=zoom_between(now, then))
+        return Proof(self.query, self.location, len(now), evidence, verified=True)
 
 
 def prove(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:
@@ -129,18 +118,6 @@ def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> 
     chance = _chance(then, config.verification.distance)
     size = config.object_share * float(np.ptp(then.pixels[:, 0])) if len(then.pixels) else 0.0
     return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance, size)
-
-
-def zoom_between(now: Floats, then: Floats) -> float:
-    """Median logarithm to base 2 of the distances between matches (N, 2) in one image over those in the other.
-
-    Turning the camera or moving it sideways hardly changes them; moving ahead spreads them.
-    """
-    spread_now, spread_then = pdist(now[:MEASURED]), pdist(then[:MEASURED])
-    apart = (spread_now >= LEAST_SPREAD) & (spread_then >= LEAST_SPREAD)
-    if not apart.any():
-        return 0.0
-    return float(np.median(np.log2(spread_now[apart] / spread_then[apart])))
 
 
 def surplus_of_objects(pixels: Floats, radius: float) -> int:

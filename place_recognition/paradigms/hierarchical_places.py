@@ -23,13 +23,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.geometric_verification import VerificationConfig
+from place_recognition.belief.hindsight import HindsightConfig, Opinion
 from place_recognition.belief.judge import Judge
 from place_recognition.belief.place_votes import PlaceBallot, vote_for_places
-from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
+from place_recognition.belief.verdicts import Verdicts
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
@@ -63,6 +64,7 @@ class HierarchicalPlacesConfig:
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
         consistency: which earlier proofs speak for a new one.
+        hindsight: what the images around one say for it.
     """
 
     chance: float = 1.0
@@ -80,6 +82,7 @@ class HierarchicalPlacesConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
+    hindsight: HindsightConfig = field(default_factory=HindsightConfig)
 
     @classmethod
     def published(cls) -> "HierarchicalPlacesConfig":
@@ -96,7 +99,8 @@ class HierarchicalPlacesConfig:
             proposed=1,
             neighbours=0,
             chance=1e-12,
-            proof=ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12)),
+            hindsight=HindsightConfig.none(),
+            proof=ProofConfig(verification=VerificationConfig(least_inliers=12)),
             place=PlaceConfig(longest=NEVER),
             gas=GasConfig(winner_step=0.8, neighbour_step=0.01, oldest=10),
         )
@@ -108,7 +112,7 @@ NEVER = 1_000_000  # more inliers or images than there are
 class HierarchicalPlaces:
     """Recognises places by the words that each has of its own (a PlaceRecognizer).
 
-    Answers at once, or a few images late (`Bridge`).
+    Answers some images late (`Verdicts`).
 
     Args of the constructor:
         index: makes the index in which all words are kept and found.
@@ -127,7 +131,7 @@ class HierarchicalPlaces:
         self._open = PlaceFormation(self.config.place)
         self._places = PlaceMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
-        self._bridge = Bridge(self._route)
+        self._verdicts = Verdicts(self._route, self.config.hindsight)
         self._rows = NoRows() if rows is None else rows
 
     @property
@@ -154,13 +158,13 @@ class HierarchicalPlaces:
         descriptors = features.descriptors[: self.config.features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
         if len(descriptors) < self.config.place.least_features:
-            return self._bridge.add([self._no_match()])
-        return self._bridge.add([self._believe(descriptors[: self.config.asked])])
+            return self._verdicts.add(self._no_match())
+        return self._verdicts.add(self._opinion(descriptors[: self.config.asked]))
 
     def finish(self) -> list[Belief]:
-        """End the last place, and answer for the last images if they wait for a sure one to follow."""
+        """End the last place, and answer for the last images."""
         self._learn(self._open.flush(), self._route.latest)
-        return self._bridge.finish()
+        return self._verdicts.finish()
 
     def _learn(self, ended: list[Floats], last: int) -> None:
         """Find the words of the images (N, D) of a place that has ended at a location, if one has."""
@@ -168,25 +172,25 @@ class HierarchicalPlaces:
             rng = np.random.default_rng((self.config.seed, len(self._places)))
             self._places.add(grow_gas(np.concatenate(ended), rng, self.config.gas).nodes, last)
 
-    def _no_match(self) -> Belief:
-        return Belief(int(self._route.ids[-1]), None, 0.0, accepted=False)
+    def _no_match(self) -> Opinion:
+        return Opinion((Belief(int(self._route.ids[-1]), None, 0.0, accepted=False),))
 
-    def _believe(self, descriptors: Floats) -> Belief:
-        """The belief about the latest image, whose strongest descriptors (N, D) vote."""
+    def _opinion(self, descriptors: Floats) -> Opinion:
+        """The opinion about the latest image, whose strongest descriptors (N, D) vote."""
         horizon = self._route.horizon()
         count = self._places.until(horizon)
         ballot = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._show(ballot)
-        judgement = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)
-        if judgement is None:
-            return self._no_match()
-        proof = judgement.proof
+        proofs = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)
+        return Opinion(tuple(self._belief(proof, ballot) for proof in proofs), proofs) if proofs else self._no_match()
+
+    def _belief(self, proof: Proof, ballot: PlaceBallot) -> Belief:
         improbable = ballot.improbability(self._places.place_of(proof.location))
         return Belief(
             query=int(self._route.ids[-1]),
             match=int(self._route.ids[proof.location]),
-            score=improbable + judgement.evidence,
-            accepted=judgement.sure and improbable >= -math.log10(self.config.chance),
+            score=improbable + proof.evidence,
+            accepted=proof.verified and improbable >= -math.log10(self.config.chance),
             inliers=proof.inliers,
             verified=proof.verified,
         )

@@ -5,7 +5,7 @@ from the papers, each for a reason found on images that do not judge:
 * A lone response is no revisit yet, and a revisit need not have one: the filters suppress a way driven backwards. So
   the best sequences by response and the best by plain similarity propose, whatever the threshold.
 * The images of the proposed sequences and of their neighbours are ranked by their word vectors; the best are compared
-  feature by feature, and the geometry of an image and of those just before it joins the response in the score.
+  feature by feature, and the geometry of an image and of those around it joins the response in the score.
 """
 
 from collections.abc import Callable
@@ -14,13 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
 from place_recognition.belief.geometric_verification import VerificationConfig
-from place_recognition.belief.judge import Judge, Judgement
+from place_recognition.belief.hindsight import HindsightConfig, Opinion
+from place_recognition.belief.judge import Judge
 from place_recognition.belief.matrix_filter import CausalFilter, FilterConfig, normalised
-from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
+from place_recognition.belief.verdicts import Verdicts
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
 from place_recognition.map.route import Route, RouteConfig
@@ -62,6 +63,7 @@ class MatchingConfig:
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
         consistency: which earlier proofs speak for a new one.
+        hindsight: what the images around one say for it.
     """
 
     features: int = 300
@@ -76,6 +78,7 @@ class MatchingConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
+    hindsight: HindsightConfig = field(default_factory=HindsightConfig)
 
     def __post_init__(self) -> None:
         if self.score not in SCORES:
@@ -88,8 +91,15 @@ def published_matching(threshold: float) -> MatchingConfig:
     The score is the one in [0, 1] all the same: with equation 4.6 as printed, no revisit would reach the learnt
     filter's threshold of 3.5.
     """
-    proof = ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=12))
-    return MatchingConfig(power=1.0, asked=ALL, least_divisor=0.005, least_response=threshold, proof=proof)
+    proof = ProofConfig(verification=VerificationConfig(least_inliers=12))
+    return MatchingConfig(
+        power=1.0,
+        asked=ALL,
+        least_divisor=0.005,
+        least_response=threshold,
+        proof=proof,
+        hindsight=HindsightConfig.none(),
+    )
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,7 @@ class SequenceMatching:
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
         self._judge = Judge(self._route.images, config.proof, config.consistency)
-        self._bridge = Bridge(self._route)
+        self._verdicts = Verdicts(self._route, self.config.hindsight)
         self._open: list[int] = []  # horizons of the images of the sequence that has not ended
         self._waiting: _Sequence | None = None
         self._rows: RowSink = NoRows()
@@ -146,23 +156,26 @@ class SequenceMatching:
         location = self._route.add(image_id, features, travelled)
         words = self._assign(features.descriptors[: self.config.features])
         begins = self._segmentation.begins(words, travelled)
-        beliefs = self._end_sequence(location - 1) if begins else []
+        opinions = self._end_sequence(location - 1) if begins else []
         self._words.add(words)
         self._open.append(self._route.horizon())
-        return self._bridge.add(beliefs)
+        return self._settled(opinions)
 
     def finish(self) -> list[Belief]:
         """Answer for the images of the last two sequences."""
-        beliefs = self._end_sequence(self._route.latest)
+        opinions = self._end_sequence(self._route.latest)
         if self._waiting is not None:
-            beliefs += self._answer(self._waiting, self._filter.finish())
+            opinions += self._answer(self._waiting, self._filter.finish())
         self._waiting = None
-        return self._bridge.add(beliefs) + self._bridge.finish()
+        return self._settled(opinions) + self._verdicts.finish()
+
+    def _settled(self, opinions: list[Opinion]) -> list[Belief]:
+        return [belief for opinion in opinions for belief in self._verdicts.add(opinion)]
 
     def _assign(self, descriptors: Floats) -> Indices:
         return self._index.nearest(descriptors) if len(descriptors) else np.empty(0, np.int64)
 
-    def _end_sequence(self, last: int) -> list[Belief]:
+    def _end_sequence(self, last: int) -> list[Opinion]:
         """Compare the open sequence with earlier ones; that completes the neighbourhood of the one before it."""
         if not self._open:
             return []
@@ -180,13 +193,13 @@ class SequenceMatching:
         row = normalised(scores, previous, self.config.least_divisor)
         return _Sequence(images, self._open, vector, row)
 
-    def _answer(self, sequence: _Sequence, response: Floats | None) -> list[Belief]:
+    def _answer(self, sequence: _Sequence, response: Floats | None) -> list[Opinion]:
         assert response is not None  # a sequence waits, so the filter has its row
         self._show(sequence.images[0], sequence.row, "similarity")
         self._show(sequence.images[0], response, "filtered")
         pool = self._map.images_around(_best_of((response, sequence.row), self.config.sequences))
         return [
-            self._believe(location, pool[pool <= horizon], horizon, response)
+            self._opinion(location, pool[pool <= horizon], horizon, response)
             for location, horizon in zip(sequence.images, sequence.horizons, strict=True)
         ]
 
@@ -194,12 +207,12 @@ class SequenceMatching:
         firsts = self._map.first(np.arange(len(row)))
         self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row.astype(np.float64), stage)
 
-    def _believe(self, query: int, pool: Indices, horizon: int, response: Floats) -> Belief:
+    def _opinion(self, query: int, pool: Indices, horizon: int, response: Floats) -> Opinion:
         alike = _spread(pool, self._words.likeness(query, pool), self.config.images)
-        judgement = self._judge.judge(query, alike, horizon)
-        if judgement is None:
-            return Belief(int(self._route.ids[query]), None, 0.0, accepted=False)
-        return self._belief(judgement, self._response_at(judgement.proof.location, response))
+        proofs = self._judge.judge(query, alike, horizon)
+        if not proofs:
+            return Opinion((Belief(int(self._route.ids[query]), None, 0.0, accepted=False),))
+        return Opinion(tuple(self._belief(p, self._response_at(p.location, response)) for p in proofs), proofs)
 
     def _response_at(self, location: int, response: Floats) -> float:
         """The response of the sequence of an image, or of the one before or after it if that is greater."""
@@ -207,13 +220,12 @@ class SequenceMatching:
         around = response[max(sequence - 1, 0) : sequence + 2]
         return float(around.max()) if len(around) else 0.0
 
-    def _belief(self, judgement: Judgement, response: float) -> Belief:
-        proof = judgement.proof
+    def _belief(self, proof: Proof, response: float) -> Belief:
         return Belief(
             query=int(self._route.ids[proof.query]),
             match=int(self._route.ids[proof.location]),
-            score=self.config.worth * max(response, 0.0) / self._threshold + judgement.evidence,
-            accepted=judgement.sure and response >= self.config.least_response,
+            score=self.config.worth * max(response, 0.0) / self._threshold + proof.evidence,
+            accepted=proof.verified and response >= self.config.least_response,
             inliers=proof.inliers,
             verified=proof.verified,
         )

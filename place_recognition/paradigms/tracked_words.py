@@ -9,7 +9,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
 * Each word votes once (`count_votes`).
 * Where tracks are short, the best of them become words all the same (`TrackConfig.least_length`).
 * Geometry chooses among the best voted places, and decides: in a small map no votes are improbable enough.
-* The score adds the evidence of geometry, of this image and of those just before it, to that of the votes.
+* The score adds the evidence of geometry, of this image and of those around it, to that of the votes.
 """
 
 import math
@@ -19,11 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.geometric_verification import VerificationConfig
+from place_recognition.belief.hindsight import HindsightConfig, Opinion
 from place_recognition.belief.judge import Judge
-from place_recognition.belief.proof import ProofConfig
+from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
+from place_recognition.belief.verdicts import Verdicts
 from place_recognition.belief.votes import Ballot, count_votes
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import check_grey
@@ -44,6 +45,7 @@ class TrackedWordsConfig:
         route: what is kept of each image, and which are past.
         proof: how a revisit is proved.
         consistency: which earlier proofs speak for a new one.
+        hindsight: what the images around one say for it.
         neighbours: images before and after a voted one among which the best match is sought.
         places: voted places that are looked at; the paper tries the one with the most votes only.
     """
@@ -53,20 +55,21 @@ class TrackedWordsConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=9)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
+    hindsight: HindsightConfig = field(default_factory=HindsightConfig)
     neighbours: int = 6
     places: int = 3
 
     @classmethod
     def published(cls) -> "TrackedWordsConfig":
         """The paper's numbers (Table II): one place is tried, and 9 inliers are enough."""
-        proof = ProofConfig(sure=0.0, verification=VerificationConfig(least_inliers=9))
-        return cls(neighbours=0, places=1, proof=proof)
+        proof = ProofConfig(verification=VerificationConfig(least_inliers=9))
+        return cls(neighbours=0, places=1, proof=proof, hindsight=HindsightConfig.none())
 
 
 class TrackedWords:
     """Recognises places by words that it learns as it goes (a PlaceRecognizer).
 
-    Answers at once, or a few images late (`Bridge`).
+    Answers some images late (`Verdicts`).
     """
 
     def __init__(
@@ -82,7 +85,7 @@ class TrackedWords:
         self._route = Route(self.config.route)
         self._words = WordMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
-        self._bridge = Bridge(self._route)
+        self._verdicts = Verdicts(self._route, self.config.hindsight)
         self._rows = NoRows() if rows is None else rows
 
     @property
@@ -102,14 +105,14 @@ class TrackedWords:
         features = self._features.of(image_id, image)
         self._route.add(image_id, features, travelled)
         self._words.add(self._tracks.advance(image, features))
-        return self._bridge.add([self._believe()])
+        return self._verdicts.add(self._opinion())
 
     def finish(self) -> list[Belief]:
-        """Answer for the last images, if they wait for a sure one to follow."""
-        return self._bridge.finish()
+        """Answer for the last images."""
+        return self._verdicts.finish()
 
-    def _believe(self) -> Belief:
-        """The belief about the latest image."""
+    def _opinion(self) -> Opinion:
+        """The opinion about the latest image."""
         horizon = self._past()
         self._words.pass_until(horizon)
         ballot = count_votes(self._words.hit(self._tracks.descriptors), self._words)
@@ -125,18 +128,20 @@ class TrackedWords:
         behind = self._route.guarded() if self._route.measured else self._route.horizon()
         return min(behind, self._route.latest - 2 * self._tracks.longest)
 
-    def _verified(self, query: int, ballot: Ballot, horizon: int) -> Belief:
-        """The belief in the best neighbour of a voted location, proved by geometry or not."""
+    def _verified(self, query: int, ballot: Ballot, horizon: int) -> Opinion:
+        """What votes and geometry say of the best neighbours of voted locations."""
         voted = ballot.leaders(self.config.places, self.config.neighbours, math.log(self.config.chance))
-        judgement = self._judge.judge(self._route.latest, self._around(voted, horizon), horizon)
-        if judgement is None:
-            return Belief(query, None, 0.0, accepted=False)
-        proof = judgement.proof
+        proofs = self._judge.judge(self._route.latest, self._around(voted, horizon), horizon)
+        if not proofs:
+            return Opinion((Belief(query, None, 0.0, accepted=False),))
+        return Opinion(tuple(self._belief(query, proof, ballot) for proof in proofs), proofs)
+
+    def _belief(self, query: int, proof: Proof, ballot: Ballot) -> Belief:
         return Belief(
             query=query,
             match=int(self._route.ids[proof.location]),
-            score=ballot.improbability(proof.location, self.config.neighbours) + judgement.evidence,
-            accepted=judgement.sure,
+            score=ballot.improbability(proof.location, self.config.neighbours) + proof.evidence,
+            accepted=proof.verified,
             inliers=proof.inliers,
             verified=proof.verified,
         )

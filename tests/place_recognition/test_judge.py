@@ -1,11 +1,11 @@
-"""The judge tells places apart by evidence, and images of one place by what they show larger."""
+"""The judge asks geometry of the likeliest places, and an object counts for no more than one geometry."""
 
 import numpy as np
 import pytest
 from place_images import sliding_view, textured_world
 
 from place_recognition.belief.judge import Judge
-from place_recognition.belief.proof import ProofConfig, prove, surplus_of_objects, zoom_between
+from place_recognition.belief.proof import ProofConfig, prove, surplus_of_objects
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.image_store import ImageStore
@@ -31,33 +31,27 @@ def test_one_object_counts_as_a_geometry_and_no_more():
     assert surplus_of_objects(np.concatenate([car, car + np.float32([500, 0])]), 60.0) == 2 * (60 - 7)
 
 
-def test_zoom_is_known_whatever_the_shift():
-    points = np.random.default_rng(1).uniform([0, 0], [1200, 370], (40, 2)).astype(np.float32)
-    assert zoom_between(points + np.float32([30, -12]), points) == pytest.approx(0, abs=1e-3)
-    assert zoom_between(1.25 * points - [100, 40], points) == pytest.approx(np.log2(1.25), abs=1e-3)
-    assert zoom_between(points, 2 * points) == pytest.approx(-1, abs=1e-3)
-    assert zoom_between(points[:1], points[:1]) == 0
+def judge(store: ImageStore, tried: int = 4) -> Judge:
+    return Judge(store, ProofConfig(tried=tried), ConsistencyConfig())
 
 
-def test_the_judge_finds_the_best_of_all_proofs(store):
-    judge, config = Judge(store, ProofConfig(tried=3), ConsistencyConfig()), ProofConfig(tried=3)
-    candidates = [3, 7, 8]
-    best = max(prove(store, 28, candidates, config), key=lambda proof: proof.evidence)
-    assert judge.judge(28, candidates, 10).proof.location == best.location
-    assert best.location == 8
+def test_the_judge_asks_geometry_of_the_likeliest_places_up_to_one_that_leaves_no_doubt(store):
+    proofs = judge(store, 3).judge(28, [3, 7, 8], 10)
+    assert proofs == tuple(prove(store, 28, [3, 7, 8], ProofConfig(tried=3)))[: len(proofs)]
+    assert max(proofs, key=lambda proof: proof.evidence).location == 8
+    assert all(proof.evidence < ProofConfig().plenty for proof in proofs[:-1])
 
 
-def test_enough_evidence_is_accepted_and_little_is_not(store):
-    judge = Judge(store, ProofConfig(), ConsistencyConfig())
-    assert judge.judge(28, [8], 10).sure
-    assert not judge.judge(39, [0], 3).sure
+def test_the_same_view_proves_much_and_another_little(store):
+    assert judge(store).judge(28, [8], 10)[0].evidence > 40
+    assert judge(store).judge(39, [0], 3)[0].evidence < 5
 
 
 def test_a_match_that_moves_on_needs_no_proposal(store):
-    judge = Judge(store, ProofConfig(), ConsistencyConfig())
-    judge.judge(25, [5], 15)
-    assert judge.judge(26, [], 15).proof.location == 6
+    one = judge(store)
+    one.judge(25, [5], 15)
+    assert [proof.location for proof in one.judge(26, [], 15)] == [6]
 
 
-def test_without_candidates_there_is_no_judgement(store):
-    assert Judge(store, ProofConfig(), ConsistencyConfig()).judge(25, [], 15) is None
+def test_without_candidates_there_is_no_proof(store):
+    assert judge(store).judge(25, [], 15) == ()

@@ -20,7 +20,8 @@ def beliefs_of(images, way=None):
     rows = Rows()
     recognizer = TrackedWords(SharedFeatures(Surf()), rows=rows)
     ways = np.full(len(images), np.nan) if way is None else way
-    return rows, [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(ways[i]))]
+    beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(ways[i]))]
+    return rows, beliefs + recognizer.finish()
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,21 @@
+"""The end of every paradigm: opinions go in, beliefs come out, once hindsight and the sure images around allow."""
+
+from place_recognition.belief.bridge import Bridge
+from place_recognition.belief.hindsight import Hindsight, HindsightConfig, Opinion
+from place_recognition.map.route import Route
+from place_recognition.recognizer import Belief
+
+
+class Verdicts:
+    """One belief for each opinion, in order."""
+
+    def __init__(self, route: Route, config: HindsightConfig) -> None:
+        self._hindsight, self._bridge = Hindsight(config), Bridge(route)
+
+    def add(self, opinion: Opinion) -> list[Belief]:
+        """Take an opinion; the beliefs that are settled now."""
+        return self._bridge.add(self._hindsight.add(opinion))
+
+    def finish(self) -> list[Belief]:
+        """The beliefs about the last images."""
+        return self._bridge.add(self._hindsight.finish()) + self._bridge.finish()
