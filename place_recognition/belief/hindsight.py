@@ -17,7 +17,7 @@ from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
 
-_SPEEDS = np.array([0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.4, 2.0, 2.8])
+_SPEEDS = 2.0 ** np.arange(-1, 1.01, 0.25)  # from half to twice that of the earlier pass
 _SLOPES = np.concatenate([_SPEEDS, -_SPEEDS])  # a way may be driven backwards
 
 
