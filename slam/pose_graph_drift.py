@@ -87,10 +87,27 @@ class OdometryChain:
         self._scatter.append(self._scatter[-1] + Ad @ covariance @ Ad.T)
         self._lever.append(self._lever[-1] + step * Ad)
 
-    def between(self, first: int, second: int) -> Between:
-        """Relative pose of two frames, first < second, with its uncertainty; the time taken does not grow."""
+    def way(self, frame: int) -> float:
+        """Metres driven up to a frame."""
+        return self._way[frame]
+
+    def lasting(self, first: int, second: int) -> Array:
+        """Covariance (6, 6) of frame second in its own frame by the lasting bias since frame first alone."""
         lever = self._lever[second] - self._lever[first]
-        world = self._scatter[second] - self._scatter[first] + (lever * self._budget.variances) @ lever.T
+        Ad = se3.adjoint(se3.inverse(self._poses[second]))
+        return Ad @ (lever * self._budget.variances) @ lever.T @ Ad.T
+
+    def between(self, first: int, second: int) -> Between:
+        """Relative pose of two frames with its uncertainty; the time taken does not grow with the way."""
+        if first > second:
+            return _turned(self.between(second, first))
+        scatter = self._scatter[second] - self._scatter[first]
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
         T = se3.inverse(self._poses[first]) @ self._poses[second]
-        return Between(T, Ad @ world @ Ad.T, self._way[second] - self._way[first])
+        covariance = Ad @ scatter @ Ad.T + self.lasting(first, second)
+        return Between(T, covariance, self._way[second] - self._way[first])
+
+
+def _turned(between: Between) -> Between:
+    Ad = se3.adjoint(between.T_first_second)
+    return Between(se3.inverse(between.T_first_second), Ad @ between.covariance @ Ad.T, between.way)

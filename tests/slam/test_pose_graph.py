@@ -81,7 +81,7 @@ def noise(rng: np.random.Generator, covariance: np.ndarray) -> np.ndarray:
     return rng.normal(size=6) * np.sqrt(np.diag(covariance))
 
 
-PLAIN = PoseGraphConfig(online_width=1e6, relinearize_threshold=1e-6, relinearize_skip=1, settle_updates=8)
+PLAIN = PoseGraphConfig(online_width=1e6)
 
 
 @pytest.fixture(scope="module")

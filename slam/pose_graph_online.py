@@ -1,0 +1,132 @@
+"""The map while driving: iSAM2 over key frames, where loops can be taken in and taken out again.
+
+iSAM2 (Kaess et al., IJRR 2012) hears of the motions since the last loop only when the next one comes: until
+then they move nothing. A loop that is taken out leaves no trace but the points of linearisation, which are
+then chosen anew.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from slam import pose_graph_solver as solver
+from slam.loop_closing import LoopClosure
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 5  # updates after a change at most; measured: the first loop of a long drive needs three
+
+
+@dataclass(frozen=True)
+class IncrementalConfig:
+    """How iSAM2 works."""
+
+    width: float = 4.0  # Huber width of a loop, sigmas
+    relinearize_threshold: float = 0.1  # change of a pose that has it linearised again, rad or m
+
+
+class IncrementalMap:
+    """Keys in a chain, numbered from 0, and the loops between them that are in use.
+
+    All poses are T_world_key in metres, key 0 at the identity; covariances belong to right perturbations,
+    rotation first.
+    """
+
+    def __init__(self, config: IncrementalConfig) -> None:
+        self._config = config
+        self._isam = _isam(config)
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # what iSAM2 has not heard of
+        self._graph.add(solver.anchor(np.eye(4)))
+        self._values.insert(0, gtsam.Pose3())
+        self._estimate = gtsam.Values(self._values)
+        self._newest = 0
+        self._plain: dict[int, gtsam.BetweenFactorPose3] = {}
+        self._slots: dict[int, int] = {}  # iSAM2's index of each loop in use
+        self._fresh: list[tuple[int, int]] = []  # loop, its place in the waiting graph
+        self._gone: list[int] = []
+
+    @property
+    def T_world_newest(self) -> Array:
+        """(4, 4) of the newest key."""
+        return self._estimate.atPose3(self._newest).matrix()
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """Numbers of the loops in use, by number."""
+        return tuple(sorted([*self._slots, *(loop for loop, _ in self._fresh)]))
+
+    def add_key(self, T_previous_key: Array, covariance: Array) -> None:
+        """Add the next key by its motion (4, 4) and covariance (6, 6)."""
+        pose = gtsam.Pose3(self.T_world_newest @ T_previous_key)
+        self._newest += 1
+        self._graph.add(solver.motion_factor(self._newest, T_previous_key, covariance))
+        self._values.insert(self._newest, pose)
+        self._estimate.insert(self._newest, pose)
+
+    def know(self, number: int, loop: LoopClosure) -> None:
+        """Learn of a loop between keys without using it yet."""
+        self._plain[number] = solver.loop_factor(loop)
+
+    def use(self, loops: Mapping[int, LoopClosure]) -> None:
+        """Take known loops in, from the next `settle` on."""
+        for number, loop in loops.items():
+            self._fresh.append((number, self._graph.size()))
+            self._graph.add(solver.loop_factor(loop, "huber", self._config.width))
+
+    def drop(self, numbers: Iterable[int]) -> None:
+        """Take loops in use out, from the next `settle` on; their effect is undone."""
+        self._gone += [self._slots.pop(number) for number in numbers]
+
+    def settle(self) -> None:
+        """Optimise until no pose has to be linearised again."""
+        self._tell()
+        for _ in range(_ROUNDS):
+            if not self._isam.update().getVariablesRelinearized():
+                break
+        self._estimate = self._isam.calculateEstimate()
+
+    def _tell(self) -> None:
+        """Hand over to iSAM2 what it has not heard of."""
+        removed, self._gone = self._gone, []
+        result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))
+        indices = result.getNewFactorsIndices()
+        self._slots |= {number: indices[place] for number, place in self._fresh}
+        self._graph, self._values, self._fresh = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+
+    def chi2(self, numbers: Sequence[int]) -> Array:
+        """(L,) chi-square of known loops at the map, their own covariance alone."""
+        return np.array([2.0 * self._plain[number].error(self._estimate) for number in numbers])
+
+    def surprise(self, loop: LoopClosure, drift: Array) -> float:
+        """Chi-square of a loop not in use against the map and how sure the map is of it.
+
+        Args:
+            loop: between keys.
+            drift: (6, 6) covariance of T_match_query that the map knows nothing of.
+        """
+        self._tell()
+        T_world_match, T_world_query = (self._estimate.atPose3(k).matrix() for k in (loop.match, loop.query))
+        T_match_query = se3.inverse(T_world_match) @ T_world_query
+        joint = self._isam.jointMarginalCovariance([loop.match, loop.query])
+        back = -se3.adjoint(se3.inverse(T_match_query))
+        J = np.hstack([back, np.eye(6)])
+        ends = (loop.match, loop.query)
+        sure = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
+        error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
+        return float(error @ np.linalg.solve(sure + drift + loop.covariance, error))
+
+    def poses(self) -> Array:
+        """T_world_key (K, 4, 4) of all keys."""
+        return solver.to_poses(self._estimate)
+
+
+def _isam(config: IncrementalConfig) -> gtsam.ISAM2:
+    params = gtsam.ISAM2Params()
+    params.setRelinearizeThreshold(config.relinearize_threshold)
+    params.relinearizeSkip = 1
+    params.enablePartialRelinearizationCheck = True  # stops at quiet cliques: a third less time
+    return gtsam.ISAM2(params)
