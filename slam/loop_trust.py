@@ -22,7 +22,6 @@ from slam.robust import LoopGate
 Array = NDArray[np.float64]
 
 _COMPANIONS = 12  # earlier loops of the stretch that are asked, the latest first
-_DROPS = 4  # times that loops are dropped after one change, at most
 
 
 @dataclass(frozen=True)
@@ -85,6 +84,8 @@ class LoopTrust:
         self._known: dict[int, _Known] = {}
         self._group: dict[int, int] = {}  # loop to the first loop that it agrees with, directly or through others
         self._tried: dict[int, int] = {}  # group to its size when it was last tried
+        self._trial: tuple[int, ...] | None = None  # loops in use before it
+        self._moving = False
         self.history: list[Change] = []
 
     def offer(self, number: int, loop: LoopClosure, gate: LoopGate) -> Admission:
@@ -98,7 +99,20 @@ class LoopTrust:
         reason = self._judge(number, loop) if gate.passed else gate.reason
         joined = number in self._map.used
         self._note([number], joined, reason)
+        if joined:
+            self.review()
         return Admission(gate.passed, joined, gate.residual, reason)
+
+    def review(self) -> None:
+        """Go one step on with what the last loop has set in motion; does nothing where the map is at rest.
+
+        A step a frame, so that no frame waits for a large correction to settle. Loops are judged by a map at
+        rest only: they then leave it, come back to it, or a trial ends.
+        """
+        if not self._moving:
+            return
+        if self._map.step():
+            self._moving = self._drop() or self._welcome() or self._end_trial()
 
     def _judge(self, number: int, loop: LoopClosure) -> str:
         tied = self._keys.tied(loop)
@@ -108,7 +122,7 @@ class LoopTrust:
         self._map.know(number, tied)
         chi2 = float(self._map.chi2([number])[0])
         if self._map.used and chi2 <= self._config.inlier_chi2:
-            self._take_in([number])
+            self._use([number])
             return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma"
         companions = self._companions(number, loop)
         if not companions:
@@ -116,69 +130,73 @@ class LoopTrust:
         return self._with_company(number, companions)
 
     def _with_company(self, number: int, companions: list[int]) -> str:
-        known = self._known[number]
-        surprise = self._surprise(known) if self._map.used else 0.0
+        used = self._map.used
+        surprise = self._surprise(self._known[number]) if used else 0.0
         if surprise > self._config.surprise_chi2:
             return self._challenge(number, companions, surprise)
-        self._take_in([number, *(other for other in companions if other not in self._map.used)])
-        return f"joined: {len(companions)} loops of this stretch agree, {np.sqrt(surprise):.1f} sigma from the map"
+        newcomers = [other for other in companions if other not in used]
+        self._use([number, *newcomers])
+        self._note(newcomers, True, f"joined: loop {number} of this stretch agrees")
+        found = f"{len(companions)} {'loops' if len(companions) > 1 else 'loop'} of this stretch"
+        return f"joined: {found} and the map agree, {np.sqrt(surprise):.1f} sigma"
 
     def _challenge(self, number: int, companions: list[int], surprise: float) -> str:
         """Try a group that the map excludes against the loops that the map leans on."""
         told = f"{np.sqrt(surprise):.1f} sigma from the map (limit {np.sqrt(self._config.surprise_chi2):.1f})"
         group = self._group.get(companions[0], companions[0])
         self._group |= dict.fromkeys([number, *companions], group)
-        waiting = [k for k, of in self._group.items() if of == group and k not in self._map.used]
-        if len(waiting) < 2 * self._tried.get(group, 1):
-            return f"waits: {told}"
-        self._tried[group] = len(waiting)
-        before = self._map.used
-        self._take_in(waiting)
-        if len(self._map.used) > len(before):
-            return f"joined: {told}, but {len(waiting)} loops agree with it and outnumber those against them"
-        self._restore(before)
-        return f"waits: {told}, and the {len(waiting)} loops that agree with it do not outnumber those against them"
-
-    def _restore(self, before: Iterable[int]) -> None:
-        wrong = set(self._map.used) - set(before)
-        self._map.drop(sorted(wrong))
-        self._map.use({k: self._known[k].tied for k in sorted(set(before) - set(self._map.used))})
-        self._map.settle()
-
-    def _take_in(self, numbers: list[int]) -> None:
-        """Lean on further loops; drop those that then disagree, take in others that now agree."""
-        self._map.use({k: self._known[k].tied for k in numbers})
-        self._map.settle()
-        for _ in range(_DROPS):
-            wrong = self._disagreeing()
-            if not wrong:
-                break
-            self._map.drop(wrong)
-            self._map.settle()
-            self._note(wrong, False, "taken out: the map that most loops agree on contradicts it")
-        self._welcome()
-
-    def _disagreeing(self) -> list[int]:
-        """Loops in use that are too far from the map, the worst only: others may agree once they are gone."""
         used = self._map.used
-        if len(used) == 1:
-            return list(used)  # the last one left has lost its companions
+        waiting = [k for k, of in self._group.items() if of == group and k not in used]
+        if self._moving or len(waiting) < 2 * self._tried.get(group, 1):
+            return f"waits: {told}"
+        self._tried[group], self._trial = len(waiting), used
+        self._use(waiting)
+        return f"on trial: {told}, but {len(waiting)} loops of this stretch agree"
+
+    def _end_trial(self) -> bool:
+        """Keep what a trial has led to if more loops agree than before, else go back; whether it went back."""
+        before, self._trial = self._trial, None
+        used = self._map.used
+        if before is None or len(used) > len(before):
+            return False
+        wrong, missing = sorted(set(used) - set(before)), sorted(set(before) - set(used))
+        self._map.drop(wrong)
+        self._use(missing)
+        self._note(wrong, False, "taken out: the loops that agree with it do not outnumber those against it")
+        self._note(missing, True, "joined: those against it do not outnumber those that agree with it")
+        return True
+
+    def _use(self, numbers: Iterable[int]) -> None:
+        self._map.use({k: self._known[k].tied for k in numbers})
+        self._moving = True
+
+    def _drop(self) -> bool:
+        """Take out the loops in use that are too far from the map; whether there were any.
+
+        Only the worst at once: the others may agree when those are gone.
+        """
+        used = self._map.used
         chi2 = self._map.chi2(used)
         limit = max(self._config.inlier_chi2, 0.5 * float(chi2.max(initial=0.0)))
-        return [used[k] for k in np.flatnonzero(chi2 > limit)]
+        wrong = [used[k] for k in np.flatnonzero(chi2 > limit)]
+        self._map.drop(wrong)
+        self._note(wrong, False, f"taken out: over {np.sqrt(limit):.1f} sigma from the map that the others make")
+        if len(used) - len(wrong) == 1:
+            (last,) = set(used) - set(wrong)
+            self._map.drop([last])
+            self._note([last], False, "taken out: no other loop agrees any more")
+            return True
+        return bool(wrong)
 
-    def _welcome(self) -> None:
-        """Take in waiting loops that the map agrees with by now."""
+    def _welcome(self) -> bool:
+        """Take in the waiting loops that the map agrees with by now; whether there were any."""
         used = self._map.used
-        waiting = [k for k in self._known if k not in used]
-        if not used or not waiting:
-            return
+        waiting = [k for k in self._known if k not in used] if used else []
         chi2 = self._map.chi2(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.inlier_chi2]
-        if agree:
-            self._map.use({k: self._known[k].tied for k in agree})
-            self._map.settle()
-            self._note(agree, True, "joined: the map agrees by now")
+        self._use(agree)
+        self._note(agree, True, "joined: the map agrees by now")
+        return bool(agree)
 
     def _surprise(self, known: _Known) -> float:
         """Chi-square against the map; the drift that lasts is counted since the last frame that a loop holds."""

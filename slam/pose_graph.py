@@ -94,6 +94,7 @@ class PoseGraph:
         key = self._keys.append(T_previous_current, real)
         if key is not None:
             self._map.add_key(key.T_key_frame, key.covariance)
+        self._trust.review()
 
     def add_loop(self, closure: LoopClosure) -> Admission:
         """Judge a loop against odometry's drift and against the loops so far; the online map may lean on it.

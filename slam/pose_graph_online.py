@@ -18,8 +18,6 @@ from slam.loop_closing import LoopClosure
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 5  # updates after a change at most; measured: the first loop of a long drive needs three
-
 
 @dataclass(frozen=True)
 class IncrementalConfig:
@@ -72,30 +70,35 @@ class IncrementalMap:
         self._plain[number] = solver.loop_factor(loop)
 
     def use(self, loops: Mapping[int, LoopClosure]) -> None:
-        """Take known loops in, from the next `settle` on."""
+        """Take known loops in, from the next `step` on."""
         for number, loop in loops.items():
             self._fresh.append((number, self._graph.size()))
             self._graph.add(solver.loop_factor(loop, "huber", self._config.width))
 
     def drop(self, numbers: Iterable[int]) -> None:
-        """Take loops in use out, from the next `settle` on; their effect is undone."""
+        """Take loops in use out, from the next `step` on; their effect is undone."""
         self._gone += [self._slots.pop(number) for number in numbers]
 
-    def settle(self) -> None:
-        """Optimise until no pose has to be linearised again."""
-        self._tell()
-        for _ in range(_ROUNDS):
-            if not self._isam.update().getVariablesRelinearized():
-                break
-        self._estimate = self._isam.calculateEstimate()
+    def step(self) -> bool:
+        """Take one step of optimisation.
 
-    def _tell(self) -> None:
-        """Hand over to iSAM2 what it has not heard of."""
+        Returns:
+            Whether the map has come to rest: no pose had to be linearised again, and nothing is new.
+        """
+        fresh = self._tell() if self._graph.size() or self._gone else False
+        result = self._isam.update()
+        self._estimate = self._isam.calculateEstimate()
+        return not fresh and not result.getVariablesRelinearized()
+
+    def _tell(self) -> bool:
+        """Hand over to iSAM2 what it has not heard of; whether that can move anything."""
+        moving = bool(self._fresh or self._gone)
         removed, self._gone = self._gone, []
         result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))
         indices = result.getNewFactorsIndices()
         self._slots |= {number: indices[place] for number, place in self._fresh}
         self._graph, self._values, self._fresh = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+        return moving
 
     def chi2(self, numbers: Sequence[int]) -> Array:
         """(L,) chi-square of known loops at the map, their own covariance alone."""
