@@ -18,6 +18,7 @@ from slam.loop_closing import LoopClosure
 from slam.loop_trust import Admission, Change, LoopTrust, TrustConfig
 from slam.pose_graph_drift import DriftBudget, OdometryChain
 from slam.pose_graph_keys import KeyChain, KeySpacing
+from slam.pose_graph_marginals import marginal_covariances
 from slam.pose_graph_online import IncrementalConfig, IncrementalMap
 from slam.robust import LoopGate, Optimized
 
@@ -125,6 +126,18 @@ class PoseGraph:
     def odometry_poses(self) -> Array:
         """T_world_camera (N, 4, 4) by odometry alone."""
         return self._chain.poses
+
+    def odometry_covariances(self) -> Array:
+        """Covariances (N, 6, 6) of odometry's poses, drift budget included; frame 0 is held."""
+        return self._chain.covariances()
+
+    def covariances(self, optimized: Optimized) -> Array:
+        """Covariances (N, 6, 6) of the poses that an optimisation has led to, by the loops that it kept."""
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(self._motions)
+        for number in np.flatnonzero(optimized.kept):
+            graph.add(solver.loop_factor(self.config.softened(self._loops[number])))
+        return marginal_covariances(graph, optimized.poses, self._chain.lasting_sigmas())
 
     def optimize(self, robust: str = robust_ends.DEFAULT) -> Optimized:
         """Optimise everything at once under a robust back end of `slam.robust.BACK_ENDS`.

@@ -76,6 +76,14 @@ class OdometryChain:
         """T_world_camera (4, 4) of the newest frame."""
         return self._poses[-1]
 
+    def covariances(self) -> Array:
+        """Covariances (N, 6, 6) of all frames against the first one, as `between` gives them."""
+        return np.array([self.between(0, frame).covariance for frame in range(len(self))])
+
+    def lasting_sigmas(self) -> Array:
+        """(N - 1, 6) standard deviations of the lasting error of each motion, rotation first."""
+        return np.diff(self._way)[:, None] * np.sqrt(self._budget.variances)
+
     def append(self, T_previous_current: Array, covariance: Array) -> None:
         """Add a motion (4, 4) with its stated covariance (6, 6) of the right perturbation, rotation first."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))

@@ -69,6 +69,8 @@ class DriveRecord:
         stage_ms: milliseconds of each stage for each frame, stage name to (N,).
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
+        odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the
+            first pose held; None where they are not known.
     """
 
     name: str
@@ -84,3 +86,5 @@ class DriveRecord:
     map_before: Cloud
     map_after: Cloud
     metrics: dict[str, object]
+    odometry_covariances: Array | None = None
+    corrected_covariances: Array | None = None

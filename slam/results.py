@@ -23,6 +23,7 @@ from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
+from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_frames, write_loops
@@ -75,6 +76,8 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.poses),
         metrics={},
+        odometry_covariances=finished.slam.parts.graph.odometry_covariances(),
+        corrected_covariances=finished.slam.parts.graph.covariances(optimized),
     )
     record.metrics.update(provenance | _measured(record, finished))
     return record
@@ -105,6 +108,7 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
         write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
     write_frames(folder / "frames.csv", finished.drive_log.table())
     write_loops(folder / "loops.csv", record.loops)
+    write_covariances(folder / "covariances.npz", record)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")
