@@ -23,7 +23,7 @@ def confidence_ellipses(poses: Array, covariances: Array, aligned: Similarity) -
     """
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
     shown = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _SHOWN + 1)[1:]).clip(max=len(way) - 1))
-    R = aligned.scale * aligned.rotation @ poses[shown, :3, :3]
+    R = aligned.scale * aligned.R @ poses[shown, :3, :3]
     plan = (R @ covariances[shown, 3:, 3:] @ np.swapaxes(R, 1, 2))[:, _PLAN[:, None], _PLAN]
     values, vectors = np.linalg.eigh(plan)
     angles = np.linspace(0.0, 2.0 * np.pi, _CORNERS)
