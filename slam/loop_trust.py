@@ -2,17 +2,18 @@
 
 A loop that drift can explain may still be false, and nothing at that moment tells. So it waits until a second
 one of the same stretch agrees with it (pairwise consistency: Mangelson et al., ICRA 2018, equation 3). With
-such a companion it must be one that the map, as sure as it is, does not exclude; a group that the map excludes
-is tried against it whenever it has doubled, and stays if that leaves more loops in agreement.
+such a companion it must be one that the map, as sure as it is, does not exclude. Whenever a group of loops has
+doubled, each is compared with what the others say (`loop_audit`): those in the map, and one that the map excludes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from slam.loop_audit import Audit
 from slam.loop_closing import LoopClosure
 from slam.pose_graph_drift import OdometryChain
 from slam.pose_graph_keys import KeyChain
@@ -83,8 +84,10 @@ class LoopTrust:
         self._chain, self._keys, self._map, self._config = chain, keys, map_, config
         self._known: dict[int, _Known] = {}
         self._group: dict[int, int] = {}  # loop to the first loop that it agrees with, directly or through others
-        self._tried: dict[int, int] = {}  # group to its size when it was last tried
-        self._trial: tuple[int, ...] | None = None  # loops in use before it
+        self._audited: dict[int, int] = {}  # group to its size when it was last audited
+        self._audit: Audit | None = None
+        self._candidate: int | None = None  # group outside the map that the audit is about
+        self._due = False
         self._moving = False
         self.history: list[Change] = []
 
@@ -104,71 +107,95 @@ class LoopTrust:
         return Admission(gate.passed, joined, gate.residual, reason)
 
     def review(self) -> None:
-        """Go one step on with what the last loop has set in motion; does nothing where the map is at rest.
+        """Go one step on with what the last loop has set in motion, or with an audit, if there is one.
 
         A step a frame, so that no frame waits for a large correction to settle. Loops are judged by a map at
-        rest only: they then leave it, come back to it, or a trial ends.
+        rest only.
         """
-        if not self._moving:
-            return
-        if self._map.step():
-            self._moving = self._drop() or self._welcome() or self._end_trial()
+        if self._moving:
+            if self._map.step():
+                self._moving = self._drop() or self._welcome()
+        elif self._audit is not None:
+            if self._audit.step(self._config.surprise_chi2):
+                self._conclude(self._audit)
+        elif self._due:
+            self._due = False
+            self._begin(None)
 
     def _judge(self, number: int, loop: LoopClosure) -> str:
         tied = self._keys.tied(loop)
         if tied is None:
             return "waits: both frames hang on one key frame, so there is nothing to correct"
+        near = self._near(loop)
+        first = next((k for k in near if self._agree(self._known[k].loop, loop)), None)
+        self._group[number] = number if first is None else self._group[first]
         self._known[number] = _Known(loop, tied)
         self._map.know(number, tied)
         chi2 = float(self._map.chi2([number])[0])
         if self._map.used and chi2 <= self._config.inlier_chi2:
             self._use([number])
             return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma"
-        companions = self._companions(number, loop)
-        if not companions:
+        if first is None:
             return "waits: drift explains it, but no other loop of this stretch agrees yet"
-        return self._with_company(number, companions)
+        return self._with_company(number, [k for k in near if self._group[k] == self._group[first]])
 
     def _with_company(self, number: int, companions: list[int]) -> str:
         used = self._map.used
-        surprise = self._surprise(self._known[number]) if used else 0.0
+        surprise = self._surprise(number) if used else 0.0
         if surprise > self._config.surprise_chi2:
-            return self._challenge(number, companions, surprise)
+            return self._challenge(number, surprise)
         newcomers = [other for other in companions if other not in used]
         self._use([number, *newcomers])
         self._note(newcomers, True, f"joined: loop {number} of this stretch agrees")
         found = f"{len(companions)} {'loops' if len(companions) > 1 else 'loop'} of this stretch"
         return f"joined: {found} and the map agree, {np.sqrt(surprise):.1f} sigma"
 
-    def _challenge(self, number: int, companions: list[int], surprise: float) -> str:
-        """Try a group that the map excludes against the loops that the map leans on."""
-        told = f"{np.sqrt(surprise):.1f} sigma from the map (limit {np.sqrt(self._config.surprise_chi2):.1f})"
-        group = self._group.get(companions[0], companions[0])
-        self._group |= dict.fromkeys([number, *companions], group)
-        used = self._map.used
-        waiting = [k for k, of in self._group.items() if of == group and k not in used]
-        if self._moving or len(waiting) < 2 * self._tried.get(group, 1):
-            return f"waits: {told}"
-        self._tried[group], self._trial = len(waiting), used
-        self._use(waiting)
-        return f"on trial: {told}, but {len(waiting)} loops of this stretch agree"
+    def _challenge(self, number: int, surprise: float) -> str:
+        """Have a group that the map excludes compared with the groups that the map leans on."""
+        told = f"waits: {np.sqrt(surprise):.1f} sigma from the map (limit {np.sqrt(self._config.surprise_chi2):.1f})"
+        group = self._group[number]
+        size = len(self._members(group))
+        if self._audit is not None or size < 2 * self._audited.get(group, 1):
+            return told
+        self._audited[group] = size
+        self._begin(group)
+        return f"{told}; as {size} loops agree with it, each group is compared with the others"
 
-    def _end_trial(self) -> bool:
-        """Keep what a trial has led to if more loops agree than before, else go back; whether it went back."""
-        before, self._trial = self._trial, None
-        used = self._map.used
-        if before is None or len(used) > len(before):
-            return False
-        wrong, missing = sorted(set(used) - set(before)), sorted(set(before) - set(used))
-        self._map.drop(wrong)
-        self._use(missing)
-        self._note(wrong, False, "taken out: the loops that agree with it do not outnumber those against it")
-        self._note(missing, True, "joined: those against it do not outnumber those that agree with it")
-        return True
+    def _members(self, group: int) -> list[int]:
+        return [k for k, of in self._group.items() if of == group]
+
+    def _begin(self, candidate: int | None) -> None:
+        """Begin to compare the groups in use, and a candidate, with one another."""
+        groups: dict[int, list[int]] = {}
+        for k in self._map.used:
+            groups.setdefault(self._group[k], []).append(k)
+        if candidate is not None:
+            groups[candidate] = self._members(candidate)
+        self._candidate = candidate
+        tied = {k: self._known[k].tied for members in groups.values() for k in members}
+        self._audit = Audit(self._map, tied, groups, self._drift) if len(groups) > 1 else None
+
+    def _conclude(self, audit: Audit) -> None:
+        """Do as an audit says."""
+        used, candidate = set(self._map.used), self._candidate
+        self._audit = self._candidate = None
+        for group, chi2 in audit.left_out.items():
+            wrong = [k for k in self._members(group) if k in used]
+            self._map.drop(wrong)
+            self._note(wrong, False, f"taken out: the other groups of loops put it {np.sqrt(chi2):.1f} sigma off")
+            self._moving = self._moving or bool(wrong)
+        if candidate is not None and candidate not in audit.left_out:
+            members = [k for k in self._members(candidate) if k not in used]
+            self._use(members)
+            self._note(members, True, f"joined: {len(members)} loops outweigh those against them")
 
     def _use(self, numbers: Iterable[int]) -> None:
         self._map.use({k: self._known[k].tied for k in numbers})
         self._moving = True
+        for group in sorted({self._group[k] for k in numbers}):
+            size = len(self._members(group))
+            if size >= 2 * self._audited.get(group, 1):
+                self._audited[group], self._due = size, True
 
     def _drop(self) -> bool:
         """Take out the loops in use that are too far from the map; whether there were any.
@@ -194,21 +221,28 @@ class LoopTrust:
         waiting = [k for k in self._known if k not in used] if used else []
         chi2 = self._map.chi2(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.inlier_chi2]
-        self._use(agree)
+        if agree:
+            self._use(agree)
         self._note(agree, True, "joined: the map agrees by now")
         return bool(agree)
 
-    def _surprise(self, known: _Known) -> float:
-        """Chi-square against the map; the drift that lasts is counted since the last frame that a loop holds."""
-        held = [self._known[k].loop.query for k in self._map.used]
-        last = max((frame for frame in held if frame <= known.loop.query), default=0)
-        return self._map.surprise(known.tied, self._chain.lasting(last, known.loop.query))
+    def _surprise(self, number: int) -> float:
+        return self._map.surprise(self._known[number].tied, self._drift(number, self._map.used))
 
-    def _companions(self, number: int, loop: LoopClosure) -> list[int]:
-        """Earlier loops of the same stretch that agree with this one, the latest first."""
-        near = [k for k, known in self._known.items() if k != number and self._of_one_stretch(known.loop, loop)]
-        asked = near[: -_COMPANIONS - 1 : -1]
-        return [k for k in asked if self._disagreement(self._known[k].loop, loop) <= self._config.agreement_chi2]
+    def _drift(self, number: int, others: Sequence[int]) -> Array:
+        """Covariance (6, 6) of the drift that lasts, from the query to the nearest frame that another loop holds."""
+        held = {frame for k in others for frame in (self._known[k].loop.query, self._known[k].loop.match)}
+        query = self._known[number].loop.query
+        nearest = min(held, key=lambda frame: (abs(frame - query), frame), default=0)
+        return self._chain.lasting(nearest, query)
+
+    def _near(self, loop: LoopClosure) -> list[int]:
+        """Earlier loops of the same stretch, the latest first."""
+        near = [k for k, known in self._known.items() if self._of_one_stretch(known.loop, loop)]
+        return near[: -_COMPANIONS - 1 : -1]
+
+    def _agree(self, a: LoopClosure, b: LoopClosure) -> bool:
+        return self._disagreement(a, b) <= self._config.agreement_chi2
 
     def _of_one_stretch(self, a: LoopClosure, b: LoopClosure) -> bool:
         reach, way = self._config.reach, self._chain.way
