@@ -18,6 +18,7 @@ from slam.loop_closing import LoopClosure
 from slam.pose_graph_drift import OdometryChain
 from slam.pose_graph_keys import KeyChain
 from slam.pose_graph_online import IncrementalMap
+from slam.pose_graph_what_if import surprise_by_others
 from slam.robust import LoopGate
 
 Array = NDArray[np.float64]
@@ -32,6 +33,7 @@ class TrustConfig:
     reach: float = 30.0  # metres of way within which two loops are of one stretch
     agreement_chi2: float = 22.5  # 99.9 %: two loops of one stretch further apart contradict each other
     inlier_chi2: float = 22.5  # 99.9 %: a loop further from the map, in its own sigmas, is not in agreement
+    width: float = 4.0  # Huber width of a loop, sigmas, where groups are compared
     surprise_chi2: float = 34.0  # 99.999 %: a loop further from the map, the map's doubt included, is excluded
 
 
@@ -88,6 +90,7 @@ class LoopTrust:
         self._audit: Audit | None = None
         self._candidate: int | None = None  # group outside the map that the audit is about
         self._due = False
+        self._excluded: list[int] = []  # groups to reconsider, as the map has changed
         self._moving = False
         self.history: list[Change] = []
 
@@ -116,11 +119,13 @@ class LoopTrust:
             if self._map.step():
                 self._moving = self._drop() or self._welcome()
         elif self._audit is not None:
-            if self._audit.step(self._config.surprise_chi2):
+            if self._audit.step():
                 self._conclude(self._audit)
         elif self._due:
             self._due = False
             self._begin(None)
+        elif self._excluded:
+            self._reconsider(self._excluded.pop())
 
     def _judge(self, number: int, loop: LoopClosure) -> str:
         tied = self._keys.tied(loop)
@@ -172,8 +177,7 @@ class LoopTrust:
         if candidate is not None:
             groups[candidate] = self._members(candidate)
         self._candidate = candidate
-        tied = {k: self._known[k].tied for members in groups.values() for k in members}
-        self._audit = Audit(self._map, tied, groups, self._drift) if len(groups) > 1 else None
+        self._audit = Audit(groups, self._by_others, self._config.surprise_chi2)
 
     def _conclude(self, audit: Audit) -> None:
         """Do as an audit says."""
@@ -188,6 +192,23 @@ class LoopTrust:
             members = [k for k in self._members(candidate) if k not in used]
             self._use(members)
             self._note(members, True, f"joined: {len(members)} loops outweigh those against them")
+        if self._moving:
+            self._excluded = [group for group in sorted(set(self._group.values())) if group != candidate]
+
+    def _reconsider(self, group: int) -> None:
+        """Take in a group that the map has excluded if it no longer does."""
+        used = self._map.used
+        waiting = [k for k in self._members(group) if k not in used]
+        if len(waiting) < 2 or not used:
+            return
+        surprise = self._surprise(waiting[len(waiting) // 2])
+        if surprise <= self._config.surprise_chi2:
+            self._use(waiting)
+            self._note(waiting, True, f"joined: {np.sqrt(surprise):.1f} sigma from the map by now")
+
+    def _by_others(self, number: int, others: Sequence[int]) -> float:
+        loops, drift = [self._known[k].loop for k in others], self._drift(number, others)
+        return surprise_by_others(self._known[number].loop, loops, self._chain, self._config.width, drift)
 
     def _use(self, numbers: Iterable[int]) -> None:
         self._map.use({k: self._known[k].tied for k in numbers})

@@ -6,7 +6,7 @@ way. The last two are needed because frame-to-frame covariances know nothing of 
 drives the squared error after fifty frames is ten to a thousand times what they add up to.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,15 +105,22 @@ class OdometryChain:
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
         return Ad @ (lever * self._budget.variances) @ lever.T @ Ad.T
 
+    def __getitem__(self, frame: int) -> Array:
+        return self._poses[frame]
+
+    def passing(self, first: int, second: int) -> Between:
+        """As `between` for first < second, without the bias that lasts."""
+        scatter = self._scatter[second] - self._scatter[first]
+        Ad = se3.adjoint(se3.inverse(self._poses[second]))
+        T = se3.inverse(self._poses[first]) @ self._poses[second]
+        return Between(T, Ad @ scatter @ Ad.T, self._way[second] - self._way[first])
+
     def between(self, first: int, second: int) -> Between:
         """Relative pose of two frames with its uncertainty; the time taken does not grow with the way."""
         if first > second:
             return _turned(self.between(second, first))
-        scatter = self._scatter[second] - self._scatter[first]
-        Ad = se3.adjoint(se3.inverse(self._poses[second]))
-        T = se3.inverse(self._poses[first]) @ self._poses[second]
-        covariance = Ad @ scatter @ Ad.T + self.lasting(first, second)
-        return Between(T, covariance, self._way[second] - self._way[first])
+        passing = self.passing(first, second)
+        return replace(passing, covariance=passing.covariance + self.lasting(first, second))
 
 
 def _turned(between: Between) -> Between:

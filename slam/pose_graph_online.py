@@ -12,7 +12,6 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry import se3
 from slam import pose_graph_solver as solver
 from slam.loop_closing import LoopClosure
 
@@ -39,7 +38,6 @@ class IncrementalMap:
         self._isam = _isam(config)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # what iSAM2 has not heard of
         self._graph.add(solver.anchor(np.eye(4)))
-        self._chain = gtsam.NonlinearFactorGraph(self._graph)
         self._values.insert(0, gtsam.Pose3())
         self._estimate = gtsam.Values(self._values)
         self._newest = 0
@@ -51,7 +49,7 @@ class IncrementalMap:
     @property
     def T_world_newest(self) -> Array:
         """(4, 4) of the newest key."""
-        return self._estimate.atPose3(self._newest).matrix()
+        return self.pose(self._newest)
 
     @property
     def used(self) -> tuple[int, ...]:
@@ -62,9 +60,7 @@ class IncrementalMap:
         """Add the next key by its motion (4, 4) and covariance (6, 6)."""
         pose = gtsam.Pose3(self.T_world_newest @ T_previous_key)
         self._newest += 1
-        factor = solver.motion_factor(self._newest, T_previous_key, covariance)
-        self._graph.add(factor)
-        self._chain.add(factor)
+        self._graph.add(solver.motion_factor(self._newest, T_previous_key, covariance))
         self._values.insert(self._newest, pose)
         self._estimate.insert(self._newest, pose)
 
@@ -116,46 +112,15 @@ class IncrementalMap:
         """
         self._tell()
         joint = self._isam.jointMarginalCovariance([loop.match, loop.query])
-        return _surprise(self._estimate, joint, loop, drift)
+        return solver.surprise(self._estimate, joint, loop, drift)
 
-    def leaning_on(self, loops: Iterable[LoopClosure]) -> "BatchMap":
-        """Make the map that other loops would give, with the keys so far; this one is left as it is."""
-        graph = gtsam.NonlinearFactorGraph(self._chain)
-        for loop in loops:
-            graph.add(solver.loop_factor(loop, "huber", self._config.width))
-        return BatchMap(graph, self._estimate)
+    def pose(self, key: int) -> Array:
+        """T_world_key (4, 4) of a key."""
+        return self._estimate.atPose3(key).matrix()
 
     def poses(self) -> Array:
         """T_world_key (K, 4, 4) of all keys."""
         return solver.to_poses(self._estimate)
-
-
-class BatchMap:
-    """A map that is asked what if; solved by Gauss and Newton, a step at a time."""
-
-    def __init__(self, graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> None:
-        self._graph = graph
-        self._optimizer = gtsam.GaussNewtonOptimizer(graph, start)
-
-    def step(self) -> None:
-        """Take one step of optimisation."""
-        self._optimizer.iterate()
-
-    def surprise(self, loop: LoopClosure, drift: Array) -> float:
-        """As `IncrementalMap.surprise`."""
-        values = self._optimizer.values()
-        joint = gtsam.Marginals(self._graph, values).jointMarginalCovariance([loop.match, loop.query])
-        return _surprise(values, joint, loop, drift)
-
-
-def _surprise(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, drift: Array) -> float:
-    T_world_match, T_world_query = (values.atPose3(key).matrix() for key in (loop.match, loop.query))
-    T_match_query = se3.inverse(T_world_match) @ T_world_query
-    J = np.hstack([-se3.adjoint(se3.inverse(T_match_query)), np.eye(6)])
-    ends = (loop.match, loop.query)
-    sure = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
-    error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
-    return float(error @ np.linalg.solve(sure + drift + loop.covariance, error))
 
 
 def _isam(config: IncrementalConfig) -> gtsam.ISAM2:

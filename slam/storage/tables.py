@@ -1,7 +1,8 @@
 """The tables of a run.
 
 `frames.csv` has a line for each frame, `loops.csv` is the ledger of every belief, and `loop_stages.csv` holds what
-each stage measured of it. Unknown values (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
+each stage measured of it. Unknown values (None, NaN) are empty cells, truth values are `true` and `false`,
+numbers keep every digit.
 """
 
 import csv
