@@ -107,7 +107,6 @@ def synthetic_drive(folder: Path, sequence: str = "00", every: int = 1) -> Drive
     rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows
-    poses[:, :3, :3] = Rotation.from_matrix(poses[:, :3, :3]).as_matrix()  # seven digits are not a rotation yet
     sigmas, bias = np.repeat([2e-4, 0.01], 3), np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])
     steps = se3.inverse(poses[:-1]) @ poses[1:]
     motions = [(T @ se3.exp(bias + rng.normal(0.0, sigmas)), np.diag(sigmas**2)) for T in steps]
