@@ -6,35 +6,30 @@ such a companion it must be one that the map, as sure as it is, does not exclude
 doubled, each is compared with what the others say (`loop_audit`): those in the map, and one that the map excludes.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry import se3
 from slam.loop_audit import Audit
 from slam.loop_closing import LoopClosure
+from slam.loop_groups import GroupConfig, LoopGroups
 from slam.pose_graph_drift import OdometryChain
 from slam.pose_graph_keys import KeyChain
 from slam.pose_graph_online import IncrementalMap
-from slam.pose_graph_what_if import surprise_by_others
 from slam.robust import LoopGate
 
 Array = NDArray[np.float64]
 
-_COMPANIONS = 12  # earlier loops of the stretch that are asked, the latest first
-
 
 @dataclass(frozen=True)
 class TrustConfig:
-    """When loops agree; chi-squares of 6 degrees of freedom."""
+    """When the map leans on a loop; chi-squares of 6 degrees of freedom."""
 
-    reach: float = 30.0  # metres of way within which two loops are of one stretch
-    agreement_chi2: float = 22.5  # 99.9 %: two loops of one stretch further apart contradict each other
     inlier_chi2: float = 22.5  # 99.9 %: a loop further from the map, in its own sigmas, is not in agreement
-    width: float = 4.0  # Huber width of a loop, sigmas, where groups are compared
     surprise_chi2: float = 34.0  # 99.999 %: a loop further from the map, the map's doubt included, is excluded
+    groups: GroupConfig = field(default_factory=GroupConfig)
 
 
 @dataclass(frozen=True)
@@ -71,21 +66,12 @@ class Change:
     reason: str
 
 
-@dataclass(frozen=True)
-class _Known:
-    """A loop that passed the gate: between frames, and between their keys."""
-
-    loop: LoopClosure
-    tied: LoopClosure
-
-
 class LoopTrust:
     """Takes loops one by one and keeps the map on those that agree."""
 
     def __init__(self, chain: OdometryChain, keys: KeyChain, map_: IncrementalMap, config: TrustConfig) -> None:
         self._chain, self._keys, self._map, self._config = chain, keys, map_, config
-        self._known: dict[int, _Known] = {}
-        self._group: dict[int, int] = {}  # loop to the first loop that it agrees with, directly or through others
+        self._groups = LoopGroups(chain, config.groups)
         self._audited: dict[int, int] = {}  # group to its size when it was last audited
         self._audit: Audit | None = None
         self._candidate: int | None = None  # group outside the map that the audit is about
@@ -131,18 +117,15 @@ class LoopTrust:
         tied = self._keys.tied(loop)
         if tied is None:
             return "waits: both frames hang on one key frame, so there is nothing to correct"
-        near = self._near(loop)
-        first = next((k for k in near if self._agree(self._known[k].loop, loop)), None)
-        self._group[number] = number if first is None else self._group[first]
-        self._known[number] = _Known(loop, tied)
+        companions = self._groups.add(number, loop, tied)
         self._map.know(number, tied)
         chi2 = float(self._map.chi2([number])[0])
         if self._map.used and chi2 <= self._config.inlier_chi2:
             self._use([number])
             return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma"
-        if first is None:
+        if not companions:
             return "waits: drift explains it, but no other loop of this stretch agrees yet"
-        return self._with_company(number, [k for k in near if self._group[k] == self._group[first]])
+        return self._with_company(number, companions)
 
     def _with_company(self, number: int, companions: list[int]) -> str:
         used = self._map.used
@@ -158,47 +141,44 @@ class LoopTrust:
     def _challenge(self, number: int, surprise: float) -> str:
         """Have a group that the map excludes compared with the groups that the map leans on."""
         told = f"waits: {np.sqrt(surprise):.1f} sigma from the map (limit {np.sqrt(self._config.surprise_chi2):.1f})"
-        group = self._group[number]
-        size = len(self._members(group))
+        group = self._groups[number].group
+        size = len(self._groups.members(group))
         if self._audit is not None or size < 2 * self._audited.get(group, 1):
             return told
         self._audited[group] = size
         self._begin(group)
         return f"{told}; as {size} loops agree with it, each group is compared with the others"
 
-    def _members(self, group: int) -> list[int]:
-        return [k for k, of in self._group.items() if of == group]
-
     def _begin(self, candidate: int | None) -> None:
         """Begin to compare the groups in use, and a candidate, with one another."""
         groups: dict[int, list[int]] = {}
         for k in self._map.used:
-            groups.setdefault(self._group[k], []).append(k)
+            groups.setdefault(self._groups[k].group, []).append(k)
         if candidate is not None:
-            groups[candidate] = self._members(candidate)
+            groups[candidate] = self._groups.members(candidate)
         self._candidate = candidate
-        self._audit = Audit(groups, self._by_others, self._config.surprise_chi2)
+        self._audit = Audit(groups, self._groups.by_others, self._config.surprise_chi2)
 
     def _conclude(self, audit: Audit) -> None:
         """Do as an audit says."""
         used, candidate = set(self._map.used), self._candidate
         self._audit = self._candidate = None
         for group, chi2 in audit.left_out.items():
-            wrong = [k for k in self._members(group) if k in used]
+            wrong = [k for k in self._groups.members(group) if k in used]
             self._map.drop(wrong)
             self._note(wrong, False, f"taken out: the other groups of loops put it {np.sqrt(chi2):.1f} sigma off")
             self._moving = self._moving or bool(wrong)
         if candidate is not None and candidate not in audit.left_out:
-            members = [k for k in self._members(candidate) if k not in used]
+            members = [k for k in self._groups.members(candidate) if k not in used]
             self._use(members)
             self._note(members, True, f"joined: {len(members)} loops outweigh those against them")
         if self._moving:
-            self._excluded = [group for group in sorted(set(self._group.values())) if group != candidate]
+            self._excluded = [group for group in self._groups.names if group != candidate]
 
     def _reconsider(self, group: int) -> None:
         """Take in a group that the map has excluded if it no longer does."""
         used = self._map.used
-        waiting = [k for k in self._members(group) if k not in used]
+        waiting = [k for k in self._groups.members(group) if k not in used]
         if len(waiting) < 2 or not used:
             return
         surprise = self._surprise(waiting[len(waiting) // 2])
@@ -206,15 +186,11 @@ class LoopTrust:
             self._use(waiting)
             self._note(waiting, True, f"joined: {np.sqrt(surprise):.1f} sigma from the map by now")
 
-    def _by_others(self, number: int, others: Sequence[int]) -> float:
-        loops, drift = [self._known[k].loop for k in others], self._drift(number, others)
-        return surprise_by_others(self._known[number].loop, loops, self._chain, self._config.width, drift)
-
     def _use(self, numbers: Iterable[int]) -> None:
-        self._map.use({k: self._known[k].tied for k in numbers})
+        self._map.use({k: self._groups[k].tied for k in numbers})
         self._moving = True
-        for group in sorted({self._group[k] for k in numbers}):
-            size = len(self._members(group))
+        for group in sorted({self._groups[k].group for k in numbers}):
+            size = len(self._groups.members(group))
             if size >= 2 * self._audited.get(group, 1):
                 self._audited[group], self._due = size, True
 
@@ -239,7 +215,7 @@ class LoopTrust:
     def _welcome(self) -> bool:
         """Take in the waiting loops that the map agrees with by now; whether there were any."""
         used = self._map.used
-        waiting = [k for k in self._known if k not in used] if used else []
+        waiting = [k for k in self._groups.numbers if k not in used] if used else []
         chi2 = self._map.chi2(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.inlier_chi2]
         if agree:
@@ -248,36 +224,7 @@ class LoopTrust:
         return bool(agree)
 
     def _surprise(self, number: int) -> float:
-        return self._map.surprise(self._known[number].tied, self._drift(number, self._map.used))
-
-    def _drift(self, number: int, others: Sequence[int]) -> Array:
-        """Covariance (6, 6) of the drift that lasts, from the query to the nearest frame that another loop holds."""
-        held = {frame for k in others for frame in (self._known[k].loop.query, self._known[k].loop.match)}
-        query = self._known[number].loop.query
-        nearest = min(held, key=lambda frame: (abs(frame - query), frame), default=0)
-        return self._chain.lasting(nearest, query)
-
-    def _near(self, loop: LoopClosure) -> list[int]:
-        """Earlier loops of the same stretch, the latest first."""
-        near = [k for k, known in self._known.items() if self._of_one_stretch(known.loop, loop)]
-        return near[: -_COMPANIONS - 1 : -1]
-
-    def _agree(self, a: LoopClosure, b: LoopClosure) -> bool:
-        return self._disagreement(a, b) <= self._config.agreement_chi2
-
-    def _of_one_stretch(self, a: LoopClosure, b: LoopClosure) -> bool:
-        reach, way = self._config.reach, self._chain.way
-        return abs(way(a.query) - way(b.query)) <= reach and abs(way(a.match) - way(b.match)) <= reach
-
-    def _disagreement(self, a: LoopClosure, b: LoopClosure) -> float:
-        """Chi-square of the cycle through two loops and the odometry between their ends."""
-        matches, queries = self._chain.between(a.match, b.match), self._chain.between(a.query, b.query)
-        by_a = a.T_match_query @ queries.T_first_second
-        by_b = matches.T_first_second @ b.T_match_query
-        covariance = se3.compose_covariance(a.covariance, queries.T_first_second, queries.covariance)
-        covariance += se3.compose_covariance(matches.covariance, b.T_match_query, b.covariance)
-        error = se3.log(se3.inverse(by_b) @ by_a)
-        return float(error @ np.linalg.solve(covariance, error))
+        return self._map.surprise(self._groups[number].tied, self._groups.drift(number, self._map.used))
 
     def _note(self, numbers: Iterable[int], joined: bool, reason: str) -> None:
         self.history += [Change(len(self._chain) - 1, number, joined, reason) for number in numbers]

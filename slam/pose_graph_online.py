@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from slam import pose_graph_solver as solver
 from slam.loop_closing import LoopClosure
+from slam.pose_graph_what_if import surprise
 
 Array = NDArray[np.float64]
 
@@ -112,7 +113,7 @@ class IncrementalMap:
         """
         self._tell()
         joint = self._isam.jointMarginalCovariance([loop.match, loop.query])
-        return solver.surprise(self._estimate, joint, loop, drift)
+        return surprise(self._estimate, joint, loop, drift)
 
     def pose(self, key: int) -> Array:
         """T_world_key (4, 4) of a key."""

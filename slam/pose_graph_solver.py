@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from slam.loop_closing import LoopClosure
-from slam.pose_graph_drift import Between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,12 +33,6 @@ def motion_factor(current: int, T_previous_current: Array, covariance: Array) ->
     """Odometry from frame current - 1 to current, covariance (6, 6) rotation first."""
     noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
     return gtsam.BetweenFactorPose3(current - 1, current, gtsam.Pose3(T_previous_current), noise)
-
-
-def between_factor(first: int, second: int, between: Between) -> gtsam.BetweenFactorPose3:
-    """Odometry between any two frames."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(between.covariance)
-    return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(between.T_first_second), noise)
 
 
 def loop_factor(closure: LoopClosure, kernel: str | None = None, width: float = 0.0) -> gtsam.BetweenFactorPose3:
@@ -75,24 +68,6 @@ def loop_chi2(closures: Sequence[LoopClosure], poses: Array) -> Array:
         error = se3.log(se3.inverse(c.T_match_query) @ T_match_query)
         out[k] = error @ np.linalg.solve(c.covariance, error)
     return out
-
-
-def surprise(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, drift: Array) -> float:
-    """Chi-square of a loop that is not in a graph against the graph, as sure as that is.
-
-    Args:
-        values: where the graph is solved.
-        joint: marginal of the loop's two poses.
-        loop: with its own covariance.
-        drift: (6, 6) covariance of T_match_query that the graph knows nothing of.
-    """
-    T_world_match, T_world_query = (values.atPose3(key).matrix() for key in (loop.match, loop.query))
-    T_match_query = se3.inverse(T_world_match) @ T_world_query
-    J = np.hstack([-se3.adjoint(se3.inverse(T_match_query)), np.eye(6)])
-    ends = (loop.match, loop.query)
-    sure = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
-    error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
-    return float(error @ np.linalg.solve(sure + drift + loop.covariance, error))
 
 
 class GraphProblem:

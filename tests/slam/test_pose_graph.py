@@ -8,6 +8,7 @@ import pytest
 from odometry import se3
 from slam.errors import ConfigError, GraphError
 from slam.loop_closing import LoopClosure
+from slam.loop_groups import GroupConfig
 from slam.loop_trust import TrustConfig
 from slam.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph_drift import DriftBudget
@@ -18,7 +19,7 @@ from slam.storage.g2o import chain_graph, read_g2o, write_g2o
 
 from .laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, settled
 
-CREDULOUS = TrustConfig(agreement_chi2=1e9, inlier_chi2=1e9, surprise_chi2=1e9)
+CREDULOUS = TrustConfig(1e9, 1e9, GroupConfig(agreement_chi2=1e9))
 PLAIN = PoseGraphConfig(
     keys=KeySpacing(way=0.0), online=IncrementalConfig(width=1e6, relinearize_threshold=1e-6), trust=CREDULOUS
 )
