@@ -112,7 +112,8 @@ def _told(run: _Run, row: LoopRow) -> Iterator[str]:
     stage = run.stages.get((row.query, row.match), StageRow(row.query, row.match))
     verdict = "closed" if row.in_graph else "not closed"
     yield f"Frame {row.query} with frame {row.match}: {verdict}."
-    accepted = "taken for a revisit" if row.accepted else f"not taken for a revisit ({row.reason})"
+    why = row.reason.removeprefix("not accepted: ")
+    accepted = "taken for a revisit" if row.accepted else f"not taken for a revisit: {why}"
     yield _line("recogniser", f"{run.paradigm}: score {row.score:.3g}, {accepted}")
     yield _line("epipolar proof", _epipolar(stage))
     yield _line("relative pose", _relative_pose(row, stage))
@@ -121,7 +122,8 @@ def _told(run: _Run, row: LoopRow) -> Iterator[str]:
         yield _line("" if number else "while driving", change)
     yield _line("final map", _back_end(row))
     if row.truth is not None:
-        yield _line("ground truth", "a true revisit" if row.truth else "not a revisit, or not the measured one")
+        wrong = "not a revisit, or its relative pose is wrong" if row.verified else "not a revisit"
+        yield _line("ground truth", "a true revisit" if row.truth else wrong)
 
 
 def _line(stage: str, said: str) -> str:
