@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 _SPOKESMEN = 6  # loops of a group that speak for it, evenly spread: neighbours say the same
-_ALIKE = 0.8  # groups at so much of the largest surprise or more are equally suspect
+_ALIKE = 0.5  # groups at so much of the largest surprise or more are equally suspect; 0.8 loses to many false ones
 
 Surprise = Callable[[int, Sequence[int]], float]
 """Chi-square of a loop against the map that other loops make; by their numbers."""

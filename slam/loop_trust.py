@@ -6,6 +6,7 @@ such a companion it must be one that the map, as sure as it is, does not exclude
 doubled, each is compared with what the others say (`loop_audit`): those in the map, and one that the map excludes.
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -21,6 +22,8 @@ from slam.pose_graph_online import IncrementalMap
 from slam.robust import LoopGate
 
 Array = NDArray[np.float64]
+
+_DROPS = 3  # times that a loop may come and go; without an end two that exclude each other would take turns
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,7 @@ class LoopTrust:
         self._audited: dict[int, int] = {}  # group to its size when it was last audited
         self._audit: Audit | None = None
         self._candidate: int | None = None  # group outside the map that the audit is about
+        self._dropped: Counter[int] = Counter()  # how often the map has contradicted each loop
         self._due = False
         self._excluded: list[int] = []  # groups to reconsider, as the map has changed
         self._moving = False
@@ -204,6 +208,7 @@ class LoopTrust:
         limit = max(self._config.inlier_chi2, 0.5 * float(chi2.max(initial=0.0)))
         wrong = [used[k] for k in np.flatnonzero(chi2 > limit)]
         self._map.drop(wrong)
+        self._dropped.update(wrong)
         self._note(wrong, False, f"taken out: over {np.sqrt(limit):.1f} sigma from the map that the others make")
         if len(used) - len(wrong) == 1:
             (last,) = set(used) - set(wrong)
@@ -215,7 +220,7 @@ class LoopTrust:
     def _welcome(self) -> bool:
         """Take in the waiting loops that the map agrees with by now; whether there were any."""
         used = self._map.used
-        waiting = [k for k in self._groups.numbers if k not in used] if used else []
+        waiting = [k for k in self._groups.numbers if k not in used and self._dropped[k] < _DROPS] if used else []
         chi2 = self._map.chi2(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.inlier_chi2]
         if agree:
