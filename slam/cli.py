@@ -244,6 +244,21 @@ def filter_train(
 
 
 @app.command()
+def explain(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    query: Annotated[int, typer.Argument(help="Frame that was asked about, counted from 0.")],
+    match: Annotated[int | None, typer.Argument(help="Earlier frame; without it the recogniser's best.")] = None,
+) -> None:
+    """Tell why a loop was or was not closed, stage by stage, with the numbers.
+
+    Example: revisit explain runs/demo 420
+    """
+    from slam.explain import explain as told
+
+    Console().print(told(run, query, match), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
 def doctor() -> None:
     """Check Python, the wheels and the system libraries; say what is missing and what to type."""
     from slam.doctor import check_machine

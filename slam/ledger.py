@@ -1,12 +1,16 @@
 """The ledger: what became of each belief, in one row, with the reason in plain words."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
-from slam.record import LoopRow
-from slam.robust import Optimized
+from slam.loop_trust import Change
+from slam.record import LoopRow, StageRow
+from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
 Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
@@ -59,4 +63,51 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
         residual=float(optimized.residuals[number]),
         truth=judge(closure.query, closure.match, closure),
         reason=optimized.reasons[number],
+    )
+
+
+ONLINE_SEPARATOR = " | "
+
+
+def stage_rows(
+    attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate], history: Iterable[Change]
+) -> tuple[StageRow, ...]:
+    """What each stage measured, one row for each belief that has a match, by query.
+
+    Args:
+        attempts: in the order in which they were made.
+        gates: verdicts on the closures among them, in the same order.
+        history: what became of those closures online.
+    """
+    lives: list[list[str]] = [[] for _ in gates]
+    for change in history:
+        lives[change.loop].append(f"frame {change.frame}: {change.reason}")
+    rows, closures = [], 0
+    for attempt in attempts:
+        belief = attempt.belief
+        if belief.match is None:
+            continue
+        row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
+        if isinstance(attempt.geometry, LoopClosure):
+            gate, online = gates[closures], ONLINE_SEPARATOR.join(lives[closures])
+            row = _measured(replace(row, online=online), attempt.geometry, gate)
+            closures += 1
+        rows.append(row)
+    return tuple(sorted(rows, key=lambda row: row.query))
+
+
+def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
+    x, y, z = closure.T_match_query[:3, 3].tolist()
+    variances = np.diag(closure.covariance)
+    return replace(
+        row,
+        x=x,
+        y=y,
+        z=z,
+        turn_deg=float(np.degrees(se3.angle(closure.T_match_query))),
+        sigma_m=float(np.sqrt(variances[3:].mean())),
+        sigma_deg=float(np.degrees(np.sqrt(variances[:3].mean()))),
+        gate_residual=gate.residual,
+        gate_passed=gate.passed,
+        gate_reason=gate.reason,
     )

@@ -15,7 +15,11 @@ from slam import pose_graph_solver as solver
 from slam import robust as robust_ends
 from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
+from slam.loop_trust import Admission, Change, LoopTrust, TrustConfig
 from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.pose_graph_keys import KeyChain, KeySpacing
+from slam.pose_graph_marginals import marginal_covariances
+from slam.pose_graph_online import IncrementalConfig, IncrementalMap
 from slam.robust import LoopGate, Optimized
 
 Array = NDArray[np.float64]
@@ -31,10 +35,9 @@ class PoseGraphConfig:
     loop_sigma_m: float = 0.05  # of translation, metres
     gate_chi2: float = 34.0  # 99.999 % of 6 dof: a loop further from odometry than this is none
     inlier_chi2: float = 22.5  # 99.9 % of 6 dof: a loop further from the optimised map than this is false
-    online_width: float = 4.0  # Huber width of a loop online, sigmas
-    relinearize_threshold: float = 0.1  # change of a pose that has it linearised again, rad or m
-    relinearize_skip: int = 10  # updates between looks at that threshold
-    settle_updates: int = 1  # further updates right after a loop
+    keys: KeySpacing = field(default_factory=KeySpacing)  # which frames are optimised online
+    trust: TrustConfig = field(default_factory=TrustConfig)  # which loops the online map leans on
+    online: IncrementalConfig = field(default_factory=IncrementalConfig)
 
     def softened(self, closure: LoopClosure) -> LoopClosure:
         """Give a loop the covariance that the graph believes."""
@@ -56,11 +59,9 @@ class PoseGraph:
         self._edges: list[tuple[Array, Array]] = []
         self._loops: list[LoopClosure] = []
         self._gates: list[LoopGate] = []
-        self._isam = _incremental(self.config)
-        self._waiting = _Waiting()
-        self._waiting.graph.add(solver.anchor(np.eye(4)))
-        self._waiting.values.insert(0, gtsam.Pose3())
-        self._newest = np.eye(4)
+        self._keys = KeyChain(self.config.keys)
+        self._map = IncrementalMap(self.config.online)
+        self._trust = LoopTrust(self._chain, self._keys, self._map, self.config.trust)
 
     def __len__(self) -> int:
         return len(self._chain)
@@ -88,16 +89,16 @@ class PoseGraph:
         """
         stated = _checked(covariance, f"motion to frame {len(self)}")
         real = self.config.drift.of_motion(T_previous_current, stated)
-        factor = solver.motion_factor(len(self), T_previous_current, real)
-        self._newest = self._newest @ T_previous_current
-        self._waiting.values.insert(len(self), gtsam.Pose3(self._newest))
-        self._waiting.graph.add(factor)
-        self._motions.add(factor)
+        self._motions.add(solver.motion_factor(len(self), T_previous_current, real))
         self._edges.append((T_previous_current, covariance))
         self._chain.append(T_previous_current, stated)
+        key = self._keys.append(T_previous_current, real)
+        if key is not None:
+            self._map.add_key(key.T_key_frame, key.covariance)
+        self._trust.review()
 
-    def add_loop(self, closure: LoopClosure) -> LoopGate:
-        """Judge a loop against odometry's drift; one that passes enters the online estimate.
+    def add_loop(self, closure: LoopClosure) -> Admission:
+        """Judge a loop against odometry's drift and against the loops so far; the online map may lean on it.
 
         Raises:
             GraphError: a frame is not in the graph, or the covariance is not positive definite.
@@ -107,24 +108,36 @@ class PoseGraph:
         gate = self._gate(soft)
         self._loops.append(closure)
         self._gates.append(gate)
-        if gate.passed:
-            self._waiting.graph.add(solver.loop_factor(soft, "huber", self.config.online_width))
-            self._waiting.loops += 1
-        return gate
+        return self._trust.offer(len(self._loops) - 1, soft, gate)
 
     def latest(self) -> Array:
         """T_world_camera (4, 4) of the newest frame by all that is known now."""
-        self._update()
-        return self._newest
+        return self._map.T_world_newest @ self._keys[len(self) - 1].T_key_frame
 
     def poses(self) -> Array:
         """T_world_camera (N, 4, 4) of all frames by all that is known now."""
-        self._update()
-        return solver.to_poses(self._isam.calculateEstimate())
+        return self._keys.poses(self._map.poses())
+
+    @property
+    def history(self) -> tuple[Change, ...]:
+        """What became of the loops online, as it happened."""
+        return tuple(self._trust.history)
 
     def odometry_poses(self) -> Array:
         """T_world_camera (N, 4, 4) by odometry alone."""
         return self._chain.poses
+
+    def odometry_covariances(self) -> Array:
+        """Covariances (N, 6, 6) of odometry's poses, drift budget included; frame 0 is held."""
+        return self._chain.covariances()
+
+    def covariances(self, optimized: Optimized) -> Array:
+        """Covariances (N, 6, 6) of the poses that an optimisation has led to, by the loops that it kept."""
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(self._motions)
+        for number in np.flatnonzero(optimized.kept):
+            graph.add(solver.loop_factor(self.config.softened(self._loops[number])))
+        return marginal_covariances(graph, optimized.poses, self._chain.lasting_sigmas())
 
     def optimize(self, robust: str = robust_ends.DEFAULT) -> Optimized:
         """Optimise everything at once under a robust back end of `slam.robust.BACK_ENDS`.
@@ -175,34 +188,6 @@ class PoseGraph:
             f"{residual:.1f} sigma (limit {np.sqrt(self.config.gate_chi2):.1f})"
         )
         return LoopGate(passed, residual, reason)
-
-    def _update(self) -> None:
-        """Hand to iSAM2 what has been added since the last time."""
-        waiting = self._waiting
-        if waiting.graph.size() == 0:
-            return
-        self._isam.update(waiting.graph, waiting.values)
-        for _ in range(self.config.settle_updates if waiting.loops else 0):
-            self._isam.update()
-        self._waiting = _Waiting()
-        self._newest = self._isam.calculateEstimatePose3(len(self) - 1).matrix()
-
-
-class _Waiting:
-    """Factors and first guesses that iSAM2 has not seen yet."""
-
-    def __init__(self) -> None:
-        self.graph = gtsam.NonlinearFactorGraph()
-        self.values = gtsam.Values()
-        self.loops = 0
-
-
-def _incremental(config: PoseGraphConfig) -> gtsam.ISAM2:
-    params = gtsam.ISAM2Params()
-    params.setRelinearizeThreshold(config.relinearize_threshold)
-    params.relinearizeSkip = config.relinearize_skip
-    params.enablePartialRelinearizationCheck = True  # stops at quiet cliques: a third less time
-    return gtsam.ISAM2(params)
 
 
 def _checked(covariance: Array, name: str) -> Array:

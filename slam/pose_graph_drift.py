@@ -6,7 +6,7 @@ way. The last two are needed because frame-to-frame covariances know nothing of 
 drives the squared error after fifty frames is ten to a thousand times what they add up to.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,14 @@ class OdometryChain:
         """T_world_camera (4, 4) of the newest frame."""
         return self._poses[-1]
 
+    def covariances(self) -> Array:
+        """Covariances (N, 6, 6) of all frames against the first one, as `between` gives them."""
+        return np.array([self.between(0, frame).covariance for frame in range(len(self))])
+
+    def lasting_sigmas(self) -> Array:
+        """(N - 1, 6) standard deviations of the lasting error of each motion, rotation first."""
+        return np.diff(self._way)[:, None] * np.sqrt(self._budget.variances)
+
     def append(self, T_previous_current: Array, covariance: Array) -> None:
         """Add a motion (4, 4) with its stated covariance (6, 6) of the right perturbation, rotation first."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))
@@ -87,10 +95,34 @@ class OdometryChain:
         self._scatter.append(self._scatter[-1] + Ad @ covariance @ Ad.T)
         self._lever.append(self._lever[-1] + step * Ad)
 
-    def between(self, first: int, second: int) -> Between:
-        """Relative pose of two frames, first < second, with its uncertainty; the time taken does not grow."""
+    def way(self, frame: int) -> float:
+        """Metres driven up to a frame."""
+        return self._way[frame]
+
+    def lasting(self, first: int, second: int) -> Array:
+        """Covariance (6, 6) of frame second in its own frame by the lasting bias since frame first alone."""
         lever = self._lever[second] - self._lever[first]
-        world = self._scatter[second] - self._scatter[first] + (lever * self._budget.variances) @ lever.T
+        Ad = se3.adjoint(se3.inverse(self._poses[second]))
+        return Ad @ (lever * self._budget.variances) @ lever.T @ Ad.T
+
+    def __getitem__(self, frame: int) -> Array:
+        return self._poses[frame]
+
+    def passing(self, first: int, second: int) -> Between:
+        """As `between` for first < second, without the bias that lasts."""
+        scatter = self._scatter[second] - self._scatter[first]
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
         T = se3.inverse(self._poses[first]) @ self._poses[second]
-        return Between(T, Ad @ world @ Ad.T, self._way[second] - self._way[first])
+        return Between(T, Ad @ scatter @ Ad.T, self._way[second] - self._way[first])
+
+    def between(self, first: int, second: int) -> Between:
+        """Relative pose of two frames with its uncertainty; the time taken does not grow with the way."""
+        if first > second:
+            return _turned(self.between(second, first))
+        passing = self.passing(first, second)
+        return replace(passing, covariance=passing.covariance + self.lasting(first, second))
+
+
+def _turned(between: Between) -> Between:
+    Ad = se3.adjoint(between.T_first_second)
+    return Between(se3.inverse(between.T_first_second), Ad @ between.covariance @ Ad.T, between.way)

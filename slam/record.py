@@ -40,6 +40,39 @@ class LoopRow:
 
 
 @dataclass(frozen=True)
+class StageRow:
+    """One line of `loop_stages.csv`: what each stage measured of a belief; NaN and empty where it never got there.
+
+    Attributes:
+        query, match: frame indices.
+        epipolar_inliers: matches that agree with one epipolar geometry; None where none was sought.
+        epipolar_verified: False where that was tried and failed.
+        x, y, z: metres, where the query's camera is in the match's frame (right, down, forward).
+        turn_deg: angle between the two cameras, degrees.
+        sigma_m, sigma_deg: of position and angle along each axis, by the covariance of the relative pose.
+        gate_residual: square root of chi-square (6 degrees of freedom) against odometry and its drift.
+        gate_passed: drift explains the loop; None where it was not asked.
+        gate_reason: in plain words.
+        online: what became of the loop while driving: `frame 120: waits ...`, one after the other by ` | `.
+    """
+
+    query: int
+    match: int
+    epipolar_inliers: int | None = None
+    epipolar_verified: bool = True
+    x: float = float("nan")
+    y: float = float("nan")
+    z: float = float("nan")
+    turn_deg: float = float("nan")
+    sigma_m: float = float("nan")
+    sigma_deg: float = float("nan")
+    gate_residual: float = float("nan")
+    gate_passed: bool | None = None
+    gate_reason: str = ""
+    online: str = ""
+
+
+@dataclass(frozen=True)
 class Cloud:
     """Points of the map.
 
@@ -69,6 +102,9 @@ class DriveRecord:
         stage_ms: milliseconds of each stage for each frame, stage name to (N,).
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
+        stages: what each stage measured of each row of the ledger.
+        odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the
+            first pose held; None where they are not known.
     """
 
     name: str
@@ -84,3 +120,6 @@ class DriveRecord:
     map_before: Cloud
     map_after: Cloud
     metrics: dict[str, object]
+    stages: tuple[StageRow, ...] = ()
+    odometry_covariances: Array | None = None
+    corrected_covariances: Array | None = None

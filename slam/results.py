@@ -14,7 +14,7 @@ from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
-from slam.ledger import Judge, write_ledger
+from slam.ledger import Judge, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
@@ -23,9 +23,10 @@ from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
+from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
 from slam.storage.metrics import write_metrics
-from slam.storage.tables import write_frames, write_loops
+from slam.storage.tables import write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 from slam.system import Slam
 
@@ -58,7 +59,7 @@ class Finished:
 def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecord:
     """Gather everything known about the drive, compared with ground truth where there is one."""
     drive, log, optimized = finished.drive, finished.drive_log, finished.optimized
-    table, landmarks = log.table(), finished.slam.parts.landmarks
+    table, landmarks, graph = log.table(), finished.slam.parts.landmarks, finished.slam.parts.graph
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
     odometry = np.array(log.odometry)
     record = DriveRecord(
@@ -75,6 +76,9 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.poses),
         metrics={},
+        stages=stage_rows(log.attempts, graph.gates, graph.history),
+        odometry_covariances=graph.odometry_covariances(),
+        corrected_covariances=graph.covariances(optimized),
     )
     record.metrics.update(provenance | _measured(record, finished))
     return record
@@ -105,6 +109,8 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
         write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
     write_frames(folder / "frames.csv", finished.drive_log.table())
     write_loops(folder / "loops.csv", record.loops)
+    write_stages(folder / "loop_stages.csv", record.stages)
+    write_covariances(folder / "covariances.npz", record)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")

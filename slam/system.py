@@ -13,9 +13,10 @@ from slam.clock import StageClock
 from slam.datasets.dataset import Frame
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing import Landmarks, LoopCloser, LoopClosure, Rejection
+from slam.loop_trust import Admission
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
-from slam.robust import LoopGate, Optimized
+from slam.robust import Optimized
 
 Array = NDArray[np.float64]
 
@@ -48,24 +49,24 @@ class LoopAttempt:
     Attributes:
         belief: what the recogniser thought.
         geometry: the relative pose, or why there is none; None for a belief that was not accepted.
-        gate: what the graph said of the closure; None where there was no closure.
+        admission: what the graph said of the closure; None where there was no closure.
     """
 
     belief: Belief
     geometry: LoopClosure | Rejection | None
-    gate: LoopGate | None
+    admission: Admission | None
 
     @property
     def reason(self) -> str:
         """The verdict so far, in plain words; empty for a belief that was not accepted."""
-        if self.gate is not None:
-            return self.gate.reason
+        if self.admission is not None:
+            return self.admission.reason
         return self.geometry.reason if isinstance(self.geometry, Rejection) else ""
 
     @property
     def closed(self) -> bool:
-        """Whether the loop entered the graph."""
-        return self.gate is not None and self.gate.passed
+        """Whether the online map leaned on the loop from that moment."""
+        return self.admission is not None and self.admission.joined
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,13 @@ from slam.evaluation.trajectory import Similarity
 from slam.record import Cloud, DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, fit
+from slam.report.ellipses import confidence_ellipses
 from slam.report.reading import alignment, kept, rejected, scaled, text, value
 
 Array = NDArray[np.float64]
 
 INK = "#1a1a1a"
+_NONE = np.empty((0, 0, 2))
 _UNMOVED = Similarity(np.eye(3), np.zeros(3), 1.0)
 _DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
 _MARGIN = 0.07  # of the larger side, around the trajectories
@@ -42,6 +44,7 @@ class _Panel:
         positions: (N, 3) metres.
         landmarks: (M, 3) metres.
         truth: (N, 3) metres, or None.
+        ellipses: (K, C, 2) metres, outlines of where the robot may be; none where that is not known.
     """
 
     title: str
@@ -50,6 +53,7 @@ class _Panel:
     positions: Array
     landmarks: Array
     truth: Array | None
+    ellipses: Array
 
 
 def before_after(record: DriveRecord) -> Figure:
@@ -146,6 +150,7 @@ def _panels(record: DriveRecord) -> tuple[_Panel, _Panel]:
 
 def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
+    covariances = record.odometry_covariances if name == "odometry" else record.corrected_covariances
     truth = anchored_truth(record)
     aligned = _UNMOVED
     if truth is not None and len(estimate):
@@ -159,6 +164,7 @@ def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel
         positions=aligned.apply(estimate[:, :3, 3]),
         landmarks=aligned.apply(points[:: len(points) // _DOTS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
+        ellipses=_NONE if covariances is None else confidence_ellipses(estimate, covariances, aligned),
     )
 
 
@@ -181,9 +187,17 @@ def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:
     for name, colour in (("odometry", colours.ODOMETRY), ("corrected", colours.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
         ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
+    _draw_ellipses(ax, panel)
     _draw_loops(ax, panel, kept(record), ("accepted loop", colours.ACCEPTED, "-"))
     _draw_loops(ax, panel, rejected(record), ("rejected loop", colours.REJECTED, ":"))
     _draw_start(ax, panel)
+
+
+def _draw_ellipses(ax: Axes, panel: _Panel) -> None:
+    outlines = LineCollection(list(panel.ellipses), colors=panel.colour, lw=0.8, alpha=0.55, zorder=2.2)
+    ax.add_collection(outlines, autolim=False)
+    if len(panel.ellipses):
+        ax.plot([], [], "o", mfc="none", color=panel.colour, ms=9, mew=0.8, label="95 % confidence")
 
 
 def _draw_height(ax: Axes, panel: _Panel) -> None:

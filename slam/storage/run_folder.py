@@ -15,7 +15,8 @@ _EARLIER = ".earlier-"
 # Whatever the commands write. Only these go when a run is overwritten; other files were put there by somebody
 # else.
 _RESULTS = """
-metrics.json config.toml run.log report.html recording.rrd frames.csv loops.csv before_after.png
+metrics.json config.toml run.log report.html recording.rrd before_after.png
+frames.csv loops.csv loop_stages.csv covariances.npz
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
 pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply

@@ -1,6 +1,8 @@
-"""The two tables of a run: `frames.csv`, a line for each frame, and `loops.csv`, the ledger of every belief.
+"""The tables of a run.
 
-Unknown values (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
+`frames.csv` has a line for each frame, `loops.csv` is the ledger of every belief, and `loop_stages.csv` holds what
+each stage measured of it. Unknown values (None, NaN) are empty cells, truth values are `true` and `false`,
+numbers keep every digit.
 """
 
 import csv
@@ -14,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
-from slam.record import LoopRow
+from slam.record import LoopRow, StageRow
 from slam.storage.atomic import atomic_writer
 
 Array = NDArray[np.float64]
 
 LOOP_COLUMNS = tuple(field.name for field in fields(LoopRow))
+STAGE_COLUMNS = tuple(field.name for field in fields(StageRow))
 FRAME_COLUMNS = ("frame", "timestamp", "status", "reason", "inliers", "tracks", "residual")
 _STAGE_SUFFIX = "_ms"
 
@@ -101,19 +104,37 @@ def read_loops(path: Path) -> tuple[LoopRow, ...]:
     Raises:
         DataError: missing file, other columns, a cell that cannot be read.
     """
-    return tuple(_loop(path, row) for row in _read(path, LOOP_COLUMNS)[1])
+    return tuple(LoopRow(**_cells(path, row, LoopRow)) for row in _read(path, LOOP_COLUMNS)[1])  # type: ignore[arg-type]
 
 
-def _loop(path: Path, row: dict[str, str]) -> LoopRow:
+def write_stages(path: Path, stages: Iterable[StageRow]) -> None:
+    """Write loop_stages.csv, one line for each row of the ledger.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    write_table(path, STAGE_COLUMNS, map(astuple, stages))
+
+
+def read_stages(path: Path) -> tuple[StageRow, ...]:
+    """Read loop_stages.csv.
+
+    Raises:
+        DataError: missing file, other columns, a cell that cannot be read.
+    """
+    return tuple(StageRow(**_cells(path, row, StageRow)) for row in _read(path, STAGE_COLUMNS)[1])  # type: ignore[arg-type]
+
+
+def _cells(path: Path, row: dict[str, str], kind: type[LoopRow] | type[StageRow]) -> dict[str, object]:
     readers: dict[object, Callable[[str], object]] = {
         int: int,
+        int | None: lambda cell: int(cell) if cell else None,
         float: _float,
         bool: _bool,
         bool | None: lambda cell: _bool(cell) if cell else None,
         str: str,
     }
-    cells = {field.name: _cell(path, row, field.name, readers[field.type]) for field in fields(LoopRow)}
-    return LoopRow(**cells)  # type: ignore[arg-type]
+    return {field.name: _cell(path, row, field.name, readers[field.type]) for field in fields(kind)}
 
 
 def _listed(column: object) -> list[object]:

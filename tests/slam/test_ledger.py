@@ -3,13 +3,15 @@
 import numpy as np
 
 from place_recognition.recognizer import Belief
-from slam.ledger import write_ledger
+from slam.ledger import stage_rows, write_ledger
 from slam.loop_closing import LoopClosure, Rejection
+from slam.loop_trust import Admission, Change
 from slam.record import LoopRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
-PASSED = LoopGate(True, 0.5, "drift explains it")
+GATE = LoopGate(True, 0.5, "drift explains it")
+PASSED = Admission(True, True, 0.5, "drift explains it")
 
 
 def closure(query: int, match: int) -> LoopClosure:
@@ -64,3 +66,22 @@ def test_the_judge_sees_the_measured_pose_of_a_closure():
     attempt = LoopAttempt(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
     write_ledger([attempt], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
     assert attempt.geometry in seen
+
+
+def test_stages_hand_on_the_relative_pose_the_gate_and_the_life_of_each_closure():
+    attempts = [
+        LoopAttempt(Belief(8, 1, 20.0, True, inliers=30), closure(8, 1), PASSED),
+        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
+        LoopAttempt(Belief(7, 3, 20.0, True), closure(7, 3), PASSED),
+    ]
+    history = [Change(8, 0, False, "waits"), Change(9, 1, True, "joined"), Change(9, 0, True, "joined")]
+    late, first, refused = stage_rows(attempts, [GATE, GATE], history)
+    assert (first.query, first.epipolar_inliers, first.online) == (8, 30, "frame 8: waits | frame 9: joined")
+    assert (late.query, late.online) == (7, "frame 9: joined")
+    assert (first.gate_passed, first.gate_residual, first.sigma_m, first.turn_deg) == (True, 0.5, 1.0, 0.0)
+    assert (refused.gate_passed, refused.online) == (None, "")
+    assert np.isnan(refused.x)
+
+
+def test_a_belief_without_a_match_has_no_stages():
+    assert stage_rows([LoopAttempt(Belief(3, None, 0.0, False), None, None)], [], []) == ()

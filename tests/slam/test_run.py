@@ -19,6 +19,8 @@ FILES = {
     "config.toml",
     "frames.csv",
     "loops.csv",
+    "loop_stages.csv",
+    "covariances.npz",
     "pose_graph_before.g2o",
     "pose_graph_after.g2o",
     "map_before.ply",

@@ -1,0 +1,175 @@
+"""How fast and how safe the graph is while driving: `python benchmarks/online_graph.py [FOLDER OF TEST DATA]`.
+
+A drive of the shape of KITTI 00 (4,541 poses) with noisy, biased odometry and loops at its revisits. First its
+times: of adding a frame, its loop and asking for its pose. Then the same drive with false loops that pass the
+gate, alone and in runs that agree with one another: what the map is worth at the end, and what was known at
+each moment. Times are of the processor (what the work takes) and of the clock (what other work adds).
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from odometry import se3
+from slam.loop_closing import LoopClosure
+from slam.pose_graph import PoseGraph, PoseGraphConfig
+from slam.pose_graph_drift import OdometryChain
+
+Array = NDArray[np.float64]
+
+STEP_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m a frame
+STEP_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])  # what KITTI odometry was seen to have
+LOOP_SIGMAS = np.repeat([2e-3, 0.03], 3)
+OLDEST_S, RADIUS = 100, 4.0  # frames between revisits; metres
+
+
+@dataclass(frozen=True)
+class Drive:
+    """True poses (N, 4, 4), measured motions, and loops of which some are true."""
+
+    poses: Array
+    motions: tuple[Array, ...]
+    loops: tuple[LoopClosure, ...]
+    true: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """The graph at the end, what it knew at each moment (N, 4, 4), and milliseconds a frame by both clocks."""
+
+    graph: PoseGraph
+    known: Array
+    processor_ms: Array
+    clock_ms: Array
+    at_loop: NDArray[np.bool_]
+
+
+def true_poses(folder: Path, sequence: str) -> Array:
+    """KITTI's poses, with rotations that are ones to all digits."""
+    rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows
+    poses[:, :3, :3] = Rotation.from_matrix(rows[:, :, :3]).as_matrix()
+    return poses
+
+
+def drive_along(poses: Array, every: int, seed: int = 0) -> Drive:
+    """Drive with odometry of honest noise and drift, and a loop at every so many frames of each revisit."""
+    rng = np.random.default_rng(seed)
+    steps = se3.inverse(poses[:-1]) @ poses[1:]
+    motions = tuple(T @ se3.exp(STEP_BIAS + rng.normal(0.0, STEP_SIGMAS)) for T in steps)
+    tree, loops = cKDTree(poses[:, :3, 3]), []
+    for query in range(0, len(poses), every):
+        distances = np.linalg.norm(poses[:, :3, 3] - poses[query, :3, 3], axis=1)
+        near = [m for m in tree.query_ball_point(poses[query, :3, 3], RADIUS) if m < query - OLDEST_S]
+        if near:
+            match = min(near, key=lambda m, distances=distances: float(distances[m]))
+            T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
+            loops.append(LoopClosure(query, int(match), T, np.diag(LOOP_SIGMAS**2), 100))
+    return Drive(poses, motions, tuple(loops), np.ones(len(loops), bool))
+
+
+def with_false_runs(drive: Drive, runs: int, length: int, sigmas: float, seed: int) -> Drive:
+    """Add runs of false loops that agree with one another, each so many sigmas from odometry by its drift budget."""
+    rng, chain = np.random.default_rng(seed), OdometryChain(PoseGraphConfig().drift)
+    for T in drive.motions:
+        chain.append(T, np.diag(STEP_SIGMAS**2))
+    poses, false = chain.poses, []
+    for _ in range(runs):
+        query = int(rng.integers(300, len(poses) - 3 * length))
+        match = int(rng.integers(0, query - OLDEST_S - 3 * length))
+        between = chain.between(match, query)
+        xi = np.linalg.cholesky(between.covariance) @ rng.normal(size=6)
+        xi *= sigmas / np.sqrt(xi @ np.linalg.solve(between.covariance, xi))
+        T_match_query = between.T_first_second @ se3.exp(xi)
+        for k in range(0, 3 * length, 3):
+            back, on = se3.inverse(poses[match + k]) @ poses[match], se3.inverse(poses[query]) @ poses[query + k]
+            T = back @ T_match_query @ on @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
+            false.append(LoopClosure(query + k, match + k, T, np.diag(LOOP_SIGMAS**2), 50))
+    true = np.concatenate([drive.true, np.zeros(len(false), bool)])
+    return replace(drive, loops=(*drive.loops, *false), true=true)
+
+
+def driven(drive: Drive) -> Driven:
+    """Drive, asking for the pose of each frame."""
+    graph, loops = PoseGraph(), {}
+    for loop in drive.loops:
+        loops.setdefault(loop.query, []).append(loop)
+    known, processor, clock = [np.eye(4)], [], []
+    for frame, T in enumerate(drive.motions, start=1):
+        start = time.process_time(), time.perf_counter()
+        graph.add_odometry(T, np.diag(STEP_SIGMAS**2))
+        for loop in loops.get(frame, ()):
+            graph.add_loop(loop)
+        known.append(graph.latest())
+        processor.append(1e3 * (time.process_time() - start[0]))
+        clock.append(1e3 * (time.perf_counter() - start[1]))
+    at_loop = np.array([frame in loops for frame in range(1, len(known))])
+    return Driven(graph, np.array(known), np.array(processor), np.array(clock), at_loop)
+
+
+def ate(poses: Array, truth: Array) -> float:
+    """Root mean square position error after rigid alignment, metres."""
+    a, b = (T[:, :3, 3] - T[:, :3, 3].mean(axis=0) for T in (poses, truth))
+    rotation, _ = Rotation.align_vectors(b, a)
+    return float(np.sqrt(np.mean(np.sum((rotation.apply(a) - b) ** 2, axis=1))))
+
+
+def spread(times: Array) -> str:
+    """Sum up times in three numbers."""
+    return f"{np.median(times):6.1f} {np.percentile(times, 99):6.1f} {times.max():6.1f}"
+
+
+def print_times(poses: Array) -> None:
+    """Print milliseconds a pose with few and with many loops."""
+    print("times in ms: median, 99th percentile, worst\n")
+    print("loops  poses   all poses, processor   all poses, clock       at a loop, processor   map ATE (odometry) m")
+    for every in (5, 3, 1):
+        drive = drive_along(poses, every)
+        result = driven(drive)
+        odometry = np.array(list(accumulate(drive.motions, np.matmul, initial=np.eye(4))))
+        print(
+            f"{len(drive.loops):5d}  {len(poses):5d}   {spread(result.processor_ms)}   {spread(result.clock_ms)}   "
+            f"{spread(result.processor_ms[result.at_loop])}   {ate(result.graph.poses(), poses):.2f} "
+            f"({ate(odometry, poses):.2f})",
+            flush=True,
+        )
+
+
+def print_safety(poses: Array) -> None:
+    """Print what false loops that pass the gate do to the map."""
+    print("\nfalse loops that pass the gate, 3.5 sigma of drift from odometry, among 264 true ones\n")
+    print("runs  of  seed   used at the end: true  false   map ATE m   known at each moment: ATE m   worst ms")
+    drive = drive_along(poses, 3)
+    for runs, length in ((0, 0), (10, 1), (40, 1), (1, 5), (3, 5), (1, 15), (5, 5), (5, 10)):
+        for seed in (0, 1) if runs else (0,):
+            mixed = with_false_runs(drive, runs, length, 3.5, seed)
+            result = driven(mixed)
+            last = {change.loop: change.joined for change in result.graph.history}
+            truth = {id(loop): good for loop, good in zip(mixed.loops, mixed.true, strict=True)}
+            used = [truth[id(loop)] for k, loop in enumerate(result.graph.loops) if last[k]]
+            print(
+                f"{runs:4d}  {length:2d}  {seed:4d}   {sum(used):22d} {len(used) - sum(used):6d}"
+                f"   {ate(result.graph.poses(), poses):9.2f}   {ate(result.known, poses):27.2f}"
+                f"   {result.processor_ms.max():8.1f}",
+                flush=True,
+            )
+
+
+def main(folder: Path) -> None:
+    """Print both tables."""
+    poses = true_poses(folder, "00")
+    print_times(poses)
+    print_safety(poses)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else os.environ["REVISIT_TEST_DATA"]))

@@ -1,0 +1,24 @@
+"""`covariances.npz`: how sure each pose of a run is.
+
+Arrays `odometry` and `corrected`, (N, 6, 6) float64: covariance of the right perturbation `T_world_camera @ exp(xi)`
+of each pose in the trajectory file of that name, in the camera's own frame, rotation before translation (rad, m),
+the first pose held. The position's covariance in the world is `R @ C[3:, 3:] @ R.T` with R of the pose.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.record import DriveRecord
+from slam.storage.atomic import atomic_writer
+
+
+def write_covariances(path: Path, record: DriveRecord) -> None:
+    """Write covariances.npz; an estimate whose covariances are not known is left out.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    known = {"odometry": record.odometry_covariances, "corrected": record.corrected_covariances}
+    with atomic_writer(path, "wb") as file:
+        np.savez_compressed(file, **{name: rows for name, rows in known.items() if rows is not None})  # type: ignore[arg-type]
