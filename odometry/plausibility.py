@@ -18,6 +18,7 @@ class PlausibilityConfig:
     Attributes:
         tracks: fewest tracks, and fewest of them that agree.
         ratio: least share of tracks that agree.
+        expected_ratio: least share that agrees with what was expected: most of the view may be another car.
         sure_ratio: share that is believed even against all expectation, as after a gap in the recording.
         jump_m: largest unexpected translation otherwise, metres.
         jump_rad: largest unexpected rotation otherwise, radians.
@@ -28,6 +29,7 @@ class PlausibilityConfig:
 
     tracks: int = 20
     ratio: float = 0.35
+    expected_ratio: float = 0.15
     sure_ratio: float = 0.6
     jump_m: float = 0.5
     jump_rad: float = 0.05
@@ -45,18 +47,12 @@ def doubt(estimate: TwoViewEstimate | None, T_expected: Array | None, config: Pl
     agree, ratio = int(estimate.inliers.sum()), float(np.mean(estimate.inliers))
     if not np.isfinite(estimate.T_first_second).all() or not np.isfinite(estimate.covariance).all():
         return "the adjustment did not converge"
-    if agree < config.tracks or ratio < config.ratio:
+    unexpected = "" if T_expected is None else jump(estimate.T_first_second, T_expected, config)
+    if agree < config.tracks or ratio < (config.ratio if T_expected is None or unexpected else config.expected_ratio):
         return f"only {agree} of {len(estimate.inliers)} points agree on one motion"
     if estimate.noise_px > config.noise_px:
         return f"the points agree only to {estimate.noise_px:.1f} px"
-    if T_expected is None or is_sure(estimate, config):
-        return ""
-    return jump(estimate.T_first_second, T_expected, config)
-
-
-def is_sure(estimate: TwoViewEstimate, config: PlausibilityConfig) -> bool:
-    """Whether so many tracks agree that no expectation counts against them."""
-    return float(np.mean(estimate.inliers)) >= config.sure_ratio
+    return "" if ratio >= config.sure_ratio else unexpected
 
 
 def jump(T: Array, T_expected: Array, config: PlausibilityConfig) -> str:

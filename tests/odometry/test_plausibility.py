@@ -16,8 +16,8 @@ GOOD = TwoViewEstimate(
     inliers=np.arange(100) < 90,
     noise_px=0.1,
     residual_px=0.1,
-    rectification=np.zeros(12),
-    information=np.eye(12),
+    calibration=np.zeros(15),
+    information=np.eye(15),
 )
 CONTESTED = replace(GOOD, inliers=np.arange(100) < 45)
 
@@ -32,7 +32,7 @@ def test_a_good_measurement_is_believed_whatever_was_expected():
     ("estimate", "words"),
     [
         (None, "fewer than 20 points"),
-        (replace(GOOD, inliers=np.arange(100) < 30), "only 30 of 100 points agree"),
+        (replace(GOOD, inliers=np.arange(250) < 30), "only 30 of 250 points agree"),
         (replace(GOOD, inliers=np.arange(18) < 18), "only 18 of 18 points agree"),
         (replace(GOOD, noise_px=3.0), "only to 3.0 px"),
         (replace(GOOD, covariance=np.full((6, 6), np.nan)), "did not converge"),
@@ -48,3 +48,10 @@ def test_a_contested_measurement_is_believed_only_where_it_was_expected():
     assert "a jump of 1.0 m" in doubt(CONTESTED, np.eye(4), CONFIG)
     turned = GOOD.T_first_second @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
     assert "11.5 degrees" in doubt(CONTESTED, turned, CONFIG)
+
+
+def test_a_minority_is_believed_only_where_it_was_expected():
+    minority = replace(GOOD, inliers=np.arange(100) < 25)
+    assert doubt(minority, GOOD.T_first_second, CONFIG) == ""
+    assert "only 25 of 100 points agree" in doubt(minority, None, CONFIG)
+    assert "only 25 of 100 points agree" in doubt(minority, np.eye(4), CONFIG)

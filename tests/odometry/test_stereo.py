@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from odometry import Motion, StereoOdometry, StereoOdometryConfig, se3
-from odometry.rectification import RectificationConfig
+from odometry.calibration import CalibrationConfig
 
 
 def tracked(camera, pairs, config=None):
@@ -64,7 +64,7 @@ def test_a_simulated_drive_is_measured_to_a_hundredth(camera, drive, motion_true
 
 
 def test_errors_on_images_are_as_large_as_the_covariance_says(camera, drive, motion_true):
-    exact = StereoOdometryConfig(rectification=RectificationConfig(0.01, 0.01, 0.01))
+    exact = StereoOdometryConfig(calibration=CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01))
     errors = [
         (se3.log(se3.inverse(m.T_previous_current) @ motion_true), m.covariance)
         for m in tracked(camera, drive, exact)[1:]
