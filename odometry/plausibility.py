@@ -20,8 +20,10 @@ class PlausibilityConfig:
         ratio: least share of tracks that agree.
         expected_ratio: least share that agrees with what was expected: most of the view may be another car.
         sure_ratio: share that is believed even against all expectation, as after a gap in the recording.
+        surprise: share of a jump from which on it is asked whether a minority moves as expected.
         jump_m: largest unexpected translation otherwise, metres.
         jump_rad: largest unexpected rotation otherwise, radians.
+        braking: fewest images that it takes to stop.
         noise_px: largest noise of the measurements, pixels.
         moving_m: least translation that is called driving, metres.
 
@@ -31,34 +33,71 @@ class PlausibilityConfig:
     ratio: float = 0.35
     expected_ratio: float = 0.15
     sure_ratio: float = 0.6
+    surprise: float = 0.2
     jump_m: float = 0.5
     jump_rad: float = 0.05
+    braking: int = 15
     noise_px: float = 1.5
     moving_m: float = 0.1
 
 
-def doubt(estimate: TwoViewEstimate | None, T_expected: Array | None, config: PlausibilityConfig) -> str:
+@dataclass(frozen=True)
+class Expectation:
+    """What is expected of a pair before it is looked at.
+
+    Attributes:
+        T: (4, 4) T_reference_pair, metres.
+        steps: images since the reference or the last one measured: so much weaker is what is expected.
+        unmeasured: images since the last measurement, whatever the reference, this one included.
+
+    """
+
+    T: Array
+    steps: int = 1
+    unmeasured: int = 1
+
+
+def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config: PlausibilityConfig) -> str:
     """Why an estimate is not to be believed, in words; empty if it is.
 
-    No estimate stands for too few tracks; no expected motion (4, 4) for one that nothing is known about.
+    No estimate stands for too few tracks; no expectation for a motion that nothing is known about.
     """
     if estimate is None:
         return f"fewer than {config.tracks} points could be followed"
     agree, ratio = int(estimate.inliers.sum()), float(np.mean(estimate.inliers))
     if not np.isfinite(estimate.T_first_second).all() or not np.isfinite(estimate.covariance).all():
         return "the adjustment did not converge"
-    unexpected = "" if T_expected is None else jump(estimate.T_first_second, T_expected, config)
-    if agree < config.tracks or ratio < (config.ratio if T_expected is None or unexpected else config.expected_ratio):
+    least = (
+        config.ratio if expected is None or jump(estimate.T_first_second, expected.T, config) else config.expected_ratio
+    )
+    if agree < config.tracks or ratio < least:
         return f"only {agree} of {len(estimate.inliers)} points agree on one motion"
     if estimate.noise_px > config.noise_px:
         return f"the points agree only to {estimate.noise_px:.1f} px"
-    return "" if ratio >= config.sure_ratio else unexpected
+    if expected is None:
+        return ""
+    if _stops(estimate.T_first_second, expected, config):
+        return "most of the view stands still where the camera was driving a moment ago"
+    return "" if ratio >= config.sure_ratio else jump(estimate.T_first_second, expected.T, config, expected.steps)
 
 
-def jump(T: Array, T_expected: Array, config: PlausibilityConfig) -> str:
-    """Why a motion that a minority contradicts is too far from the expected one; empty if it is not."""
+def _stops(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
+    """Whether a motion is none although there was one, and no time to brake: something else fills the view."""
+    driving = float(np.linalg.norm(expected.T[:3, 3])) > config.jump_m * expected.steps
+    stands = float(np.linalg.norm(T[:3, 3])) < config.moving_m
+    return driving and stands and expected.unmeasured < config.braking
+
+
+def distance(T: Array, T_expected: Array, config: PlausibilityConfig) -> float:
+    """How far a motion is from the expected one, in jumps."""
+    off = se3.inverse(T_expected) @ T
+    return max(float(np.linalg.norm(off[:3, 3])) / config.jump_m, se3.angle(off) / config.jump_rad)
+
+
+def jump(T: Array, T_expected: Array, config: PlausibilityConfig, steps: int = 1) -> str:
+    """Why a motion over some images that a minority contradicts is too far from the expected one; empty if not."""
+    if distance(T, T_expected, config) <= steps:
+        return ""
     off = se3.inverse(T_expected) @ T
     shift, turn = float(np.linalg.norm(off[:3, 3])), se3.angle(off)
-    if shift <= config.jump_m and turn <= config.jump_rad:
-        return ""
     return f"a jump of {shift:.1f} m and {np.degrees(turn):.1f} degrees that many points contradict"

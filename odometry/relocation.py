@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Pair = tuple[Image, Image]
 
-_FEATURES = 1500
+_FEATURES = 3000
 _RATIO = 0.8  # best over second best distance (Lowe, section 7.1)
 
 
 def associate(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
     """Points that two pairs of images (H, W) uint8 both show, wherever they are; maybe none."""
-    sift = cv2.SIFT_create(_FEATURES)
+    sift = cv2.SIFT.create(_FEATURES)
     pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)
     if min(len(pixels[0]), len(pixels[1])) < 2:
         return _tracks(*(np.zeros((0, 2)) for _ in range(4)))

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.calibration import Calibration, CalibrationConfig
 from odometry.camera import StereoCamera
-from odometry.front_end import FrontEnd, View
-from odometry.locating import Located, Locator
+from odometry.front_end import FrontEnd, Pair, View
+from odometry.locating import SWAPPED, Located, Locator
 from odometry.motion import Motion
-from odometry.plausibility import PlausibilityConfig
+from odometry.plausibility import Expectation, PlausibilityConfig
 from odometry.stereo_matching import StereoMatchingConfig, match_rows
 from odometry.ticks import Ticks
 from odometry.tracking import TrackingConfig
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
-_SWAPPED = "the left and the right image are swapped"
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class StereoOdometryConfig:
     key_m: float = 0.1
     key_rad: float = 0.01
     key_share: float = 0.6
-    persistence: float = 1.0
+    persistence: float = 14.0
     extrapolated_rad: float = 0.02
     extrapolated_m: float = 0.2
 
@@ -88,13 +87,15 @@ class StereoOdometry:
         self._T_reference_measured = np.eye(4)  # of the last image that was measured, not extrapolated
         self._covariance_previous = np.zeros((6, 6))  # of the previous image if it was extrapolated
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
-        self._age = 0  # images since the last one that was measured
+        self._age = 0  # images since the reference, or the last one measured from it
+        self._unmeasured = 0  # images since the last measurement
 
     def track(self, left: Image, right: Image, timestamp: float | None = None) -> Motion:
         """Measure the motion since the previous pair.
 
         Args:
-            left, right: (H, W) uint8 of the camera's size.
+            left: (H, W) uint8 of the camera's size.
+            right: of the same size, taken at the same time.
             timestamp: seconds; tells how long a gap in the recording is. None: no image is missing.
 
         Raises:
@@ -103,16 +104,16 @@ class StereoOdometry:
         """
         self._check(left, right)
         steps = self._ticks.since_last(timestamp)
-        if self._reference is None:
-            self._restart(self._front_end.observe((left, right)))
-            return _motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), "")
         self._age += steps
-        motion = self._expected_motion(steps)
-        expected = None if self._velocity is None else self._T_reference_previous @ motion
+        self._unmeasured += steps
+        if self._reference is None:
+            return self._begin((left, right))
+        motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
+        expected = self._expect(left, motion)
         located = self._locator.locate(self._reference, (left, right), expected, self.calibration)
         if located.estimate is None or located.reason:
-            return self._extrapolate(left, right, motion, located.reason)
-        return self._accept(left, right, located, located.estimate)
+            return self._extrapolate((left, right), motion, located.reason)
+        return self._accept((left, right), located, located.estimate)
 
     def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
@@ -131,18 +132,31 @@ class StereoOdometry:
                     f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
                 )
 
-    def _expected_motion(self, steps: int) -> Array:
-        """T_previous_current (4, 4) at constant velocity; identity while nothing was measured."""
-        return np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
+    def _begin(self, pair: Pair) -> Motion:
+        """Take the first pair as the reference, unless its images are swapped."""
+        reason = SWAPPED if self._front_end.swapped(pair) else ""
+        covariance = _FIRST_VARIANCE * np.eye(6) if self._age == 1 else self._extrapolated()
+        if not reason:
+            self._restart(self._front_end.observe(pair))
+        return _motion(np.eye(4), covariance, reason)
 
-    def _accept(self, left: Image, right: Image, located: Located, estimate: TwoViewEstimate) -> Motion:
+    def _expect(self, left: Image, motion: Array) -> Expectation | None:
+        """Expect the motion (4, 4) since the previous image, where one was ever measured."""
+        assert self._reference is not None
+        if np.array_equal(left, self._reference.pair[0]):  # the same image again was taken at the same place
+            return Expectation(np.eye(4))
+        if self._velocity is None:
+            return None
+        return Expectation(self._T_reference_previous @ motion, self._age, self._unmeasured)
+
+    def _accept(self, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
         """Take over what was measured; a pair far enough from the reference takes its place."""
-        T_reference_current = estimate.T_first_second
+        T_reference_current, self._unmeasured = estimate.T_first_second, 0
         self._velocity = se3.log(se3.inverse(self._T_reference_measured) @ T_reference_current) / self._age
         T_reference_previous, covariance_previous = self._T_reference_previous, self._covariance_previous
         if self._is_key(estimate):
             self._learn(estimate)
-            T_reference_current = self._renew((left, right), located, estimate)
+            T_reference_current = self._renew(pair, located, estimate)
         else:
             self._T_reference_previous = self._T_reference_measured = T_reference_current
             self._covariance_previous, self._age = np.zeros((6, 6)), 0
@@ -165,7 +179,7 @@ class StereoOdometry:
                 estimate.calibration, estimate.information, self._config.calibration
             )
 
-    def _renew(self, pair: tuple[Image, Image], located: Located, estimate: TwoViewEstimate) -> Array:
+    def _renew(self, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Array:
         """Make a pair the reference, and say where the window puts it in the old one (4, 4)."""
         if not located.followed:
             self._restart(self._front_end.observe(pair))
@@ -178,12 +192,16 @@ class StereoOdometry:
         self._measure_from(view)
         return T_reference_current
 
-    def _extrapolate(self, left: Image, right: Image, T_previous_current: Array, reason: str) -> Motion:
-        """Go on at constant velocity; this pair is the new reference if it shows enough."""
+    def _extrapolated(self) -> Array:
+        """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
         deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * self._age
-        covariance, pair = np.diag(deviation**2), (left, right)
-        if self._front_end.swapped(pair):
-            return self._bridge(T_previous_current, covariance, _SWAPPED)
+        return np.diag(deviation**2)
+
+    def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
+        """Go on at constant velocity; this pair is the new reference if it shows enough."""
+        covariance = self._extrapolated()
+        if reason == SWAPPED:
+            return self._bridge(T_previous_current, covariance, reason)
         view = self._front_end.observe(pair)
         if len(view.points.ids) < self._config.plausibility.tracks:
             return self._bridge(T_previous_current, covariance, reason)

@@ -173,7 +173,7 @@ def _add(H: Array, b: Array, row: Array, columns: Indices, J: Array, Jd: Array, 
 
 @njit(cache=True)
 def _eliminate(H: Array, b: Array, row: Array, offset: float, curvature: float, start: int) -> None:
-    """Take the share of one depth out of the upper half of H and out of b: its Schur complement. Zero before column `start`."""
+    """Take one depth out of the upper half of H and out of b (Schur complement); its row is zero before `start`."""
     for j in range(start, len(b)):
         scaled = curvature * row[j]
         if scaled != 0.0:

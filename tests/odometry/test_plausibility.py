@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from odometry.plausibility import PlausibilityConfig, doubt
+from odometry.plausibility import Expectation, PlausibilityConfig, doubt
 from odometry.two_views import TwoViewEstimate
 
 CONFIG = PlausibilityConfig()
@@ -23,8 +23,8 @@ CONTESTED = replace(GOOD, inliers=np.arange(100) < 45)
 
 
 def test_a_good_measurement_is_believed_whatever_was_expected():
-    assert doubt(GOOD, GOOD.T_first_second, CONFIG) == ""
-    assert doubt(GOOD, se3.exp(np.array([0, 0, 0, 0, 0, 9.0])), CONFIG) == ""
+    assert doubt(GOOD, Expectation(GOOD.T_first_second), CONFIG) == ""
+    assert doubt(GOOD, Expectation(se3.exp(np.array([0, 0, 0, 0, 0, 9.0]))), CONFIG) == ""
     assert doubt(GOOD, None, CONFIG) == ""
 
 
@@ -39,19 +39,19 @@ def test_a_good_measurement_is_believed_whatever_was_expected():
     ],
 )
 def test_a_weak_measurement_is_doubted(estimate, words):
-    assert words in doubt(estimate, GOOD.T_first_second, CONFIG)
+    assert words in doubt(estimate, Expectation(GOOD.T_first_second), CONFIG)
 
 
 def test_a_contested_measurement_is_believed_only_where_it_was_expected():
-    assert doubt(CONTESTED, GOOD.T_first_second, CONFIG) == ""
+    assert doubt(CONTESTED, Expectation(GOOD.T_first_second), CONFIG) == ""
     assert doubt(CONTESTED, None, CONFIG) == ""
-    assert "a jump of 1.0 m" in doubt(CONTESTED, np.eye(4), CONFIG)
+    assert "a jump of 1.0 m" in doubt(CONTESTED, Expectation(np.eye(4)), CONFIG)
     turned = GOOD.T_first_second @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
-    assert "11.5 degrees" in doubt(CONTESTED, turned, CONFIG)
+    assert "11.5 degrees" in doubt(CONTESTED, Expectation(turned), CONFIG)
 
 
 def test_a_minority_is_believed_only_where_it_was_expected():
     minority = replace(GOOD, inliers=np.arange(100) < 25)
-    assert doubt(minority, GOOD.T_first_second, CONFIG) == ""
+    assert doubt(minority, Expectation(GOOD.T_first_second), CONFIG) == ""
     assert "only 25 of 100 points agree" in doubt(minority, None, CONFIG)
-    assert "only 25 of 100 points agree" in doubt(minority, np.eye(4), CONFIG)
+    assert "only 25 of 100 points agree" in doubt(minority, Expectation(np.eye(4)), CONFIG)
