@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odometry.calibration import Calibration
 from odometry.front_end import FrontEnd, Pair, View
-from odometry.plausibility import Expectation, PlausibilityConfig, distance, doubt, jump
+from odometry.plausibility import STOPS, Expectation, PlausibilityConfig, brakes, distance, doubt, jump
 from odometry.relocation import associate
 from odometry.two_views import AdjustmentConfig, StereoTracks, TwoViewEstimate, estimate_motion, ransac_motion
 
@@ -48,8 +48,9 @@ class Locator:
         few = len(found.tracks) < _FEW * len(reference.points.ids)
         if (found.reason or few) and self._front_end.swapped(pair):
             return Located(found.tracks, None, SWAPPED)
-        if found.reason:
-            found = self._follow(search, search.guess, wide=True)
+        if found.reason in ("", STOPS):
+            return found
+        found = self._follow(search, search.guess, wide=True)
         return self._relocate(search) or found if found.reason else found
 
     def _follow(self, search: "_Search", guess: Array, wide: bool) -> Located:
@@ -67,7 +68,7 @@ class Locator:
         """Find the pair by descriptors; None where they do not tell."""
         tracks = associate(search.reference.pair, search.pair, self._front_end.matching)
         found = self._judge(search, tracks, search.guess)
-        if found.estimate is None:
+        if found.estimate is None or self._brakes(search, found.estimate):
             return None
         # Two associations that agree on one motion, independently, may contradict what was expected.
         there = Expectation(found.estimate.T_first_second)
@@ -75,6 +76,9 @@ class Locator:
         if not followed.reason:
             return followed
         return None if found.reason else replace(found, followed=False)
+
+    def _brakes(self, search: "_Search", estimate: TwoViewEstimate) -> bool:
+        return search.expected is not None and brakes(estimate.T_first_second, search.expected, self._plausibility)
 
     def _judge(self, search: "_Search", tracks: StereoTracks, guess: Array) -> Located:
         estimate = None

@@ -23,7 +23,7 @@ class PlausibilityConfig:
         surprise: share of a jump from which on it is asked whether a minority moves as expected.
         jump_m: largest unexpected translation otherwise, metres.
         jump_rad: largest unexpected rotation otherwise, radians.
-        braking: fewest images that it takes to stop.
+        braking_mps2: largest deceleration of a car, metres per second squared.
         noise_px: largest noise of the measurements, pixels.
         moving_m: least translation that is called driving, metres.
 
@@ -36,7 +36,7 @@ class PlausibilityConfig:
     surprise: float = 0.2
     jump_m: float = 0.5
     jump_rad: float = 0.05
-    braking: int = 15
+    braking_mps2: float = 10.0
     noise_px: float = 1.5
     moving_m: float = 0.1
 
@@ -49,12 +49,20 @@ class Expectation:
         T: (4, 4) T_reference_pair, metres.
         steps: images since the reference or the last one measured: so much weaker is what is expected.
         unmeasured: images since the last measurement, whatever the reference, this one included.
+        interval: seconds between two images.
+        way: what the camera drives if it holds the lower of its last two speeds, metres: the higher one may be
+            that of a gap in the recording.
 
     """
 
     T: Array
     steps: int = 1
     unmeasured: int = 1
+    interval: float = 0.1
+    way: float = float("inf")
+
+
+STOPS = "most of the view does not move although the camera was driving a moment ago"
 
 
 def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config: PlausibilityConfig) -> str:
@@ -76,16 +84,21 @@ def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config
         return f"the points agree only to {estimate.noise_px:.1f} px"
     if expected is None:
         return ""
-    if _stops(estimate.T_first_second, expected, config):
-        return "most of the view stands still where the camera was driving a moment ago"
+    if brakes(estimate.T_first_second, expected, config):
+        return STOPS
     return "" if ratio >= config.sure_ratio else jump(estimate.T_first_second, expected.T, config, expected.steps)
 
 
-def _stops(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
-    """Whether a motion is none although there was one, and no time to brake: something else fills the view."""
-    driving = float(np.linalg.norm(expected.T[:3, 3])) > config.jump_m * expected.steps
-    stands = float(np.linalg.norm(T[:3, 3])) < config.moving_m
-    return driving and stands and expected.unmeasured < config.braking
+def brakes(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
+    """Whether a motion falls short of the expected one by half, and by more than brakes can do.
+
+    Then something else fills the view: what keeps its distance from the camera seems to stand still.
+    """
+    ahead = float(np.linalg.norm(expected.T[:3, 3]))
+    way = min(ahead, expected.way)
+    short = way - float(T[:3, 3] @ expected.T[:3, 3]) / max(ahead, config.moving_m)
+    slower = config.braking_mps2 * expected.interval * expected.unmeasured
+    return short > max(0.5 * way, slower * expected.interval * expected.steps + config.moving_m)
 
 
 def distance(T: Array, T_expected: Array, config: PlausibilityConfig) -> float:

@@ -8,6 +8,7 @@ There is one finite motion for every pair. Where the images do not allow a measu
 and says so.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,7 @@ from odometry.front_end import FrontEnd, Pair, View
 from odometry.locating import SWAPPED, Located, Locator
 from odometry.motion import Motion
 from odometry.plausibility import Expectation, PlausibilityConfig
+from odometry.reference import Reference
 from odometry.stereo_matching import StereoMatchingConfig, match_rows
 from odometry.ticks import Ticks
 from odometry.tracking import TrackingConfig
@@ -46,6 +48,7 @@ class StereoOdometryConfig:
         key_m: way from the reference after which a pair becomes the reference, metres.
         key_rad: turn after which it does, radians.
         key_share: share of the reference's points that must still agree, or else it does.
+        patience: images for which a reference that was lost is still looked for when its successors fail.
         persistence: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
         extrapolated_rad: standard deviation of the change of rotation from one image to the next.
@@ -62,6 +65,7 @@ class StereoOdometryConfig:
     key_m: float = 0.1
     key_rad: float = 0.01
     key_share: float = 0.6
+    patience: int = 50
     persistence: float = 14.0
     extrapolated_rad: float = 0.02
     extrapolated_m: float = 0.2
@@ -82,12 +86,10 @@ class StereoOdometry:
         self._locator = Locator(self._front_end, self._config.adjustment, self._config.plausibility)
         self._window = SlidingWindow(self._config.window)
         self._ticks = Ticks()
-        self._reference: View | None = None  # the pair that motion is measured from
-        self._T_reference_previous = np.eye(4)
-        self._T_reference_measured = np.eye(4)  # of the last image that was measured, not extrapolated
-        self._covariance_previous = np.zeros((6, 6))  # of the previous image if it was extrapolated
+        self._reference: Reference | None = None
+        self._lost: Reference | None = None  # an earlier reference that its successor was not measured from
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
-        self._age = 0  # images since the reference, or the last one measured from it
+        self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
 
     def track(self, left: Image, right: Image, timestamp: float | None = None) -> Motion:
@@ -96,7 +98,7 @@ class StereoOdometry:
         Args:
             left: (H, W) uint8 of the camera's size.
             right: of the same size, taken at the same time.
-            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing.
+            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing, ten a second.
 
         Raises:
             ValueError: images of another size or type.
@@ -104,16 +106,13 @@ class StereoOdometry:
         """
         self._check(left, right)
         steps = self._ticks.since_last(timestamp)
-        self._age += steps
         self._unmeasured += steps
         if self._reference is None:
             return self._begin((left, right))
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
-        expected = self._expect(left, motion)
-        located = self._locator.locate(self._reference, (left, right), expected, self.calibration)
-        if located.estimate is None or located.reason:
-            return self._extrapolate((left, right), motion, located.reason)
-        return self._accept((left, right), located, located.estimate)
+        self._reference = self._reference.older(steps)
+        self._lost = self._lost.older(steps) if self._lost and self._lost.age < self._config.patience else None
+        return self._measure((left, right), motion)
 
     def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
@@ -134,41 +133,63 @@ class StereoOdometry:
 
     def _begin(self, pair: Pair) -> Motion:
         """Take the first pair as the reference, unless its images are swapped."""
-        reason = SWAPPED if self._front_end.swapped(pair) else ""
-        covariance = _FIRST_VARIANCE * np.eye(6) if self._age == 1 else self._extrapolated()
-        if not reason:
-            self._restart(self._front_end.observe(pair))
-        return _motion(np.eye(4), covariance, reason)
+        first = self._unmeasured == 1
+        covariance = _FIRST_VARIANCE * np.eye(6) if first else self._extrapolated(self._unmeasured)
+        if self._front_end.swapped(pair):
+            return Motion(np.eye(4), covariance, True, SWAPPED)
+        self._restart(self._front_end.observe(pair))
+        return Motion(np.eye(4), covariance, False, "")
 
-    def _expect(self, left: Image, motion: Array) -> Expectation | None:
+    def _measure(self, pair: Pair, motion: Array) -> Motion:
+        """Measure from the reference, else from the one that was lost, else go on as before: by motion (4, 4)."""
+        reason = ""
+        for reference in filter(None, (self._reference, self._lost)):
+            expected = self._expect(reference, pair, motion)
+            located = self._locator.locate(reference.view, pair, expected, self.calibration)
+            if located.estimate is not None and not located.reason:
+                return self._accept(reference, pair, located, located.estimate)
+            reason = reason or located.reason
+            if reason == SWAPPED:
+                break
+        return self._extrapolate(pair, motion, reason)
+
+    def _expect(self, reference: Reference, pair: Pair, motion: Array) -> Expectation | None:
         """Expect the motion (4, 4) since the previous image, where one was ever measured."""
-        assert self._reference is not None
-        if np.array_equal(left, self._reference.pair[0]):  # the same image again was taken at the same place
+        if np.array_equal(pair[0], reference.view.pair[0]):  # the same image again was taken at the same place
             return Expectation(np.eye(4))
         if self._velocity is None:
             return None
-        return Expectation(self._T_reference_previous @ motion, self._age, self._unmeasured)
+        T_reference_current = reference.T_reference_previous @ motion
+        way = reference.age * min(self._speeds)
+        return Expectation(T_reference_current, reference.age, self._unmeasured, self._ticks.interval, way)
 
-    def _accept(self, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
+    def _accept(self, reference: Reference, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
         """Take over what was measured; a pair far enough from the reference takes its place."""
-        T_reference_current, self._unmeasured = estimate.T_first_second, 0
-        self._velocity = se3.log(se3.inverse(self._T_reference_measured) @ T_reference_current) / self._age
-        T_reference_previous, covariance_previous = self._T_reference_previous, self._covariance_previous
-        if self._is_key(estimate):
+        T_reference_current = estimate.T_first_second
+        self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0
+        self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
+        if reference is not self._reference:  # found again: what was between need not be looked for
+            self._restart(self._front_end.observe(pair))
+        elif self._is_key(estimate):
             self._learn(estimate)
             T_reference_current = self._renew(pair, located, estimate)
         else:
-            self._T_reference_previous = self._T_reference_measured = T_reference_current
-            self._covariance_previous, self._age = np.zeros((6, 6)), 0
-        T_previous_current = se3.inverse(T_reference_previous) @ T_reference_current
+            self._reference = reference.measured(T_reference_current)
+        T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
         Ad = se3.adjoint(se3.inverse(T_previous_current))
-        covariance = self._config.persistence * estimate.covariance + Ad @ covariance_previous @ Ad.T
-        return _motion(T_previous_current, covariance, "", located)
+        covariance = self._config.persistence * estimate.covariance + Ad @ reference.covariance_previous @ Ad.T
+        if self._lost:
+            self._lost = self._lost.bridged(T_previous_current, covariance)
+        tracks, good = located.tracks, estimate.inliers
+        return Motion(
+            T_previous_current, covariance, False, "",
+            tracks.first_left, tracks.second_left, good, estimate.residual_px,
+        )  # fmt: skip
 
     def _is_key(self, estimate: TwoViewEstimate) -> bool:
         """Whether a pair is far from the reference. One that is not would only add the error of another link."""
         assert self._reference is not None
-        T, seen = estimate.T_first_second, len(self._reference.points.ids)
+        T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
         far = np.linalg.norm(T[:3, 3]) > self._config.key_m or se3.angle(T) > self._config.key_rad
         return bool(far or estimate.inliers.sum() < self._config.key_share * seen)
 
@@ -188,49 +209,30 @@ class StereoOdometry:
         view = self._front_end.observe(
             pair, Sighted(tracks.ids[good], tracks.second_left[good], tracks.second_right[good])
         )
-        T_reference_current = self._window.refine(view.points, estimate.T_first_second, self.calibration)
-        self._measure_from(view)
-        return T_reference_current
+        self._reference = Reference(view)
+        return self._window.refine(view.points, estimate.T_first_second, self.calibration)
 
-    def _extrapolated(self) -> Array:
+    def _extrapolated(self, images: int) -> Array:
         """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
-        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * self._age
+        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * images
         return np.diag(deviation**2)
 
     def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
         """Go on at constant velocity; this pair is the new reference if it shows enough."""
-        covariance = self._extrapolated()
-        if reason == SWAPPED:
-            return self._bridge(T_previous_current, covariance, reason)
-        view = self._front_end.observe(pair)
-        if len(view.points.ids) < self._config.plausibility.tracks:
-            return self._bridge(T_previous_current, covariance, reason)
-        self._restart(view)
-        return _motion(T_previous_current, covariance, reason)
-
-    def _bridge(self, T_previous_current: Array, covariance: Array, reason: str) -> Motion:
-        """Leave out a pair that shows nothing: the next one is measured from the same reference."""
-        self._T_reference_previous = self._T_reference_previous @ T_previous_current
-        self._covariance_previous = se3.compose_covariance(self._covariance_previous, T_previous_current, covariance)
-        return _motion(T_previous_current, covariance, reason)
+        assert self._reference is not None
+        covariance = self._extrapolated(self._unmeasured)
+        bridged = self._reference.bridged(T_previous_current, covariance)
+        self._lost = self._lost and self._lost.bridged(T_previous_current, covariance)
+        view = None if reason == SWAPPED else self._front_end.observe(pair)
+        if view is None or len(view.points.ids) < self._config.plausibility.tracks:
+            self._reference = bridged  # a pair that shows nothing is left out
+        else:
+            lost = self._lost or bridged
+            self._restart(view)
+            self._lost = lost
+        return Motion(T_previous_current, covariance, True, reason)
 
     def _restart(self, view: View) -> None:
         """Measure from this view on, and refine nothing before it."""
         self._window.restart(view.points)
-        self._measure_from(view)
-
-    def _measure_from(self, view: View) -> None:
-        self._reference, self._age = view, 0
-        self._T_reference_previous = self._T_reference_measured = np.eye(4)
-        self._covariance_previous = np.zeros((6, 6))
-
-
-def _motion(T: Array, covariance: Array, reason: str, located: Located | None = None) -> Motion:
-    """Assemble the answer, with tracks where there was a measurement."""
-    if located is None or located.estimate is None:
-        nothing = np.zeros((0, 2))
-        return Motion(T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan"))
-    tracks, estimate = located.tracks, located.estimate
-    return Motion(
-        T, covariance, False, reason, tracks.first_left, tracks.second_left, estimate.inliers, estimate.residual_px
-    )
+        self._reference, self._lost = Reference(view), None

@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 
 _REMEMBERED = 15  # intervals
+_UNKNOWN = 0.1  # s, what most recordings have
 
 
 class Ticks:
@@ -14,6 +15,11 @@ class Ticks:
         self._last: float | None = None
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
 
+    @property
+    def interval(self) -> float:
+        """Seconds between two images, usually; a tenth while there are no time stamps."""
+        return float(np.median(self._intervals)) if self._intervals else _UNKNOWN
+
     def since_last(self, timestamp: float | None) -> int:
         """Images from the one before to the one taken at a time in seconds, at least 1."""
         if timestamp is None or not np.isfinite(timestamp):
@@ -22,7 +28,7 @@ class Ticks:
         self._last = timestamp
         if interval <= 0.0:
             return 1
-        usual = float(np.median(self._intervals)) if self._intervals else interval
+        usual = self.interval if self._intervals else interval
         ticks = max(round(interval / usual), 1)
         self._intervals.append(interval / ticks)
         return ticks

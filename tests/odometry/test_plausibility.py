@@ -24,7 +24,7 @@ CONTESTED = replace(GOOD, inliers=np.arange(100) < 45)
 
 def test_a_good_measurement_is_believed_whatever_was_expected():
     assert doubt(GOOD, Expectation(GOOD.T_first_second), CONFIG) == ""
-    assert doubt(GOOD, Expectation(se3.exp(np.array([0, 0, 0, 0, 0, 9.0]))), CONFIG) == ""
+    assert doubt(GOOD, Expectation(se3.exp(np.array([0, 0, 0, 0, 0, 0.1]))), CONFIG) == ""
     assert doubt(GOOD, None, CONFIG) == ""
 
 
@@ -55,3 +55,20 @@ def test_a_minority_is_believed_only_where_it_was_expected():
     assert doubt(minority, Expectation(GOOD.T_first_second), CONFIG) == ""
     assert "only 25 of 100 points agree" in doubt(minority, None, CONFIG)
     assert "only 25 of 100 points agree" in doubt(minority, Expectation(np.eye(4)), CONFIG)
+
+
+def moving(metres):
+    return replace(GOOD, T_first_second=se3.exp(np.array([0, 0, 0, 0, 0, metres])))
+
+
+def test_a_view_that_stands_still_before_a_driving_camera_is_another_car_until_brakes_could_have_stopped_it():
+    driving = moving(1.0).T_first_second
+    assert "does not move" in doubt(moving(0.0), Expectation(driving, unmeasured=1), CONFIG)
+    assert "does not move" in doubt(moving(0.0), Expectation(driving, unmeasured=8), CONFIG)
+    assert doubt(moving(0.0), Expectation(driving, unmeasured=10), CONFIG) == ""
+    assert doubt(moving(0.9), Expectation(driving), CONFIG) == ""
+
+
+def test_a_speed_that_was_seen_only_once_says_nothing_about_brakes():
+    assert doubt(moving(1.0), Expectation(moving(6.0).T_first_second, way=1.0), CONFIG) == ""
+    assert "does not move" in doubt(moving(1.0), Expectation(moving(6.0).T_first_second), CONFIG)
