@@ -76,9 +76,9 @@ class AdjustmentConfig:
     """
 
     iterations: int = 12
-    start_px: float = 4.0
+    start_px: float = 2.0
     floor_px: float = 0.05
-    converged: float = 1e-5
+    converged: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,8 @@ class _Problem:
 
     def noise(self) -> float:
         """Measure the standard deviation of a measurement, pixels, by the smaller of the squared residuals."""
-        return float(np.sqrt(np.quantile(self._chi2, _QUANTILE) / _AT_QUANTILE))
+        k = int(_QUANTILE * len(self._chi2))
+        return float(np.sqrt(np.partition(self._chi2, k)[k] / _AT_QUANTILE))
 
     def result(self, sigma: float) -> TwoViewEstimate:
         """Sum up what has been found, with its uncertainty at the noise level sigma, pixels."""
