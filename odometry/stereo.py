@@ -66,7 +66,7 @@ class StereoOdometryConfig:
     key_rad: float = 0.01
     key_share: float = 0.6
     patience: int = 50
-    persistence: float = 14.0
+    persistence: float = 9.0
     extrapolated_rad: float = 0.02
     extrapolated_m: float = 0.2
 
