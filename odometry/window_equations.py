@@ -17,6 +17,8 @@ Vector = tuple[float, float, float]
 
 _POSE = 6
 _ROWS = 3  # residuals of one sighting: column and row in the left image, and disparity
+# Columns of a sighting: its errors, their derivatives by the anchor's pose, the frame's pose and the inverse depth.
+_ERROR, _ANCHOR, _FRAME, _DEPTH, _COLUMNS = 0, 1, 7, 13, 14
 _BEHIND = 1e-2  # smallest depth over depth that is divided by
 
 
@@ -43,23 +45,22 @@ def accumulate(
     states = _POSE * len(poses)
     H, b, chi2 = np.zeros((states, states)), np.zeros(states), np.zeros(len(frame))
     rows, offset = np.zeros((len(inverse_depth), states)), np.zeros(len(inverse_depth))
-    now, before, relative = _sighting(), _sighting(), np.zeros((3, 4))
-    J, Jd, residual, columns = np.zeros((_ROWS, 18)), np.zeros(_ROWS), np.zeros(_ROWS), np.zeros(18, np.int64)
+    now, before, relative = np.zeros((_ROWS, _COLUMNS)), np.zeros((_ROWS, _COLUMNS)), np.zeros((3, 4))
+    J, Jd, residual = np.zeros((_ROWS, 3 * _POSE)), np.zeros(_ROWS), np.zeros(_ROWS)
     for i in range(len(inverse_depth)):
         curvature, slope, anchor = 0.0, 0.0, frame[first[i]]
         for m in range(first[i], first[i + 1]):
             _relate(poses[anchor], poses[frame[m]], relative)
             _see(camera, places[first[i]], places[m], inverse_depth[i], relative, now)
             if m == first[i]:  # where a point is anchored does not depend on the pose
-                now[1][:], now[2][:] = 0.0, 0.0
+                now[:, _ANCHOR:_DEPTH] = 0.0
             _difference(now, before, m > first[i], residual, J, Jd)
-            _name_columns(columns, anchor, frame[max(m - 1, first[i])], frame[m])
-            chi2[m] = residual @ residual
+            chi2[m] = _dot(residual, residual)
             weight = 1.0 / (1.0 + chi2[m] / scale) ** 2
-            slope += weight * (Jd @ residual)
-            curvature += weight * (Jd @ Jd)
-            _add(H, b, rows[i], columns, J, Jd, residual, weight)
-            _swap(now, before)
+            slope += weight * _dot(Jd, residual)
+            curvature += weight * _dot(Jd, Jd)
+            _add(H, b, rows[i], (anchor, frame[max(m - 1, first[i])], frame[m]), J, Jd, residual, weight)
+            before[:] = now
         offset[i] = slope / curvature
         for j in range(states):
             rows[i, j] /= curvature
@@ -71,15 +72,9 @@ def accumulate(
 
 
 @njit(cache=True)
-def _sighting() -> tuple[Array, Array, Array, Array]:
-    """Room for the errors (3,) of one sighting and their derivatives by anchor, frame (3, 6) and depth (3,)."""
-    return np.zeros(_ROWS), np.zeros((_ROWS, _POSE)), np.zeros((_ROWS, _POSE)), np.zeros(_ROWS)
-
-
-@njit(cache=True)
-def _swap(a: tuple[Array, Array, Array, Array], b: tuple[Array, Array, Array, Array]) -> None:
-    """Keep a sighting for the next one's difference."""
-    b[0][:], b[1][:], b[2][:], b[3][:] = a[0], a[1], a[2], a[3]
+def _dot(a: Array, b: Array) -> float:
+    """Inner product of two vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True)
@@ -92,83 +87,71 @@ def _relate(A: Array, F: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def _see(camera: Array, first: Array, place: Array, d: float, T: Array, out: tuple[Array, Array, Array, Array]) -> None:
-    """Errors of a sighting, measured less predicted, pixels, and their derivatives.
+def _see(camera: Array, first: Array, place: Array, d: float, T: Array, out: Array) -> None:
+    """Errors of a sighting, measured less predicted, pixels, and their derivatives: a sighting's columns.
 
     The point was first seen at `first` and is now at `place` (3,); T (3, 4) is its first frame in the present one.
     """
-    error, J_anchor, J_frame, J_depth = out
     fx, fy, cx, cy, baseline = camera
     rx, ry = (first[0] - cx) / fx, (first[2] - cy) / fy
     X = T[0, 0] * rx + T[0, 1] * ry + T[0, 2] + d * T[0, 3]
     Y = T[1, 0] * rx + T[1, 1] * ry + T[1, 2] + d * T[1, 3]
     Z = max(T[2, 0] * rx + T[2, 1] * ry + T[2, 2] + d * T[2, 3], _BEHIND)
     x, y, near = X / Z, Y / Z, d / Z
-    error[0], error[1] = place[0] - (fx * x + cx), place[2] - (fy * y + cy)
-    error[2] = fx * baseline * near - (place[0] - place[1])
+    out[0, _ERROR], out[1, _ERROR] = place[0] - (fx * x + cx), place[2] - (fy * y + cy)
+    out[2, _ERROR] = fx * baseline * near - (place[0] - place[1])
     point, ray = (X, Y, Z), (rx, ry)
-    _gradient(J_anchor[0], J_frame[0], (-fx / Z, 0.0, fx * x / Z), T, point, ray, d)
-    _gradient(J_anchor[1], J_frame[1], (0.0, -fy / Z, fy * y / Z), T, point, ray, d)
-    _gradient(J_anchor[2], J_frame[2], (0.0, 0.0, -fx * baseline * near / Z), T, point, ray, d)
-    J_depth[0] = -fx * (T[0, 3] - x * T[2, 3]) / Z
-    J_depth[1] = -fy * (T[1, 3] - y * T[2, 3]) / Z
-    J_depth[2] = fx * baseline * (1.0 - near * T[2, 3]) / Z
+    _gradient(out, 0, (-fx / Z, 0.0, fx * x / Z), T, point, ray, d)
+    _gradient(out, 1, (0.0, -fy / Z, fy * y / Z), T, point, ray, d)
+    _gradient(out, 2, (0.0, 0.0, -fx * baseline * near / Z), T, point, ray, d)
+    out[0, _DEPTH] = -fx * (T[0, 3] - x * T[2, 3]) / Z
+    out[1, _DEPTH] = -fy * (T[1, 3] - y * T[2, 3]) / Z
+    out[2, _DEPTH] = fx * baseline * (1.0 - near * T[2, 3]) / Z
 
 
 @njit(cache=True)
 def _gradient(
-    J_anchor: Array, J_frame: Array, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float
+    out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float
 ) -> None:
-    """Turn a gradient by the point, over its depth, in the present frame into those by both poses (6,)."""
+    """Turn a gradient by the point, over its depth, in the present frame into those of row r by both poses."""
     (gx, gy, gz), (X, Y, Z), (rx, ry) = gradient, point, ray
-    J_frame[0], J_frame[1], J_frame[2] = gy * Z - gz * Y, gz * X - gx * Z, gx * Y - gy * X
-    J_frame[3], J_frame[4], J_frame[5] = -d * gx, -d * gy, -d * gz
+    out[r, 7], out[r, 8], out[r, 9] = gy * Z - gz * Y, gz * X - gx * Z, gx * Y - gy * X
+    out[r, 10], out[r, 11], out[r, 12] = -d * gx, -d * gy, -d * gz
     hx = gx * T[0, 0] + gy * T[1, 0] + gz * T[2, 0]
     hy = gx * T[0, 1] + gy * T[1, 1] + gz * T[2, 1]
     hz = gx * T[0, 2] + gy * T[1, 2] + gz * T[2, 2]
-    J_anchor[0], J_anchor[1], J_anchor[2] = hz * ry - hy, hx - hz * rx, hy * rx - hx * ry
-    J_anchor[3], J_anchor[4], J_anchor[5] = d * hx, d * hy, d * hz
+    out[r, 1], out[r, 2], out[r, 3] = hz * ry - hy, hx - hz * rx, hy * rx - hx * ry
+    out[r, 4], out[r, 5], out[r, 6] = d * hx, d * hy, d * hz
 
 
 @njit(cache=True)
-def _difference(
-    now: tuple[Array, Array, Array, Array],
-    before: tuple[Array, Array, Array, Array],
-    followed: bool,
-    residual: Array,
-    J: Array,
-    Jd: Array,
-) -> None:
+def _difference(now: Array, before: Array, followed: bool, residual: Array, J: Array, Jd: Array) -> None:
     """Residuals (3,): what the left error grew by since the frame before, and the disparity's error; J (3, 18)."""
-    J[:] = 0.0
     for r in range(_ROWS):
         kept = 1.0 if followed and r < 2 else 0.0
-        residual[r] = now[0][r] - kept * before[0][r]
-        Jd[r] = now[3][r] - kept * before[3][r]
+        residual[r] = now[r, _ERROR] - kept * before[r, _ERROR]
+        Jd[r] = now[r, _DEPTH] - kept * before[r, _DEPTH]
         for k in range(_POSE):
-            J[r, k] = now[1][r, k] - kept * before[1][r, k]
-            J[r, 6 + k] = -kept * before[2][r, k]
-            J[r, 12 + k] = now[2][r, k]
+            J[r, k] = now[r, _ANCHOR + k] - kept * before[r, _ANCHOR + k]
+            J[r, 6 + k] = -kept * before[r, _FRAME + k]
+            J[r, 12 + k] = now[r, _FRAME + k]
 
 
 @njit(cache=True)
-def _name_columns(columns: Indices, anchor: int, previous: int, current: int) -> None:
-    """Name the states that the 18 columns of one sighting stand for."""
-    for k in range(_POSE):
-        columns[k], columns[6 + k], columns[12 + k] = _POSE * anchor + k, _POSE * previous + k, _POSE * current + k
-
-
-@njit(cache=True)
-def _add(H: Array, b: Array, row: Array, columns: Indices, J: Array, Jd: Array, residual: Array, weight: float) -> None:
-    """Add one sighting to the upper half of H, to b and to its depth's row; columns grow where J is not zero."""
+def _add(
+    H: Array, b: Array, row: Array, poses: tuple[int, int, int], J: Array, Jd: Array, residual: Array, weight: float
+) -> None:
+    """Add one sighting to H above the diagonal, to b and to its depth's row; the three poses never decrease."""
     for r in range(_ROWS):
-        for j in range(18):
-            scaled = weight * J[r, j]
-            if scaled != 0.0:
-                b[columns[j]] += scaled * residual[r]
-                row[columns[j]] += scaled * Jd[r]
-                for k in range(j, 18):
-                    H[columns[j], columns[k]] += scaled * J[r, k]
+        for m in range(3):
+            for j in range(_POSE):
+                scaled, state = weight * J[r, _POSE * m + j], _POSE * poses[m] + j
+                if scaled != 0.0:
+                    b[state] += scaled * residual[r]
+                    row[state] += scaled * Jd[r]
+                    for n in range(m, 3):
+                        for k in range(_POSE):  # all six, though half would do: the compiler unrolls them
+                            H[state, _POSE * poses[n] + k] += scaled * J[r, _POSE * n + k]
 
 
 @njit(cache=True)

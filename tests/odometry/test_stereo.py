@@ -106,6 +106,51 @@ def test_bad_images_are_bridged_and_the_way_is_kept(camera, drive, motion_true, 
     assert np.linalg.norm(chained(motions)[-1][:3, 3] - truth[:3, 3]) < 0.05
 
 
+@pytest.mark.parametrize("fault", ["blurred", "dark"])
+def test_a_stretch_that_hides_most_is_measured_against_the_last_clear_image(camera, drive, motion_true, fault):
+    spoil = {"blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dark": lambda image: image // 8}[fault]
+    pairs = [tuple(map(spoil, pair)) if 4 <= k < 7 else pair for k, pair in enumerate(drive)]
+    motions = tracked(camera, pairs)
+    assert_finite(motions)
+    assert not any(m.predicted for m in motions[8:])
+    truth = np.linalg.matrix_power(motion_true, len(drive) - 1)
+    assert np.linalg.norm(chained(motions)[-1][:3, 3] - truth[:3, 3]) < 0.02 * 0.4 * len(drive)
+
+
+@pytest.mark.parametrize("start", [0, 4])
+def test_swapped_images_are_named_and_not_followed(camera, drive, motion_true, start):
+    pairs = [pair[::-1] if start <= k < start + 3 else pair for k, pair in enumerate(drive)]
+    motions = tracked(camera, pairs)
+    assert_finite(motions)
+    named = [k for k, m in enumerate(motions) if "left and the right image are swapped" in m.reason]
+    assert named == list(range(start, start + 3))
+    for motion in motions[start + 4 :]:
+        assert np.linalg.norm(motion.T_previous_current[:3, 3] - motion_true[:3, 3]) < 0.05
+
+
+def test_a_car_that_suddenly_fills_the_view_does_not_stop_the_camera(camera, world, motion_true):
+    fast = np.array([0.0, 0, 0, 0, 0, 1.0])
+    pairs = [world.pair(se3.exp(k * fast)) for k in range(8)]
+    truck = cv2.GaussianBlur(noise(camera, 5), (0, 0), 1.5)
+    for left, right in pairs[4:6]:
+        left[:, 40:480], right[:, 30:470] = truck[:, 40:480], truck[:, 40:480]
+    motions = tracked(camera, pairs)
+    assert_finite(motions)
+    assert not any(m.predicted for m in motions[7:])
+    assert abs(chained(motions)[-1][2, 3] - 7.0) < 0.2
+
+
+def test_a_gap_in_the_time_stamps_is_extrapolated_over_its_whole_length(camera, drive):
+    odometry = StereoOdometry(camera)
+    for k, pair in enumerate(drive[:5]):
+        odometry.track(*pair, 0.1 * k)
+    one = odometry._velocity
+    blind = odometry.track(blank(camera, 0), blank(camera, 0), 0.4 + 0.6)
+    assert blind.predicted
+    np.testing.assert_allclose(se3.log(blind.T_previous_current), 6 * one, atol=1e-9)
+    assert blind.covariance[5, 5] == pytest.approx((6 * 0.2) ** 2)
+
+
 def test_a_blank_start_recovers(camera, drive):
     motions = tracked(camera, [(blank(camera, 0),) * 2] * 2 + drive[:4])
     assert_finite(motions)
