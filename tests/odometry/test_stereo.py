@@ -107,14 +107,18 @@ def test_bad_images_are_bridged_and_the_way_is_kept(camera, drive, motion_true, 
 
 
 @pytest.mark.parametrize("fault", ["blurred", "dark"])
-def test_a_stretch_that_hides_most_is_measured_against_the_last_clear_image(camera, drive, motion_true, fault):
+def test_a_stretch_that_hides_most_is_measured_against_the_last_clear_image(camera, world, motion_true, fault):
     spoil = {"blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dark": lambda image: image // 8}[fault]
-    pairs = [tuple(map(spoil, pair)) if 4 <= k < 7 else pair for k, pair in enumerate(drive)]
-    motions = tracked(camera, pairs)
+    truth, bend = [np.eye(4)], se3.exp(np.array([0.0, 0.03, 0, 0, 0, 0.3]))  # as soon as nothing is seen
+    for k in range(8):
+        truth.append(truth[-1] @ (motion_true if k < 3 else bend))
+    pairs = [world.pair(T) for T in truth]
+    motions = tracked(camera, [tuple(map(spoil, pair)) if 4 <= k < 6 else pair for k, pair in enumerate(pairs)])
     assert_finite(motions)
-    assert not any(m.predicted for m in motions[8:])
-    truth = np.linalg.matrix_power(motion_true, len(drive) - 1)
-    assert np.linalg.norm(chained(motions)[-1][:3, 3] - truth[:3, 3]) < 0.02 * 0.4 * len(drive)
+    assert not any(m.predicted for m in motions[7:])
+    off = se3.log(se3.inverse(chained(motions)[-1]) @ truth[-1])
+    assert np.linalg.norm(off[:3]) < 0.005
+    assert np.linalg.norm(off[3:]) < 0.05
 
 
 @pytest.mark.parametrize("start", [0, 4])
@@ -128,7 +132,7 @@ def test_swapped_images_are_named_and_not_followed(camera, drive, motion_true, s
         assert np.linalg.norm(motion.T_previous_current[:3, 3] - motion_true[:3, 3]) < 0.05
 
 
-def test_a_car_that_suddenly_fills_the_view_does_not_stop_the_camera(camera, world, motion_true):
+def test_a_car_that_suddenly_fills_the_view_does_not_stop_the_camera(camera, world):
     fast = np.array([0.0, 0, 0, 0, 0, 1.0])
     pairs = [world.pair(se3.exp(k * fast)) for k in range(8)]
     truck = cv2.GaussianBlur(noise(camera, 5), (0, 0), 1.5)
@@ -137,7 +141,7 @@ def test_a_car_that_suddenly_fills_the_view_does_not_stop_the_camera(camera, wor
     motions = tracked(camera, pairs)
     assert_finite(motions)
     assert not any(m.predicted for m in motions[7:])
-    assert abs(chained(motions)[-1][2, 3] - 7.0) < 0.2
+    assert all(abs(m.T_previous_current[2, 3] - 1.0) < 0.1 for m in motions[1:])
 
 
 def test_a_gap_in_the_time_stamps_is_extrapolated_over_its_whole_length(camera, drive):
