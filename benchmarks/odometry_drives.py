@@ -75,5 +75,7 @@ def way(poses: Array) -> float:
 
 
 def end_error(poses: Array, truth: Array) -> float:
-    """Error of the last position over the way driven, per cent, unaligned."""
+    """Error of the last position over the way driven, per cent, unaligned; NaN where there is no way."""
+    if len(truth) < 2:
+        return float("nan")
     return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / way(truth)

@@ -120,7 +120,7 @@ def report(drive: Drive) -> None:
         motions = run(camera, struck)
         finite = np.isfinite(chained(motions)).all() and len(motions) == len(struck)
         flagged, reasons = sum(m.predicted for m in motions), "; ".join(sorted({m.reason for m in motions} - {""}))
-        total, after = errors(motions, struck, min(at + _LONGEST, len(struck) - 5))
+        total, after = errors(motions, struck, max(at, min(at + _LONGEST, len(struck) - 5)))
         print(f"    {fault:<12} {flagged:9d}  {finite!s:>6}  {total:7.2f}  {after:7.2f}  {reasons}", flush=True)
 
 
