@@ -90,15 +90,18 @@ def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config
 
 
 def brakes(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
-    """Whether a motion falls short of the expected one by half, and by more than brakes can do.
+    """Whether a motion falls short of the expected one by half, by more than brakes can do, or goes sideways.
 
     Then something else fills the view: what keeps its distance from the camera seems to stand still.
     """
     ahead = float(np.linalg.norm(expected.T[:3, 3]))
     way = min(ahead, expected.way)
-    short = way - float(T[:3, 3] @ expected.T[:3, 3]) / max(ahead, config.moving_m)
+    progress = float(T[:3, 3] @ expected.T[:3, 3]) / max(ahead, config.moving_m)
+    sideways = float(np.sqrt(max(T[:3, 3] @ T[:3, 3] - progress**2, 0.0)))
     slower = config.braking_mps2 * expected.interval * expected.unmeasured
-    return short > max(0.5 * way, slower * expected.interval * expected.steps + config.moving_m)
+    limit = slower * expected.interval * expected.steps + config.moving_m
+    skids = way > config.jump_m * expected.steps and sideways > max(progress, limit)
+    return bool(way - progress > max(0.5 * way, limit) or skids)
 
 
 def distance(T: Array, T_expected: Array, config: PlausibilityConfig) -> float:
