@@ -97,7 +97,7 @@ def brakes(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
     ahead = float(np.linalg.norm(expected.T[:3, 3]))
     way = min(ahead, expected.way)
     progress = float(T[:3, 3] @ expected.T[:3, 3]) / max(ahead, config.moving_m)
-    sideways = float(np.sqrt(max(T[:3, 3] @ T[:3, 3] - progress**2, 0.0)))
+    sideways = float(np.linalg.norm(T[:3, 3] - progress * expected.T[:3, 3] / max(ahead, config.moving_m)))
     slower = config.braking_mps2 * expected.interval * expected.unmeasured
     limit = slower * expected.interval * expected.steps + config.moving_m
     skids = way > config.jump_m * expected.steps and sideways > max(progress, limit)
