@@ -1,11 +1,19 @@
 """The answer of an odometry: how the camera moved from the previous image to the current one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def _no_pixels() -> Array:
+    return np.zeros((0, 2))
+
+
+def _none() -> NDArray[np.bool_]:
+    return np.zeros(0, dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,7 @@ class Motion:
     covariance: Array
     predicted: bool
     reason: str
-    pixels_previous: Array
-    pixels_current: Array
-    inliers: NDArray[np.bool_]
-    residual_px: float
+    pixels_previous: Array = field(default_factory=_no_pixels)
+    pixels_current: Array = field(default_factory=_no_pixels)
+    inliers: NDArray[np.bool_] = field(default_factory=_none)
+    residual_px: float = float("nan")

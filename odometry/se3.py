@@ -7,6 +7,7 @@ Robotics (2017), section 7.1.
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -42,21 +43,48 @@ def transform(T_a_b: Array, points_b: Array) -> Array:
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+@njit(cache=True)
 def left_jacobian(w: Array) -> Array:
     """Left Jacobian (3, 3) of SO(3) at the rotation vector w (3,), radians."""
-    angle = float(np.linalg.norm(w))
-    W = hat(w)
-    if angle < _SMALL_ANGLE:
-        return np.eye(3) + 0.5 * W + W @ W / 6.0
-    a = (1.0 - np.cos(angle)) / angle**2
-    b = (angle - np.sin(angle)) / angle**3
-    return np.eye(3) + a * W + b * (W @ W)
+    angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+    a, b = 0.5, 1.0 / 6.0
+    if angle >= _SMALL_ANGLE:
+        a = (1.0 - np.cos(angle)) / angle**2
+        b = (angle - np.sin(angle)) / angle**3
+    return _series(w, a, b)
+
+
+@njit(cache=True)
+def _series(w: Array, a: float, b: float) -> Array:
+    """Sum up `I + a hat(w) + b hat(w)²`, (3, 3)."""
+    x, y, z = w
+    rest = 1.0 - b * (x * x + y * y + z * z)
+    return np.array(
+        [
+            [rest + b * x * x, b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, rest + b * y * y, b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, rest + b * z * z],
+        ]
+    )
+
+
+@njit(cache=True)
+def _exp(xi: Array) -> Array:
+    w, angle = xi[:3], np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
+    a, b = 1.0, 0.5
+    if angle >= _SMALL_ANGLE:
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle**2
+    T = np.eye(4)
+    T[:3, :3] = _series(w, a, b)
+    J = left_jacobian(w)
+    for j in range(3):
+        T[j, 3] = J[j, 0] * xi[3] + J[j, 1] * xi[4] + J[j, 2] * xi[5]
+    return T
 
 
 def exp(xi: Array) -> Array:
     """Pose (4, 4) of the tangent vector xi (6,): rotation, then translation."""
-    xi = np.asarray(xi, dtype=np.float64)
-    return pose(Rotation.from_rotvec(xi[:3]).as_matrix(), left_jacobian(xi[:3]) @ xi[3:])
+    return np.asarray(_exp(np.asarray(xi, dtype=np.float64)))
 
 
 def log(T: Array) -> Array:

@@ -8,19 +8,25 @@ There is one finite motion for every pair. Where the images do not allow a measu
 and says so.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from odometry.calibration import Calibration, CalibrationConfig
 from odometry.camera import StereoCamera
+from odometry.front_end import FrontEnd, Pair, View
+from odometry.locating import SWAPPED, Located, Locator
 from odometry.motion import Motion
-from odometry.plausibility import PlausibilityConfig, doubt, is_sure, jump
-from odometry.rectification import Rectification, RectificationConfig
-from odometry.stereo_matching import StereoMatchingConfig, match_right, match_rows, refine_right
-from odometry.tracking import TrackingConfig, detect, follow, inside
-from odometry.two_views import AdjustmentConfig, StereoTracks, TwoViewEstimate, estimate_motion, ransac_motion
+from odometry.plausibility import Expectation, PlausibilityConfig
+from odometry.reference import Reference
+from odometry.stereo_matching import StereoMatchingConfig, match_rows
+from odometry.ticks import Ticks
+from odometry.tracking import TrackingConfig
+from odometry.two_views import AdjustmentConfig, TwoViewEstimate
+from odometry.window import Sighted, SlidingWindow, WindowConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -35,9 +41,16 @@ class StereoOdometryConfig:
     Attributes:
         tracking: how corners are chosen and followed.
         matching: how they are found in the right image.
-        adjustment: how the motion is computed.
-        rectification: what is thought of the calibration at first.
+        adjustment: how the motion between two pairs is computed.
+        window: how the last poses are refined.
+        calibration: what is thought of the calibration at first.
         plausibility: when a result is not believed.
+        key_m: way from the reference after which a pair becomes the reference, metres.
+        key_rad: turn after which it does, radians.
+        key_share: share of the reference's points that must still agree, or else it does.
+        patience: images for which a reference that was lost is still looked for when its successors fail.
+        persistence: how many times more variance motions have, as parts of a stretch, than their points would
+            have if these erred independently in every image: tracks keep their errors while they live.
         extrapolated_rad: standard deviation of the change of rotation from one image to the next.
         extrapolated_m: standard deviation of the change of translation from one image to the next, metres.
 
@@ -46,72 +59,60 @@ class StereoOdometryConfig:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     matching: StereoMatchingConfig = field(default_factory=StereoMatchingConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    rectification: RectificationConfig = field(default_factory=RectificationConfig)
+    window: WindowConfig = field(default_factory=WindowConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
+    key_m: float = 0.1
+    key_rad: float = 0.01
+    key_share: float = 0.6
+    patience: int = 50
+    persistence: float = 9.0
     extrapolated_rad: float = 0.02
     extrapolated_m: float = 0.2
-
-
-@dataclass(frozen=True)
-class _View:
-    """A pair of images and its points, left and right, (N, 2) pixels each."""
-
-    left: Image
-    right: Image
-    pixels_left: Array
-    pixels_right: Array
 
 
 class StereoOdometry:
     """Measures the motion of a rectified stereo pair, frame by frame.
 
     Attributes:
-        rectification: the pair's calibration error as learned so far; corrects disparities of any match.
+        calibration: the pair's calibration error as learned so far; corrects disparities of any match.
 
     """
 
     def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
         self._camera, self._config = camera, config or StereoOdometryConfig()
-        self.rectification = Rectification.unknown(camera, self._config.rectification)
-        self._reference: _View | None = None  # the last pair that motion could be measured from
-        # Where the previous image stands in the reference's frame: identity but after an extrapolation.
-        self._T_reference_previous = np.eye(4)
-        self._covariance_previous = np.zeros((6, 6))
+        self.calibration = Calibration.unknown(camera, self._config.calibration)
+        self._front_end = FrontEnd(self._config.tracking, self._config.matching)
+        self._locator = Locator(self._front_end, self._config.adjustment, self._config.plausibility)
+        self._window = SlidingWindow(self._config.window)
+        self._ticks = Ticks()
+        self._reference: Reference | None = None
+        self._lost: Reference | None = None  # an earlier reference that its successor was not measured from
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
-        self._age = 1  # images since the reference
+        self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
+        self._unmeasured = 0  # images since the last measurement
 
-    def track(self, left: Image, right: Image) -> Motion:
-        """Motion since the previous pair, images (H, W) uint8 of the camera's size; ValueError for others."""
+    def track(self, left: Image, right: Image, timestamp: float | None = None) -> Motion:
+        """Measure the motion since the previous pair.
+
+        Args:
+            left: (H, W) uint8 of the camera's size.
+            right: of the same size, taken at the same time.
+            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing, ten a second.
+
+        Raises:
+            ValueError: images of another size or type.
+
+        """
         self._check(left, right)
+        steps = self._ticks.since_last(timestamp)
+        self._unmeasured += steps
         if self._reference is None:
-            self._restart(self._observe(left, right))
-            return _motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), "")
-        expected = self._T_reference_previous @ self._expected_motion()
-        for tracking in (self._config.tracking, self._config.tracking.wider()):
-            tracks, estimate = self._measure(self._reference, (left, right), expected, tracking)
-            reason = doubt(estimate, None if self._velocity is None else expected, self._config.plausibility)
-            if estimate is not None and not reason:
-                return self._accept(left, right, tracks, estimate)
-        return self._extrapolate(left, right, reason)
-
-    def _expected_motion(self) -> Array:
-        """T_previous_current (4, 4) at constant velocity; identity while nothing was measured."""
-        return np.eye(4) if self._velocity is None else se3.exp(self._velocity)
-
-    def _measure(
-        self, reference: _View, pair: tuple[Image, Image], expected: Array, tracking: TrackingConfig
-    ) -> tuple[StereoTracks, TwoViewEstimate | None]:
-        """Tracks and the motion they tell, near the expected T_reference_current or wherever they lead."""
-        tracks = self._follow(reference, pair, expected, tracking)
-        estimate = self._estimate(tracks, expected)
-        if estimate is None or not jump(estimate.T_first_second, expected, self._config.plausibility):
-            return tracks, estimate
-        # Tracks that had to be found far from where they were looked for are few: look again where they are.
-        again = self._follow(reference, pair, estimate.T_first_second, tracking)
-        second = self._estimate(again, estimate.T_first_second)
-        if second is None or second.inliers.sum() < estimate.inliers.sum():
-            return tracks, estimate
-        return again, second
+            return self._begin((left, right))
+        motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
+        self._reference = self._reference.older(steps)
+        self._lost = self._lost.older(steps) if self._lost and self._lost.age < self._config.patience else None
+        return self._measure((left, right), motion)
 
     def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
@@ -119,7 +120,7 @@ class StereoOdometry:
         NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
         """
         matched = match_rows(left, right, pixels, self._config.matching)
-        return self.rectification.correct(pixels, matched)
+        return self.calibration.correct(pixels, matched)
 
     def _check(self, left: Image, right: Image) -> None:
         expected = (self._camera.height, self._camera.width)
@@ -130,112 +131,108 @@ class StereoOdometry:
                     f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
                 )
 
-    def _follow(
-        self, reference: _View, pair: tuple[Image, Image], guess: Array, tracking: TrackingConfig
-    ) -> StereoTracks:
-        """Look for the reference's points in the new pair where the guess puts them."""
-        ahead, shift = self._predict(reference, guess)
-        second_left = follow((reference.left, pair[0]), reference.pixels_left, ahead, tracking)
-        # What the prediction got wrong in the left image it got wrong in the right one too.
-        start = second_left + shift
-        kept = np.flatnonzero(np.isfinite(start[:, 0]))
-        second_right = refine_right(pair, second_left[kept], start[kept], self._config.matching)
-        matched = np.isfinite(second_right[:, 0])
-        kept, second_right = kept[matched], second_right[matched]
-        return StereoTracks(reference.pixels_left[kept], reference.pixels_right[kept], second_left[kept], second_right)
+    def _begin(self, pair: Pair) -> Motion:
+        """Take the first pair as the reference, unless its images are swapped."""
+        first = self._unmeasured == 1
+        covariance = _FIRST_VARIANCE * np.eye(6) if first else self._extrapolated(self._unmeasured)
+        if self._front_end.swapped(pair):
+            return Motion(np.eye(4), covariance, True, SWAPPED)
+        self._restart(self._front_end.observe(pair))
+        return Motion(np.eye(4), covariance, False, "")
 
-    def _predict(self, reference: _View, guess: Array) -> tuple[Array, Array]:
-        """Where the points (N, 2) should be in the new left image, and right less left (N, 2), pixels."""
-        shift = reference.pixels_right - reference.pixels_left
-        disparity = self.rectification.correct(reference.pixels_left, -shift[:, 0])
-        points = self._camera.triangulate(reference.pixels_left, np.maximum(disparity, 0.1))
-        seen = self._camera.project(se3.transform(se3.inverse(guess), points))
-        ahead, narrowed = seen[:, [0, 2]], seen[:, 1] - seen[:, 0]
-        visible = np.isfinite(ahead[:, 0]) & inside(ahead, reference.left)
-        ahead = np.where(visible[:, None], ahead, reference.pixels_left)
-        shift[:, 0] += np.where(visible, narrowed + disparity, 0.0)
-        return ahead, shift
+    def _measure(self, pair: Pair, motion: Array) -> Motion:
+        """Measure from the reference, else from the one that was lost, else go on as before: by motion (4, 4)."""
+        reason = ""
+        for reference in filter(None, (self._reference, self._lost)):
+            expected = self._expect(reference, pair, motion)
+            located = self._locator.locate(reference.view, pair, expected, self.calibration)
+            if located.estimate is not None and not located.reason:
+                return self._accept(reference, pair, located, located.estimate)
+            reason = reason or located.reason
+            if reason == SWAPPED:
+                break
+        return self._extrapolate(pair, motion, reason)
 
-    def _estimate(self, tracks: StereoTracks, guess: Array) -> TwoViewEstimate | None:
-        """Find the motion near the guess if most tracks agree with it, else the one that most agree with."""
-        if len(tracks) < self._config.plausibility.tracks:
+    def _expect(self, reference: Reference, pair: Pair, motion: Array) -> Expectation | None:
+        """Expect the motion (4, 4) since the previous image, where one was ever measured."""
+        if np.array_equal(pair[0], reference.view.pair[0]):  # the same image again was taken at the same place
+            return Expectation(np.eye(4))
+        if self._velocity is None:
             return None
-        estimate = estimate_motion(tracks, self.rectification, guess, self._config.adjustment)
-        if not doubt(estimate, None, self._config.plausibility) and is_sure(estimate, self._config.plausibility):
-            return estimate
-        other = ransac_motion(tracks, self.rectification)
-        if other is None:
-            return estimate
-        second = estimate_motion(tracks, self.rectification, other, self._config.adjustment)
-        return min(estimate, second, key=lambda found: found.noise_px)
+        T_reference_current = reference.T_reference_previous @ motion
+        way = reference.age * min(self._speeds)
+        return Expectation(T_reference_current, reference.age, self._unmeasured, self._ticks.interval, way)
 
-    def _accept(self, left: Image, right: Image, tracks: StereoTracks, estimate: TwoViewEstimate) -> Motion:
-        T_previous_current = se3.inverse(self._T_reference_previous) @ estimate.T_first_second
+    def _accept(self, reference: Reference, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
+        """Take over what was measured; a pair far enough from the reference takes its place."""
+        T_reference_current = estimate.T_first_second
+        self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0
+        self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
+        if reference is not self._reference:  # found again: what was between need not be looked for
+            self._restart(self._front_end.observe(pair))
+        elif self._is_key(estimate):
+            self._learn(estimate)
+            T_reference_current = self._renew(pair, located, estimate)
+        else:
+            self._reference = reference.measured(T_reference_current)
+        T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
         Ad = se3.adjoint(se3.inverse(T_previous_current))
-        covariance = estimate.covariance + Ad @ self._covariance_previous @ Ad.T
-        self._velocity = se3.log(estimate.T_first_second) / self._age
+        covariance = self._config.persistence * estimate.covariance + Ad @ reference.covariance_previous @ Ad.T
+        if self._lost:
+            self._lost = self._lost.bridged(T_previous_current, covariance)
+        tracks, good = located.tracks, estimate.inliers
+        return Motion(
+            T_previous_current, covariance, False, "",
+            tracks.first_left, tracks.second_left, good, estimate.residual_px,
+        )  # fmt: skip
+
+    def _is_key(self, estimate: TwoViewEstimate) -> bool:
+        """Whether a pair is far from the reference. One that is not would only add the error of another link."""
+        assert self._reference is not None
+        T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
+        far = np.linalg.norm(T[:3, 3]) > self._config.key_m or se3.angle(T) > self._config.key_rad
+        return bool(far or estimate.inliers.sum() < self._config.key_share * seen)
+
+    def _learn(self, estimate: TwoViewEstimate) -> None:
         if np.linalg.norm(estimate.T_first_second[:3, 3]) > self._config.plausibility.moving_m:
             # Standing still says nothing new: the same points have the same errors again.
-            self.rectification = self.rectification.learned(
-                estimate.rectification, estimate.information, self._config.rectification
+            self.calibration = self.calibration.learned(
+                estimate.calibration, estimate.information, self._config.calibration
             )
-        good = estimate.inliers
-        self._restart(self._observe(left, right, tracks.second_left[good], tracks.second_right[good]))
-        return _motion(T_previous_current, covariance, "", tracks, estimate)
 
-    def _extrapolate(self, left: Image, right: Image, reason: str) -> Motion:
-        """Go on at constant velocity; this pair is the new reference if it shows enough."""
-        T_previous_current = self._expected_motion()
-        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * self._age
-        covariance = np.diag(deviation**2)
-        view = self._observe(left, right)
-        if len(view.pixels_left) >= self._config.plausibility.tracks:
-            self._restart(view)
-        else:
-            self._T_reference_previous = self._T_reference_previous @ T_previous_current
-            self._covariance_previous = se3.compose_covariance(
-                self._covariance_previous, T_previous_current, covariance
-            )
-            self._age += 1
-        return _motion(T_previous_current, covariance, reason)
-
-    def _observe(self, left: Image, right: Image, *kept: Array) -> _View:
-        """Make a view of the tracks kept, left and right (N, 2), topped up with new corners."""
-        pixels_left, pixels_right = kept or (np.zeros((0, 2)), np.zeros((0, 2)))
-        corners = detect(left, pixels_left, self._config.tracking)
-        places = match_right(left, right, corners, self._config.matching)
-        matched = np.isfinite(places[:, 0])
-        return _View(
-            left.copy(),  # callers may use one buffer for all images
-            right.copy(),
-            np.concatenate([pixels_left, corners[matched]]),
-            np.concatenate([pixels_right, places[matched]]),
+    def _renew(self, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Array:
+        """Make a pair the reference, and say where the window puts it in the old one (4, 4)."""
+        if not located.followed:
+            self._restart(self._front_end.observe(pair))
+            return estimate.T_first_second
+        good, tracks = estimate.inliers, located.tracks
+        view = self._front_end.observe(
+            pair, Sighted(tracks.ids[good], tracks.second_left[good], tracks.second_right[good])
         )
+        self._reference = Reference(view)
+        return self._window.refine(view.points, estimate.T_first_second, self.calibration)
 
-    def _restart(self, view: _View) -> None:
-        """Measure from this view on."""
-        self._reference, self._age = view, 1
-        self._T_reference_previous, self._covariance_previous = np.eye(4), np.zeros((6, 6))
+    def _extrapolated(self, images: int) -> Array:
+        """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
+        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * images
+        return np.diag(deviation**2)
 
+    def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
+        """Go on at constant velocity; this pair is the new reference if it shows enough."""
+        assert self._reference is not None
+        covariance = self._extrapolated(self._unmeasured)
+        bridged = self._reference.bridged(T_previous_current, covariance)
+        self._lost = self._lost and self._lost.bridged(T_previous_current, covariance)
+        view = None if reason == SWAPPED else self._front_end.observe(pair)
+        if view is None or len(view.points.ids) < self._config.plausibility.tracks:
+            self._reference = bridged  # a pair that shows nothing is left out
+        else:
+            lost = self._lost or bridged
+            self._restart(view)
+            self._lost = lost
+        return Motion(T_previous_current, covariance, True, reason)
 
-def _motion(
-    T: Array,
-    covariance: Array,
-    reason: str,
-    tracks: StereoTracks | None = None,
-    estimate: TwoViewEstimate | None = None,
-) -> Motion:
-    """Assemble the answer, with tracks where there was a measurement."""
-    if tracks is None or estimate is None:
-        nothing = np.zeros((0, 2))
-        return Motion(T, covariance, bool(reason), reason, nothing, nothing, np.zeros(0, dtype=bool), float("nan"))
-    return Motion(
-        T,
-        covariance,
-        False,
-        reason,
-        tracks.first_left,
-        tracks.second_left,
-        estimate.inliers,
-        estimate.residual_px,
-    )
+    def _restart(self, view: View) -> None:
+        """Measure from this view on, and refine nothing before it."""
+        self._window.restart(view.points)
+        self._reference, self._lost = Reference(view), None

@@ -37,7 +37,7 @@ class TrackingConfig:
     rows: int = 6
     spacing_px: int = 10
     quality: float = 2e-3
-    window_px: int = 11
+    window_px: int = 9
     levels: int = 3
     return_px: float = 0.5
 

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 class Odometry(Protocol):
     """Answers how the camera moved since the previous image."""
 
-    def track(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Motion:
-        """Motion from the previous pair of images (H, W) uint8 to this one; always finite."""
+    def track(self, left: NDArray[np.uint8], right: NDArray[np.uint8], timestamp: float) -> Motion:
+        """Motion from the previous pair of images (H, W) uint8 to this one; always finite. Timestamp in seconds."""
         ...
 
 
@@ -132,7 +132,7 @@ class Slam:
     def _move(self, frame: Frame) -> Motion:
         assert frame.right is not None  # the run has refused drives without right images
         with self.clock.stage("odometry"):
-            motion = self.parts.odometry.track(frame.left, frame.right)
+            motion = self.parts.odometry.track(frame.left, frame.right, frame.timestamp)
         if self._frames:
             self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
             self._travelled += float(np.linalg.norm(motion.T_previous_current[:3, 3]))

@@ -101,7 +101,8 @@ def simulate_tracks(
     first_right, second_left = first[:, 1:] + offset_px + noise[0], second[:, [0, 2]] + noise[1]
     # As in the odometry, the second right place is where the second left one, noise and all, is found again.
     second_right = second[:, 1:] + offset_px + noise[1] + noise[2]
-    return StereoTracks(*(p[seen] for p in (pixels, first_right, second_left, second_right)))
+    places = [p[seen] for p in (pixels, first_right, second_left, second_right)]
+    return StereoTracks(*places, np.flatnonzero(seen))
 
 
 Clip = tuple[StereoCamera, list[Pair], Array]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from odometry.plausibility import PlausibilityConfig, doubt
+from odometry.plausibility import Expectation, PlausibilityConfig, doubt
 from odometry.two_views import TwoViewEstimate
 
 CONFIG = PlausibilityConfig()
@@ -16,15 +16,15 @@ GOOD = TwoViewEstimate(
     inliers=np.arange(100) < 90,
     noise_px=0.1,
     residual_px=0.1,
-    rectification=np.zeros(12),
-    information=np.eye(12),
+    calibration=np.zeros(15),
+    information=np.eye(15),
 )
 CONTESTED = replace(GOOD, inliers=np.arange(100) < 45)
 
 
 def test_a_good_measurement_is_believed_whatever_was_expected():
-    assert doubt(GOOD, GOOD.T_first_second, CONFIG) == ""
-    assert doubt(GOOD, se3.exp(np.array([0, 0, 0, 0, 0, 9.0])), CONFIG) == ""
+    assert doubt(GOOD, Expectation(GOOD.T_first_second), CONFIG) == ""
+    assert doubt(GOOD, Expectation(se3.exp(np.array([0, 0, 0, 0, 0, 0.1]))), CONFIG) == ""
     assert doubt(GOOD, None, CONFIG) == ""
 
 
@@ -32,19 +32,43 @@ def test_a_good_measurement_is_believed_whatever_was_expected():
     ("estimate", "words"),
     [
         (None, "fewer than 20 points"),
-        (replace(GOOD, inliers=np.arange(100) < 30), "only 30 of 100 points agree"),
+        (replace(GOOD, inliers=np.arange(250) < 30), "only 30 of 250 points agree"),
         (replace(GOOD, inliers=np.arange(18) < 18), "only 18 of 18 points agree"),
         (replace(GOOD, noise_px=3.0), "only to 3.0 px"),
         (replace(GOOD, covariance=np.full((6, 6), np.nan)), "did not converge"),
     ],
 )
 def test_a_weak_measurement_is_doubted(estimate, words):
-    assert words in doubt(estimate, GOOD.T_first_second, CONFIG)
+    assert words in doubt(estimate, Expectation(GOOD.T_first_second), CONFIG)
 
 
 def test_a_contested_measurement_is_believed_only_where_it_was_expected():
-    assert doubt(CONTESTED, GOOD.T_first_second, CONFIG) == ""
+    assert doubt(CONTESTED, Expectation(GOOD.T_first_second), CONFIG) == ""
     assert doubt(CONTESTED, None, CONFIG) == ""
-    assert "a jump of 1.0 m" in doubt(CONTESTED, np.eye(4), CONFIG)
+    assert "a jump of 1.0 m" in doubt(CONTESTED, Expectation(np.eye(4)), CONFIG)
     turned = GOOD.T_first_second @ se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
-    assert "11.5 degrees" in doubt(CONTESTED, turned, CONFIG)
+    assert "11.5 degrees" in doubt(CONTESTED, Expectation(turned), CONFIG)
+
+
+def test_a_minority_is_believed_only_where_it_was_expected():
+    minority = replace(GOOD, inliers=np.arange(100) < 25)
+    assert doubt(minority, Expectation(GOOD.T_first_second), CONFIG) == ""
+    assert "only 25 of 100 points agree" in doubt(minority, None, CONFIG)
+    assert "only 25 of 100 points agree" in doubt(minority, Expectation(np.eye(4)), CONFIG)
+
+
+def moving(metres):
+    return replace(GOOD, T_first_second=se3.exp(np.array([0, 0, 0, 0, 0, metres])))
+
+
+def test_a_view_that_stands_still_before_a_driving_camera_is_another_car_until_brakes_could_have_stopped_it():
+    driving = moving(1.0).T_first_second
+    assert "does not move" in doubt(moving(0.0), Expectation(driving, unmeasured=1), CONFIG)
+    assert "does not move" in doubt(moving(0.0), Expectation(driving, unmeasured=8), CONFIG)
+    assert doubt(moving(0.0), Expectation(driving, unmeasured=10), CONFIG) == ""
+    assert doubt(moving(0.9), Expectation(driving), CONFIG) == ""
+
+
+def test_a_speed_that_was_seen_only_once_says_nothing_about_brakes():
+    assert doubt(moving(1.0), Expectation(moving(6.0).T_first_second, way=1.0), CONFIG) == ""
+    assert "does not move" in doubt(moving(1.0), Expectation(moving(6.0).T_first_second), CONFIG)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from odometry import Motion, StereoOdometry, StereoOdometryConfig, se3
-from odometry.rectification import RectificationConfig
+from odometry.calibration import CalibrationConfig
 
 
 def tracked(camera, pairs, config=None):
@@ -64,7 +64,8 @@ def test_a_simulated_drive_is_measured_to_a_hundredth(camera, drive, motion_true
 
 
 def test_errors_on_images_are_as_large_as_the_covariance_says(camera, drive, motion_true):
-    exact = StereoOdometryConfig(rectification=RectificationConfig(0.01, 0.01, 0.01))
+    # In this world errors do not persist from image to image.
+    exact = StereoOdometryConfig(calibration=CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01), persistence=1.0)
     errors = [
         (se3.log(se3.inverse(m.T_previous_current) @ motion_true), m.covariance)
         for m in tracked(camera, drive, exact)[1:]
@@ -103,6 +104,55 @@ def test_bad_images_are_bridged_and_the_way_is_kept(camera, drive, motion_true, 
     # The first good pair is measured from the last good one, so the extrapolation's error is taken back.
     truth = np.linalg.matrix_power(motion_true, len(drive) - 1)
     assert np.linalg.norm(chained(motions)[-1][:3, 3] - truth[:3, 3]) < 0.05
+
+
+@pytest.mark.parametrize("fault", ["blurred", "dark"])
+def test_a_stretch_that_hides_most_is_measured_against_the_last_clear_image(camera, world, motion_true, fault):
+    spoil = {"blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "dark": lambda image: image // 8}[fault]
+    truth, bend = [np.eye(4)], se3.exp(np.array([0.0, 0.03, 0, 0, 0, 0.3]))  # as soon as nothing is seen
+    for k in range(8):
+        truth.append(truth[-1] @ (motion_true if k < 3 else bend))
+    pairs = [world.pair(T) for T in truth]
+    motions = tracked(camera, [tuple(map(spoil, pair)) if 4 <= k < 6 else pair for k, pair in enumerate(pairs)])
+    assert_finite(motions)
+    assert not any(m.predicted for m in motions[7:])
+    off = se3.log(se3.inverse(chained(motions)[-1]) @ truth[-1])
+    assert np.linalg.norm(off[:3]) < 0.005
+    assert np.linalg.norm(off[3:]) < 0.05
+
+
+@pytest.mark.parametrize("start", [0, 4])
+def test_swapped_images_are_named_and_not_followed(camera, drive, motion_true, start):
+    pairs = [pair[::-1] if start <= k < start + 3 else pair for k, pair in enumerate(drive)]
+    motions = tracked(camera, pairs)
+    assert_finite(motions)
+    named = [k for k, m in enumerate(motions) if "left and the right image are swapped" in m.reason]
+    assert named == list(range(start, start + 3))
+    for motion in motions[start + 4 :]:
+        assert np.linalg.norm(motion.T_previous_current[:3, 3] - motion_true[:3, 3]) < 0.05
+
+
+def test_a_car_that_suddenly_fills_the_view_does_not_stop_the_camera(camera, world):
+    fast = np.array([0.0, 0, 0, 0, 0, 1.0])
+    pairs = [world.pair(se3.exp(k * fast)) for k in range(8)]
+    truck = cv2.GaussianBlur(noise(camera, 5), (0, 0), 1.5)
+    for left, right in pairs[4:6]:
+        left[:, 40:480], right[:, 30:470] = truck[:, 40:480], truck[:, 40:480]
+    motions = tracked(camera, pairs)
+    assert_finite(motions)
+    assert not any(m.predicted for m in motions[7:])
+    assert all(abs(m.T_previous_current[2, 3] - 1.0) < 0.1 for m in motions[1:])
+
+
+def test_a_gap_in_the_time_stamps_is_extrapolated_over_its_whole_length(camera, drive):
+    odometry = StereoOdometry(camera)
+    for k, pair in enumerate(drive[:5]):
+        odometry.track(*pair, 0.1 * k)
+    one = odometry._velocity
+    blind = odometry.track(blank(camera, 0), blank(camera, 0), 0.4 + 0.6)
+    assert blind.predicted
+    np.testing.assert_allclose(se3.log(blind.T_previous_current), 6 * one, atol=1e-9)
+    assert blind.covariance[5, 5] == pytest.approx((6 * 0.2) ** 2)
 
 
 def test_a_blank_start_recovers(camera, drive):

@@ -1,0 +1,81 @@
+"""Reading drives in KITTI's layout for the benchmarks of the odometry, and running it over them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from odometry import Motion, StereoCamera, StereoOdometry, StereoOdometryConfig, se3
+
+Array = np.ndarray
+Pair = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One sequence below a root: `sequences/NN/{image_0,image_1,calib.txt,times.txt}` and `poses/NN.txt`."""
+
+    root: Path
+    name: str
+    count: int = 1_000_000
+
+    @property
+    def _folder(self) -> Path:
+        return self.root / "sequences" / self.name
+
+    def __len__(self) -> int:
+        return len(self._files())
+
+    def _files(self) -> list[Path]:
+        return sorted((self._folder / "image_0").glob("*.png"))[: self.count]
+
+    def camera(self) -> StereoCamera:
+        """Rectified intrinsics of the grey cameras P0 and P1."""
+        lines = dict(line.split(":") for line in (self._folder / "calib.txt").read_text().splitlines() if ":" in line)
+        P0, P1 = (np.array(lines[key].split(), dtype=np.float64).reshape(3, 4) for key in ("P0", "P1"))
+        height, width = cv2.imread(str(self._files()[0]), cv2.IMREAD_GRAYSCALE).shape
+        return StereoCamera(P0[0, 0], P0[1, 1], P0[0, 2], P0[1, 2], -P1[0, 3] / P1[0, 0], width, height)
+
+    def pairs(self) -> Iterator[Pair]:
+        """Decode the images."""
+        for file in self._files():
+            left, right = (
+                cv2.imread(str(self._folder / side / file.name), cv2.IMREAD_GRAYSCALE)
+                for side in ("image_0", "image_1")
+            )
+            yield left, right
+
+    def truth(self) -> Array:
+        """True T_first_camera (N, 4, 4), metres."""
+        poses = np.tile(np.eye(4), (len(self), 1, 1))
+        poses[:, :3] = np.loadtxt(self.root / "poses" / f"{self.name}.txt").reshape(-1, 3, 4)[: len(self)]
+        return np.asarray(se3.inverse(poses[0]) @ poses)
+
+
+def run(drive: Drive, config: StereoOdometryConfig | None = None) -> tuple[Array, list[Motion]]:
+    """Run the odometry over a drive: poses (N, 4, 4) and motions."""
+    odometry = StereoOdometry(drive.camera(), config)
+    motions = [odometry.track(*pair) for pair in drive.pairs()]
+    return chained(motions), motions
+
+
+def chained(motions: list[Motion]) -> Array:
+    """Poses (N, 4, 4) from motions, the first at the identity."""
+    poses = [np.eye(4)]
+    for motion in motions[1:]:
+        poses.append(poses[-1] @ motion.T_previous_current)
+    return np.array(poses)
+
+
+def way(poses: Array) -> float:
+    """Length of the way along poses (N, 4, 4), metres."""
+    return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+
+
+def end_error(poses: Array, truth: Array) -> float:
+    """Error of the last position over the way driven, per cent, unaligned; NaN where there is no way."""
+    if len(truth) < 2:
+        return float("nan")
+    return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / way(truth)

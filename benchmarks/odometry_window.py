@@ -1,0 +1,68 @@
+"""What the window brings and how honest the covariances are, on simulated drives with exact truth.
+
+    revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
+    python benchmarks/odometry_window.py blocks31 blocks32 blocks33 [--frames 400]
+
+t_rel and r_rel by the KITTI rule. NEES is the normalised error squared of motions composed over so many images,
+their stated covariances composed as if independent: 6 is honest on average, below is timid, above is bold.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from odometry_drives import Array, Drive, end_error, run
+
+from odometry import Motion, StereoOdometryConfig, se3
+from slam.evaluation.trajectory import trajectory_errors
+
+STRETCHES = (1, 5, 20, 50, 100)  # images
+_LEARNING = 30  # images at the start that do not count: the calibration is being learned
+
+
+def nees(motions: list[Motion], truth: Array, stretch: int) -> float:
+    """Mean normalised error squared over stretches of so many images, which overlap by half."""
+    values = []
+    for start in range(_LEARNING, len(motions) - stretch, max(stretch // 2, 1)):
+        T, covariance = np.eye(4), np.zeros((6, 6))
+        for motion in motions[start + 1 : start + stretch + 1]:
+            T = T @ motion.T_previous_current
+            covariance = se3.compose_covariance(covariance, motion.T_previous_current, motion.covariance)
+        error = se3.log(se3.inverse(T) @ se3.inverse(truth[start]) @ truth[start + stretch])
+        values.append(error @ np.linalg.solve(covariance, error))
+    return float(np.mean(values)) if values else float("nan")
+
+
+def report(drive: Drive, frames_in_window: int) -> None:
+    """Print the row of one drive and one window."""
+    config = StereoOdometryConfig()
+    window = replace(config.window, frames=frames_in_window or config.window.frames)
+    poses, motions = run(drive, replace(config, window=window))
+    truth = drive.truth()
+    errors = trajectory_errors(poses, truth)
+    honest = " ".join(f"{nees(motions, truth, stretch):5.1f}" for stretch in STRETCHES)
+    print(
+        f"{drive.root.name:<12} {'off' if frames_in_window else f'{window.frames} frames':<9}"
+        f"{errors.t_rel_percent or np.nan:6.2f}  {errors.r_rel_deg_per_100m or np.nan:13.3f}"
+        f"  {end_error(poses, truth):5.2f}  {sum(m.predicted for m in motions):9d}   {honest}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Parse the command line and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("roots", nargs="+", type=Path)
+    parser.add_argument("--sequence", default="00")
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    arguments = parser.parse_args()
+    lengths = " ".join(f"{stretch:5d}" for stretch in STRETCHES)
+    print(f"{'drive':<12} {'window':<9}t_rel %  r_rel deg/100 m  end %  predicted   NEES over {lengths} images")
+    for root in arguments.roots:
+        for frames_in_window in (0, 2):  # the default; two frames are what the motion has adjusted already
+            report(Drive(root, arguments.sequence, arguments.frames), frames_in_window)
+
+
+if __name__ == "__main__":
+    main()

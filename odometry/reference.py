@@ -1,0 +1,59 @@
+"""What motion is measured from: an earlier pair, and where the camera has been since."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.front_end import View
+
+Array = NDArray[np.float64]
+
+
+def _here() -> Array:
+    return np.eye(4)
+
+
+def _certain() -> Array:
+    return np.zeros((6, 6))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A view and the images since.
+
+    Attributes:
+        view: the pair and its points.
+        T_reference_previous: (4, 4) where the previous image was taken, metres.
+        T_reference_measured: (4, 4) where the last image was taken that was measured from here.
+        covariance_previous: (6, 6) of `T_reference_previous`, as far as it was not measured from here.
+        age: images since the reference, or the last one measured from it.
+
+    """
+
+    view: View
+    T_reference_previous: Array = field(default_factory=_here)
+    T_reference_measured: Array = field(default_factory=_here)
+    covariance_previous: Array = field(default_factory=_certain)
+    age: int = 0
+
+    def older(self, images: int) -> "Reference":
+        """Count the images that have been taken since."""
+        return replace(self, age=self.age + images)
+
+    def measured(self, T_reference_current: Array) -> "Reference":
+        """Take over where the current image was taken, (4, 4): the next one's previous."""
+        return Reference(self.view, T_reference_current, T_reference_current)
+
+    def bridged(self, T_previous_current: Array, covariance: Array) -> "Reference":
+        """Go on by a motion (4, 4) that was not measured from here, with its covariance (6, 6)."""
+        return replace(
+            self,
+            T_reference_previous=self.T_reference_previous @ T_previous_current,
+            covariance_previous=se3.compose_covariance(self.covariance_previous, T_previous_current, covariance),
+        )
+
+    def velocity(self, T_reference_current: Array) -> Array:
+        """Tangent vector (6,) of the motion to (4, 4) from the image measured before, per image."""
+        return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age

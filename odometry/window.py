@@ -1,0 +1,166 @@
+"""Refinement over a sliding window of frames: all poses and depths of the last few, adjusted together.
+
+The oldest pose is fixed, and what leaves the window is forgotten: points are anchored anew in the oldest frame
+that still sees them. (A marginal prior would keep what the forgotten frames knew; measured on simulated drives,
+windows longer than five frames gain nothing, so there is nothing left to keep.) Depths are eliminated
+point by point (Triggs et al., Bundle Adjustment, 1999, section 6). Memory is bounded by the window.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from odometry import se3
+from odometry.calibration import Calibration
+from odometry.camera import StereoCamera
+from odometry.window_equations import accumulate
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_LIMIT = 11.34  # chi squared, 99 %, three residuals of a sighting
+_MEDIAN = 2.366  # its median
+_NEAREST = 0.3  # m
+_NOISE_AT_FIRST = 0.3  # pixels; the largest that is assumed as well
+_DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
+
+
+@dataclass(frozen=True)
+class WindowConfig:
+    """How much is adjusted together.
+
+    Attributes:
+        frames: poses in the window; below three there is nothing to adjust that two views have not.
+        iterations: steps for each new frame, which start from the window before.
+        floor_px: smallest noise level of a measurement that is believed, pixels.
+        tracks: fewest points that two frames must share.
+
+    """
+
+    frames: int = 5
+    iterations: int = 2
+    floor_px: float = 0.05
+    tracks: int = 20
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """The points that one frame shows.
+
+    Attributes:
+        ids: (N,) growing names of the tracks.
+        left, right: (N, 2) pixels.
+
+    """
+
+    ids: Indices
+    left: Array
+    right: Array
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """All points that at least two frames of the window show.
+
+    Attributes:
+        first: (N + 1,) where the sightings of each point begin, and where the last one's end.
+        frame: (M,) frame of each sighting.
+        places: (M, 3) pixels of a perfect pair: column left, column right, row.
+
+    """
+
+    first: Indices
+    frame: Indices
+    places: Array
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def followed(self) -> NDArray[np.bool_]:
+        """Which of the sightings (M,) are not a point's first."""
+        followed = np.ones(len(self.frame), dtype=bool)
+        followed[self.first[:-1]] = False
+        return followed
+
+
+class SlidingWindow:
+    """Keeps the last frames of an odometry and adjusts their poses."""
+
+    def __init__(self, config: WindowConfig | None = None) -> None:
+        self._config = config or WindowConfig()
+        self._frames: list[Sighted] = []
+        self._poses = np.zeros((0, 4, 4))  # T_oldest_frame
+        self._noise_px = _NOISE_AT_FIRST
+
+    def restart(self, first: Sighted) -> None:
+        """Forget everything but one frame."""
+        self._frames, self._poses = [first], np.eye(4)[None]
+
+    def refine(self, sighted: Sighted, T_last_frame: Array, calibration: Calibration) -> Array:
+        """Add a frame and adjust the window.
+
+        Args:
+            sighted: the new frame's points.
+            T_last_frame: (4, 4) its pose in the frame added before, metres, as two views tell.
+            calibration: error of the pair's calibration.
+
+        Returns:
+            Its refined pose (4, 4) in the frame added before, where that one was said to be.
+
+        """
+        if len(self._frames) >= self._config.frames:
+            self._frames, self._poses = self._frames[1:], _seen_from_first(self._poses[1:])
+        stated = self._poses[-1]
+        self._frames.append(sighted)
+        self._poses = np.concatenate([self._poses, (stated @ T_last_frame)[None]])
+        tracks = _gather(self._frames, calibration)
+        if len(tracks) >= self._config.tracks:
+            self._adjust(tracks, calibration.camera)
+        return se3.inverse(stated) @ self._poses[-1]
+
+    def _adjust(self, tracks: _Tracks, camera: StereoCamera) -> None:
+        """Gauss-Newton on all poses but the oldest; changes nothing if it does not converge."""
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
+        sightings = (tracks.first, tracks.frame, tracks.places)
+        start = tracks.places[tracks.first[:-1]]
+        depths = _bounded((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
+        poses = self._poses
+        for _ in range(self._config.iterations):
+            scale = _LIMIT * self._noise_px**2
+            H, b, chi2, rows, offset = accumulate(intrinsics, sightings, depths, poses, scale)
+            change = np.zeros(len(b))
+            change[6:] = np.linalg.solve(H[6:, 6:] / scale + _DAMPING * np.eye(len(b) - 6), -b[6:] / scale)
+            depths = _bounded(depths - offset - rows @ change)
+            poses = np.array([T @ se3.exp(xi) for T, xi in zip(poses, change.reshape(-1, 6), strict=True)])
+        if np.isfinite(poses).all():
+            self._poses = poses
+            noise = float(np.sqrt(np.median(chi2[tracks.followed()]) / _MEDIAN))
+            self._noise_px = min(max(noise, self._config.floor_px), _NOISE_AT_FIRST)
+
+
+def _seen_from_first(poses: Array) -> Array:
+    """Poses (K, 4, 4) in the frame of the first; exact rotations again, as rounding errors double in each round."""
+    poses = se3.inverse(poses[0]) @ poses
+    poses[:, :3, :3] = Rotation.from_matrix(poses[:, :3, :3]).as_matrix()
+    return np.asarray(poses)
+
+
+def _gather(frames: list[Sighted], calibration: Calibration) -> _Tracks:
+    """Sort the sightings of all frames by point, those seen once left out."""
+    ids = np.concatenate([sighted.ids for sighted in frames])
+    frame = np.repeat(np.arange(len(frames)), [len(sighted.ids) for sighted in frames])
+    left, right = calibration.perfect(
+        np.concatenate([sighted.left for sighted in frames]), np.concatenate([sighted.right for sighted in frames])
+    )
+    order = np.argsort(ids, kind="stable")  # stable: each point's sightings stay in the order of frames
+    _, counts = np.unique(ids, return_counts=True)
+    order, counts = order[np.repeat(counts > 1, counts)], counts[counts > 1]
+    places = np.stack([left[:, 0], right[:, 0], left[:, 1]], axis=1)
+    return _Tracks(np.concatenate([[0], np.cumsum(counts)]), frame[order], places[order])
+
+
+def _bounded(inverse_depth: Array) -> Array:
+    """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
+    return np.clip(inverse_depth, 1e-6, 1.0 / _NEAREST)
