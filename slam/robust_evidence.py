@@ -1,0 +1,111 @@
+"""How much a loop's error speaks for it, on a scale that the data themselves set.
+
+A true loop misses the pose that the other edges predict by a Gaussian error; a false one by anything that
+the extent of the map allows. The logarithm of the ratio of the two densities is the evidence. It asks more
+than a gate does: where the prediction is vague, agreement proves little.
+
+Stated covariances are wrong by one factor or another, so all of them are multiplied by a scale. It is the one
+that explains the loops best, near what the roughness of odometry allows: scaling every covariance of a graph
+changes no verdict.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_posterior import posterior
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
+LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
+_MIXTURE_ODDS = LEAST_EVIDENCE
+# Errors of odometry that persist add up: over a long way the variance is up to this many times what the
+# roughness of single steps shows. Measured: 60 on real drives, 1 to 5 in simulated graphs.
+_PERSISTENCE = 150.0
+_ROUGHEST = 100.0  # real motion may look like so much more noise than there is
+_MARGIN = np.log(2.0)  # width of the soft ends of that range
+_OCTAVES = np.arange(-16.0, 16.5, 0.5)
+_FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the rest of a graph says about loops.
+
+    Attributes:
+        chi2: (L,) squared error of each loop under prediction and measurement, at scale one.
+        log_spread: (L,) logarithm of the Gaussian's volume, sqrt(det(2 pi S)), at scale one.
+        log_volume: of all relative poses that the map allows.
+        dof: of an error.
+    """
+
+    chi2: Array
+    log_spread: Array
+    log_volume: float
+    dof: int
+
+    def at(self, scale: float) -> Array:
+        """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
+        spread = self.log_spread + 0.5 * self.dof * np.log(scale)
+        return self.log_volume - spread - 0.5 * self.chi2 / scale
+
+
+def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
+    """Judge loops by the poses (N, n, n) and by the posterior of the edges that support them."""
+    covariance = posterior(poses, support).spread(loops) + loops.covariance
+    errors = loops.errors(poses)
+    solved = np.linalg.solve(covariance, errors[..., None])[..., 0]
+    log_spread = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    return Evidence((errors * solved).sum(axis=1), log_spread, log_volume(poses), loops.group.dof)
+
+
+def limit(dof: int) -> float:
+    """Chi-square that a true loop exceeds once in ten thousand times."""
+    return float(chi2_distribution.ppf(CONFIDENCE, dof))
+
+
+def log_volume(poses: Array) -> float:
+    """Logarithm of the volume of poses within the extent of a trajectory (N, n, n): metres and radians."""
+    positions = poses[:, :-1, -1]
+    spread = np.atleast_1d(np.linalg.eigvalsh(np.cov(positions.T)))
+    sides = np.sqrt(12.0 * np.maximum(spread, _FLATTEST * spread.max()))
+    turns = 2.0 * np.pi if positions.shape[1] == 2 else 8.0 * np.pi**2
+    return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(turns))
+
+
+def calibrated(found: Evidence, roughness: float) -> float:
+    """Scale of all covariances under which loops, true ones mixed with false, are likeliest."""
+    scales = roughness * 2.0**_OCTAVES
+    below = np.maximum(np.log(roughness / _ROUGHEST / scales), 0.0)
+    above = np.maximum(np.log(scales / (roughness * _PERSISTENCE)), 0.0)
+    doubt = 0.5 * np.square((below + above) / _MARGIN)
+    scores = [np.logaddexp(0.0, found.at(scale) - _MIXTURE_ODDS).sum() for scale in scales]
+    return float(scales[np.argmax(np.array(scores) - doubt)])
+
+
+def roughness(trusted: Edges) -> float:
+    """Variance of odometry's steps over what is stated, from how little smooth motion explains them.
+
+    High differences of the motions take away what changes slowly; the least over four orders and the median
+    over the components also stand corners and stops.
+    """
+    order = np.argsort(trusted.first, kind="stable")
+    steps = trusted.group.log(trusted.motions[order])
+    root = np.median(trusted.root, axis=0)
+    found = [_scatter(steps, times, root) for times in range(1, 5) if len(steps) > 2 * times]
+    return max(min(found, default=1.0), 1e-6)
+
+
+def _scatter(steps: Array, times: int, root: Array) -> float:
+    """Robust variance of whitened differences, of independent errors once."""
+    gain = np.sqrt(sum(c**2 for c in _binomials(times)))
+    scatter = np.abs(np.diff(steps, times, axis=0) @ root.T) / gain
+    return float(np.median(np.square(1.4826 * np.median(scatter, axis=0))))
+
+
+def _binomials(times: int) -> Array:
+    return np.diff(np.eye(2 * times + 1)[times], times)
