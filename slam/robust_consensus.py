@@ -5,16 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_evidence import LEAST_EVIDENCE, Evidence, calibrated, evidence, limit, roughness
-from slam.robust_gnc import graduated
+from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, calibrated, evidence, limit, log_density, roughness
+from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_problem import LoopProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ROUNDS = 15
-_SURE = 3.0  # nats beyond the logarithm of the number of loops: one in twenty graphs lets a false one in
-_STRIDE = 2.0  # nats below the strongest that are let in together where nothing is sure
+_FITS = 4
+_SCALE_STEPS = 10
+_MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
 _CHANCES = 2  # times that a loop may be let in and thrown out
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
 
@@ -61,33 +62,52 @@ def grown(problem: LoopProblem, trace=None) -> Consensus:
 
 
 def _offered(state: Consensus) -> Mask:
-    """Loops that are next: those whose evidence is beyond doubt, else the strongest ones."""
-    nats = state.found.at(state.scale)
-    able = ~state.kept & (state.found.chi2 <= limit(state.found.dof) * state.scale) & (nats > LEAST_EVIDENCE)
+    """Loops that are next: those whose evidence outweighs the odds, else the strongest alone."""
+    nats = state.found.at(max(state.scale, state.fitted))
+    able = ~state.kept & (nats > LEAST_EVIDENCE)
     if not able.any():
         return able
-    sure = np.log(len(nats)) + _SURE
-    return able & (nats > min(sure, float(nats[able].max()) - _STRIDE))
+    count = max(int(state.kept.sum()), 1)
+    odds = np.log(max(len(nats) - count, 1) / count)  # of false to true loops, as far as is known
+    sure = able & (nats > max(odds, 0.0) + LEAST_EVIDENCE)
+    return sure if sure.any() else able & (nats >= nats[able].max())
 
 
 def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
     """Fit to the loops in use, throw out what does not fit, and learn the scale of what does."""
-    poses, kept, fitted = state.poses, use, state.fitted
-    for _ in range(4):
-        poses, kept = graduated(problem, kept, poses, limit(state.found.dof) * fitted)
-        before, fitted = fitted, _fitted(problem, poses, kept, state.scale)
-        out = kept & (problem.loops.chi2(poses) > limit(state.found.dof) * fitted)
-        if not out.any() or not kept.any():
+    poses, kept = fitted_poses(problem, use, state.poses), use
+    fitted = _fitted(problem, poses, use, state.scale)
+    for _ in range(_FITS):
+        poses, _ = graduated(problem, kept, poses, limit(state.found.dof) * fitted)
+        fits = kept & (_nats_fitted(problem, poses, state.found, fitted) > LEAST_EVIDENCE)
+        fitted = _fitted(problem, poses, fits, state.scale)
+        if not fits.any() or np.array_equal(fits, kept):
+            kept = fits
             break
-        kept = kept & ~out
+        kept = fits
+    if kept.any():
+        poses = fitted_poses(problem, kept, poses)
     return replace(state, poses=poses, kept=kept, fitted=fitted)
 
 
+def _nats_fitted(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> Array:
+    """(L,) evidence where the fit is taken for the truth, so that only the loop's own error is left."""
+    spread = 0.5 * np.linalg.slogdet(2.0 * np.pi * scale * problem.loops.covariance)[1]
+    return found.log_volume - spread + log_density(problem.loops.chi2(poses) / scale, found.dof)
+
+
 def _fitted(problem: LoopProblem, poses: Array, kept: Mask, first: float) -> float:
-    """Variance factor of the fit (chi-square over redundancy), drawn to a first guess while loops are few."""
-    count = int(kept.sum())
-    if not count:
+    """Variance factor of the fit, drawn to a first guess while loops are few.
+
+    Chi-square over redundancy, where loops in the tail count less (Student's distribution; Lange et al., 1989).
+    """
+    chi2, dof = problem.loops.chi2(poses)[kept], problem.loops.group.dof
+    if not len(chi2):
         return first
-    left = problem.loops.chi2(poses)[kept].sum() + problem.trusted.chi2(poses).sum()
-    factor = max(float(left) / (problem.loops.group.dof * count), 1e-9 * first)
-    return float(np.exp((_PRIOR_LOOPS * np.log(first) + count * np.log(factor)) / (_PRIOR_LOOPS + count)))
+    factor = max(float(np.median(chi2)) / dof, 1e-9 * first)
+    trusted = float(problem.trusted.chi2(poses).sum())
+    for _ in range(_SCALE_STEPS):
+        loops = float(((FREEDOM + dof) / (FREEDOM + chi2 / factor) * chi2).sum())
+        factor = max((loops + min(trusted, _MOST_BENT * loops)) / (dof * len(chi2)), 1e-9 * first)
+    share = len(chi2) / (_PRIOR_LOOPS + len(chi2))
+    return float(factor**share * first ** (1.0 - share))

@@ -1,7 +1,7 @@
 """How much a loop's error speaks for it, on a scale that the data themselves set.
 
-A true loop misses the pose that the other edges predict by a Gaussian error; a false one by anything that
-the extent of the map allows. The logarithm of the ratio of the two densities is the evidence. It asks more
+A true loop misses the pose that the other edges predict by an error of Student's distribution, a Gaussian
+whose covariance is not quite known; a false one by anything that the extent of the map allows. The logarithm of the ratio of the two densities is the evidence. It asks more
 than a gate does: where the prediction is vague, agreement proves little.
 
 Stated covariances are wrong by one factor or another, so all of them are multiplied by a scale. It is the one
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_distribution
 
 from slam.pose_graph_edges import Edges
@@ -22,12 +23,13 @@ Array = NDArray[np.float64]
 
 CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
+FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _MIXTURE_ODDS = LEAST_EVIDENCE
 # Errors of odometry that persist add up: over a long way the variance is up to this many times what the
 # roughness of single steps shows. Measured: 60 on real drives, 1 to 5 in simulated graphs.
-_PERSISTENCE = 150.0
+_PERSISTENCE = 60.0
 _ROUGHEST = 100.0  # real motion may look like so much more noise than there is
-_MARGIN = np.log(2.0)  # width of the soft ends of that range
+_MARGIN = np.log(1.5)  # width of the soft ends of that range
 _OCTAVES = np.arange(-16.0, 16.5, 0.5)
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
 
@@ -51,7 +53,14 @@ class Evidence:
     def at(self, scale: float) -> Array:
         """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
         spread = self.log_spread + 0.5 * self.dof * np.log(scale)
-        return self.log_volume - spread - 0.5 * self.chi2 / scale
+        return self.log_volume - spread + log_density(self.chi2 / scale, self.dof)
+
+
+def log_density(chi2: Array, dof: int) -> Array:
+    """Logarithm of Student's density of errors with these chi-squares, less that of a Gaussian at its centre."""
+    half = 0.5 * (FREEDOM + dof)
+    peak = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dof * np.log(0.5 * FREEDOM)
+    return np.asarray(peak - half * np.log1p(chi2 / FREEDOM))
 
 
 def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
