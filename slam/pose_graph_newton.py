@@ -27,7 +27,8 @@ class Schedule:
     """When iteratively reweighted least squares ends."""
 
     steps: int = 25  # at most
-    settled: float = 1e-3  # relative change of the weighted error that ends it
+    settled: float = 0.1  # change of the weighted error that ends it, in mean errors of an edge: a vague
+    # direction counts as much as a stiff one, which a share of the whole error would forget
     least: int = 1  # steps that are taken in any case, while a schedule of weights runs
 
 
@@ -46,7 +47,7 @@ def reweighted(poses: Array, edges: Edges, reweight: Reweight, schedule: Schedul
         weights = reweight(chi2, number)
         before = float(weights @ chi2)
         poses, after = _step(poses, edges, weights, before)
-        if number + 1 >= schedule.least and before - after <= schedule.settled * before:
+        if number + 1 >= schedule.least and before - after <= schedule.settled * before / len(edges):
             break
     return poses
 

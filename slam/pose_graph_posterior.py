@@ -15,7 +15,7 @@ from slam.pose_graph_newton import factorized, whitened_jacobian
 
 Array = NDArray[np.float64]
 
-SAMPLES = 64
+SAMPLES = 48
 
 
 @dataclass(frozen=True)

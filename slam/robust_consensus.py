@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, calibrated, evidence, limit, log_density, roughness
 from slam.robust_gnc import fitted_poses, graduated
+from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ def grown(problem: LoopProblem, trace=None) -> Consensus:
     state = Consensus(problem.start, none, found, scale, scale)
     thrown = np.zeros(len(none), dtype=int)
     for _ in range(_ROUNDS):
-        offered = _offered(state) & (thrown < _CHANCES)
+        offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
         if trace: trace('scale',state.scale,'fitted',state.fitted,'kept',trace.t(state.kept),'offered',trace.t(offered))
         if not offered.any():
             break
@@ -61,16 +62,27 @@ def grown(problem: LoopProblem, trace=None) -> Consensus:
     return state
 
 
-def _offered(state: Consensus) -> Mask:
+def _offered(state: Consensus, allowed: Mask) -> Mask:
     """Loops that are next: those whose evidence outweighs the odds, else the strongest alone."""
     nats = state.found.at(max(state.scale, state.fitted))
-    able = ~state.kept & (nats > LEAST_EVIDENCE)
+    count = max(int(state.kept.sum()), 1)
+    odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
+    able = allowed & ~state.kept & (nats > LEAST_EVIDENCE + min(odds, 0.0))
     if not able.any():
         return able
-    count = max(int(state.kept.sum()), 1)
-    odds = np.log(max(len(nats) - count, 1) / count)  # of false to true loops, as far as is known
-    sure = able & (nats > max(odds, 0.0) + LEAST_EVIDENCE)
+    sure = able & (nats > LEAST_EVIDENCE + odds)
     return sure if sure.any() else able & (nats >= nats[able].max())
+
+
+def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
+    """Those of the offered loops that agree with one another."""
+    rows, scale = np.flatnonzero(offered), max(state.scale, state.fitted)
+    if len(rows) > 1:
+        nats = np.maximum(state.found.at(scale)[rows], 1e-3)
+        good = agreeing(state.found.posterior, problem.loops[rows], nats, scale)
+        offered = offered.copy()
+        offered[rows[~good]] = False
+    return offered
 
 
 def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
@@ -85,7 +97,7 @@ def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
             kept = fits
             break
         kept = fits
-    if kept.any():
+    if kept.any() and not np.array_equal(kept, use):
         poses = fitted_poses(problem, kept, poses)
     return replace(state, poses=poses, kept=kept, fitted=fitted)
 

@@ -17,7 +17,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_distribution
 
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_posterior import posterior
+from slam.pose_graph_posterior import Posterior, posterior
 
 Array = NDArray[np.float64]
 
@@ -43,12 +43,14 @@ class Evidence:
         log_spread: (L,) logarithm of the Gaussian's volume, sqrt(det(2 pi S)), at scale one.
         log_volume: of all relative poses that the map allows.
         dof: of an error.
+        posterior: of the poses, by the rest of the graph.
     """
 
     chi2: Array
     log_spread: Array
     log_volume: float
     dof: int
+    posterior: Posterior
 
     def at(self, scale: float) -> Array:
         """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
@@ -65,11 +67,12 @@ def log_density(chi2: Array, dof: int) -> Array:
 
 def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
     """Judge loops by the poses (N, n, n) and by the posterior of the edges that support them."""
-    covariance = posterior(poses, support).spread(loops) + loops.covariance
+    belief = posterior(poses, support)
+    covariance = belief.spread(loops) + loops.covariance
     errors = loops.errors(poses)
     solved = np.linalg.solve(covariance, errors[..., None])[..., 0]
     log_spread = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
-    return Evidence((errors * solved).sum(axis=1), log_spread, log_volume(poses), loops.group.dof)
+    return Evidence((errors * solved).sum(axis=1), log_spread, log_volume(poses), loops.group.dof, belief)
 
 
 def limit(dof: int) -> float:
