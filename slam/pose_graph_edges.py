@@ -1,5 +1,6 @@
 """Edges of a pose graph as arrays: what they measure and how far poses are from it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,3 +68,11 @@ def joined(one: Edges, other: Edges) -> Edges:
         np.concatenate([one.motions, other.motions]),
         np.concatenate([one.information, other.information]),
     )
+
+
+def stacked(ends: Rows, measured: Sequence[tuple[Array, Array]]) -> Edges:
+    """Edges in space of their ends (M, 2) and of M measured poses (4, 4) with covariances (6, 6)."""
+    ends = ends.reshape(-1, 2).astype(np.int64)
+    covariances = np.array([covariance for _, covariance in measured]).reshape(-1, 6, 6)
+    motions = np.array([T for T, _ in measured]).reshape(-1, 4, 4)
+    return Edges(ends[:, 0], ends[:, 1], motions, np.linalg.inv(covariances))

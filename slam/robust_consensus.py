@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, calibrated, evidence, limit, log_density, roughness
+from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit, log_density
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem
@@ -40,16 +40,13 @@ class Consensus:
     fitted: float
 
 
-def grown(problem: LoopProblem, trace=None) -> Consensus:
+def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     """Grow the set of loops that agree with the trusted edges and with one another."""
     none = np.zeros(len(problem.loops), dtype=bool)
-    found = evidence(problem.start, problem.trusted, problem.loops)
-    scale = calibrated(found, roughness(problem.trusted))
-    state = Consensus(problem.start, none, found, scale, scale)
+    state = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
     thrown = np.zeros(len(none), dtype=int)
     for _ in range(_ROUNDS):
         offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
-        if trace: trace('scale',state.scale,'fitted',state.fitted,'kept',trace.t(state.kept),'offered',trace.t(offered))
         if not offered.any():
             break
         after = _settled(problem, state, state.kept | offered)

@@ -31,6 +31,7 @@ _PERSISTENCE = 60.0
 _ROUGHEST = 100.0  # real motion may look like so much more noise than there is
 _MARGIN = np.log(1.5)  # width of the soft ends of that range
 _OCTAVES = np.arange(-16.0, 16.5, 0.5)
+_WIDE = 2.0  # of a gate on single loops, over the limit: covariances are not quite known
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
 
 
@@ -87,6 +88,34 @@ def log_volume(poses: Array) -> float:
     sides = np.sqrt(12.0 * np.maximum(spread, _FLATTEST * spread.max()))
     turns = 2.0 * np.pi if positions.shape[1] == 2 else 8.0 * np.pi**2
     return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(turns))
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Each loop judged by itself, before any is believed.
+
+    Attributes:
+        found: the evidence.
+        scale: of all covariances.
+        limit: chi-square, as stated, that a true loop seldom exceeds once the map is right.
+    """
+
+    found: Evidence
+    scale: float
+    limit: float
+
+    @property
+    def passed(self) -> NDArray[np.bool_]:
+        """(L,) loops that drift explains."""
+        gate: NDArray[np.bool_] = self.found.chi2 <= _WIDE * self.limit
+        return gate
+
+
+def screened(poses: Array, trusted: Edges, loops: Edges) -> Screening:
+    """Judge loops by the poses (N, n, n) that trusted edges alone lead to."""
+    found = evidence(poses, trusted, loops)
+    scale = calibrated(found, roughness(trusted))
+    return Screening(found, scale, limit(loops.group.dof) * scale)
 
 
 def calibrated(found: Evidence, roughness: float) -> float:
