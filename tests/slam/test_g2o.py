@@ -9,7 +9,7 @@ import pytest
 from odometry import se3
 from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
-from slam.storage.g2o import Graph3D, chain_graph, read_g2o, write_g2o
+from slam.storage.g2o import Graph, chain_graph, read_g2o, write_g2o
 
 RNG_SEED = 5
 IDENTITY = "0 0 0 0 0 0 1"
@@ -21,7 +21,7 @@ def covariance(rng: np.random.Generator) -> np.ndarray:
     return factor @ factor.T * 1e-3 + 1e-4 * np.eye(6)
 
 
-def random_graph(count: int = 6) -> Graph3D:
+def random_graph(count: int = 6) -> Graph:
     rng = np.random.default_rng(RNG_SEED)
     poses = np.array([se3.exp(rng.normal(size=6)) for _ in range(count)])
     odometry = [(se3.exp(rng.normal(size=6)), covariance(rng)) for _ in range(count - 1)]
@@ -103,7 +103,7 @@ def test_lines_of_other_kinds_are_passed_over(tmp_path: Path) -> None:
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", r"line 2.*unit quaternion, its length is 2"),
         (f"VERTEX_SE3:QUAT 0 {IDENTITY}", "pose 0 is there 2 times, expected once"),
         (f"EDGE_SE3:QUAT 0 9 {IDENTITY} {UNIT_INFORMATION}", "an edge names pose 9, which has no"),
-        (f"EDGE_SE3:QUAT 0 0 {IDENTITY} -{UNIT_INFORMATION}", "edge 0 0 has a negative eigenvalue"),
+        (f"VERTEX_SE3:QUAT 1 {IDENTITY}\nEDGE_SE3:QUAT 0 1 {IDENTITY} -{UNIT_INFORMATION}", "edge 0 1 has a negative eigenvalue"),
         (f"EDGE_SE3:QUAT 0 0 {IDENTITY}", "has 9 numbers, expected 30; was the file cut short"),
     ],
 )
@@ -117,9 +117,9 @@ def test_damage_is_named(tmp_path: Path, line: str, message: str) -> None:
 
 def test_a_file_that_is_missing_or_empty_or_binary_is_named(tmp_path: Path) -> None:
     empty, binary = tmp_path / "empty.g2o", tmp_path / "binary.g2o"
-    empty.write_text("EDGE_SE2 0 1 0 0 0\n")
+    empty.write_text("# nothing\n")
     binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(GraphError, match="is this a 3D graph"):
+    with pytest.raises(GraphError, match="is this a pose graph"):
         read_g2o(empty)
     with pytest.raises(GraphError, match=r"could not read"):
         read_g2o(binary)
