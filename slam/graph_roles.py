@@ -45,11 +45,13 @@ def roles(graph: Graph, name: str) -> Roles:
     """
     order = np.argsort(graph.ids, kind="stable")
     ids = graph.ids[order]
-    edges = Edges(np.searchsorted(ids, graph.first), np.searchsorted(ids, graph.second), graph.motions, graph.information)
+    edges = Edges(
+        np.searchsorted(ids, graph.first), np.searchsorted(ids, graph.second), graph.motions, graph.information
+    )
     trusted, joined_by_loops = _spanning(edges, len(ids))
     _check_connected(edges[trusted], ids, name)
     start = _walked(edges[trusted], graph.poses[order][0], len(ids))
-    warnings = ()
+    warnings: tuple[str, ...] = ()
     if joined_by_loops.any():
         one = int(np.flatnonzero(joined_by_loops)[0])
         warnings = (

@@ -1,8 +1,9 @@
 """How much a loop's error speaks for it, on a scale that the data themselves set.
 
 A true loop misses the pose that the other edges predict by an error of Student's distribution, a Gaussian
-whose covariance is not quite known; a false one by anything that the extent of the map allows. The logarithm of the ratio of the two densities is the evidence. It asks more
-than a gate does: where the prediction is vague, agreement proves little.
+whose covariance is not quite known; a false one by anything that the extent of the map allows. The logarithm
+of the ratio of the two densities is the evidence. It asks more than a gate does: where the prediction is
+vague, agreement proves little.
 
 Stated covariances are wrong by one factor or another, so all of them are multiplied by a scale. It is the one
 that explains the loops best, near what the roughness of odometry allows: scaling every covariance of a graph

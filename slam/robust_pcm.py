@@ -70,8 +70,7 @@ def pair_chi2(posterior: Posterior, ones: Edges, others: Edges, scale: float) ->
     count = len(ones) * len(others)
     a, b = np.divmod(np.arange(count), max(len(others), 1))
     parts = [
-        _cycle_chi2(posterior, ones[a[at : at + _CHUNK]], others[b[at : at + _CHUNK]])
-        for at in range(0, count, _CHUNK)
+        _cycle_chi2(posterior, ones[a[at : at + _CHUNK]], others[b[at : at + _CHUNK]]) for at in range(0, count, _CHUNK)
     ]
     return np.concatenate([*parts, np.zeros(0)]).reshape(len(ones), len(others)) / scale
 

@@ -112,9 +112,7 @@ class _Reader:
     def _parsed(self, number: int, words: list[str], ids: int, size: int) -> Array:
         where = f"{self.path}, line {number}: {words[0]}"
         if len(words) - 1 != ids + size:
-            raise GraphError(
-                f"{where} has {len(words) - 1} numbers, expected {ids + size}; was the file cut short?"
-            )
+            raise GraphError(f"{where} has {len(words) - 1} numbers, expected {ids + size}; was the file cut short?")
         try:
             numbers = np.array([*map(int, words[1 : ids + 1]), *map(float, words[ids + 1 :])], dtype=np.float64)
         except ValueError as error:
