@@ -1,5 +1,7 @@
 """Batch optimisation of arrays of edges by GTSAM, in the plane and in space, and the starts to do it from."""
 
+from typing import Any
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +112,7 @@ def _graph(edges: Edges, first: Array) -> gtsam.NonlinearFactorGraph:
     return graph
 
 
-def _gtsam_poses(poses: Array) -> list[gtsam.Pose2] | list[gtsam.Pose3]:
+def _gtsam_poses(poses: Array) -> list[Any]:
     if poses.shape[-1] == 4:
         return [gtsam.Pose3(T) for T in poses]
     angles = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])

@@ -42,7 +42,8 @@ class Edges:
     @cached_property
     def root(self) -> Array:
         """(M, dof, dof) upper triangular roots of the information: they whiten errors."""
-        return np.swapaxes(np.linalg.cholesky(self.information), 1, 2)
+        root: Array = np.swapaxes(np.linalg.cholesky(self.information), 1, 2)
+        return root
 
     @cached_property
     def covariance(self) -> Array:

@@ -14,6 +14,7 @@ from slam.robust_problem import LoopProblem, Outcome
 
 Array = NDArray[np.float64]
 
+_INK_OF_LOOPS = 60.0  # loops at full strength whose ink all of a kind share
 _MOST_LOOPS = 3000  # drawn of each kind; more only blacken the picture
 
 
@@ -29,11 +30,11 @@ def graph_figure(name: str, problem: LoopProblem, outcome: Outcome, truth: Array
     figure = new_figure(12.0, 6.4)
     axes = figure.subplots(1, 2)
     parts = (
-        (axes[0], "Before: odometry alone", colours.ODOMETRY, problem.start),
-        (axes[1], "After: loops closed", colours.CORRECTED, outcome.poses),
+        (axes[0], "Before: odometry alone", "odometry", colours.ODOMETRY, problem.start),
+        (axes[1], "After: loops closed", "corrected", colours.CORRECTED, outcome.poses),
     )
     plane = _plane(outcome.poses[:, :-1, -1] if truth is None else truth)
-    for ax, title, colour, poses in parts:
+    for ax, title, label, colour, poses in parts:
         positions = poses[:, :-1, -1] if truth is None else aligned(poses[:, :-1, -1], truth)
         positions = positions @ plane
         _loops(ax, positions, problem.loops[~outcome.kept], ("left out", colours.REJECTED, ":"))
@@ -42,11 +43,13 @@ def graph_figure(name: str, problem: LoopProblem, outcome: Outcome, truth: Array
             ax.plot(
                 *(truth @ plane).T, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4
             )
-        ax.plot(*positions.T, "-", color=colour, lw=1.4, zorder=3)
+        ax.plot(*positions.T, "-", color=colour, lw=1.4, label=label, zorder=3)
         ax.set_title(title, color=INK, fontsize=11)
         _frame(ax, positions)
-    handles, labels = axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, labelcolor=INK)
+    found = {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure.legend(
+        found.values(), found.keys(), loc="outside lower center", ncols=len(found), frameon=False, labelcolor=INK
+    )
     figure.suptitle(name, color=INK, parse_math=False, fontweight="bold")
     return figure
 
@@ -64,8 +67,9 @@ def _frame(ax: Axes, positions: Array) -> None:
 def _loops(ax: Axes, positions: Array, loops: Edges, look: tuple[str, str, str]) -> None:
     name, colour, dashes = look
     drawn = loops[:: len(loops) // _MOST_LOOPS + 1] if len(loops) else loops
+    alpha = float(np.clip(_INK_OF_LOOPS / max(len(drawn), 1), 0.08, 0.6))
     lines = np.stack([positions[drawn.first], positions[drawn.second]], axis=1)
-    ax.add_collection(LineCollection(list(lines), colors=colour, lw=0.7, ls=dashes, alpha=0.6, zorder=2))
+    ax.add_collection(LineCollection(list(lines), colors=colour, lw=0.7, ls=dashes, alpha=alpha, zorder=2))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=f"loops {name} ({len(loops)})")
 
 
