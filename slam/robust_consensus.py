@@ -60,7 +60,7 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
 
 
 def _offered(state: Consensus, allowed: Mask) -> Mask:
-    """Loops that are next: those whose evidence outweighs the odds, else the strongest alone."""
+    """Loops that are next: those whose evidence outweighs the odds, else all that have some."""
     nats = state.found.at(max(state.scale, state.fitted))
     count = max(int(state.kept.sum()), 1)
     odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
@@ -68,7 +68,7 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
     if not able.any():
         return able
     sure = able & (nats > LEAST_EVIDENCE + odds)
-    return sure if sure.any() else able & (nats >= nats[able].max())
+    return sure if sure.any() else able
 
 
 def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:

@@ -27,8 +27,8 @@ LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
 FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _MIXTURE_ODDS = LEAST_EVIDENCE
 # Errors of odometry that persist add up: over a long way the variance is up to this many times what the
-# roughness of single steps shows. Measured: 60 on real drives, 1 to 5 in simulated graphs.
-_PERSISTENCE = 60.0
+# roughness of single steps shows. Measured: 15 to 70 on real drives, 1 to 5 in simulated graphs.
+_PERSISTENCE = 100.0
 _ROUGHEST = 100.0  # real motion may look like so much more noise than there is
 _MARGIN = np.log(1.5)  # width of the soft ends of that range
 _OCTAVES = np.arange(-16.0, 16.5, 0.5)
