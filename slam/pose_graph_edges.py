@@ -42,8 +42,7 @@ class Edges:
     @cached_property
     def root(self) -> Array:
         """(M, dof, dof) upper triangular roots of the information: they whiten errors."""
-        root: Array = np.swapaxes(np.linalg.cholesky(self.information), 1, 2)
-        return root
+        return np.asarray(np.swapaxes(np.linalg.cholesky(self.information), 1, 2), dtype=np.float64)
 
     @cached_property
     def covariance(self) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit, log_density
+from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem
@@ -47,9 +47,10 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     thrown = np.zeros(len(none), dtype=int)
     for _ in range(_ROUNDS):
         offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
-        if not offered.any():
+        doubted = _doubted(state)
+        if not (offered | doubted).any():
             break
-        after = _settled(problem, state, state.kept | offered)
+        after = _settled(problem, state, (state.kept & ~doubted) | offered)
         thrown += (state.kept | offered) & ~after.kept
         if after.kept.any():
             after = replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
@@ -71,6 +72,13 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
     return sure if sure.any() else able
 
 
+def _doubted(state: Consensus) -> Mask:
+    """Kept loops that the others speak against, the worst: without them others may look better."""
+    nats = state.found.without_itself(max(state.scale, state.fitted))
+    against = state.kept & (nats < 0)
+    return against & (nats <= 0.5 * nats[against].min(initial=0.0))
+
+
 def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
     """Those of the offered loops that agree with one another."""
     rows, scale = np.flatnonzero(offered), max(state.scale, state.fitted)
@@ -85,24 +93,22 @@ def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
 def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
     """Fit to the loops in use, throw out what does not fit, and learn the scale of what does."""
     poses, kept = fitted_poses(problem, use, state.poses), use
-    fitted = _fitted(problem, poses, use, state.scale)
     for _ in range(_FITS):
-        poses, _ = graduated(problem, kept, poses, limit(state.found.dof) * fitted)
-        fits = kept & (_nats_fitted(problem, poses, state.found, fitted) > LEAST_EVIDENCE)
-        fitted = _fitted(problem, poses, fits, state.scale)
-        if not fits.any() or np.array_equal(fits, kept):
-            kept = fits
+        fitted = _fitted(problem, poses, kept, state.scale)
+        fits = kept & _fits(problem, poses, state.found, fitted)
+        if np.array_equal(fits, kept):
             break
-        kept = fits
-    if kept.any() and not np.array_equal(kept, use):
+        # What is wrong bends the rest: who fits is asked again once the large errors have lost their weight.
+        poses, _ = graduated(problem, kept, poses, limit(state.found.dof) * fitted)
+        kept = kept & _fits(problem, poses, state.found, fitted)
         poses = fitted_poses(problem, kept, poses)
     return replace(state, poses=poses, kept=kept, fitted=fitted)
 
 
-def _nats_fitted(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> Array:
-    """(L,) evidence where the fit is taken for the truth, so that only the loop's own error is left."""
-    spread = 0.5 * np.linalg.slogdet(2.0 * np.pi * scale * problem.loops.covariance)[1]
-    return found.log_volume - spread + log_density(problem.loops.chi2(poses) / scale, found.dof)
+def _fits(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> Mask:
+    """(L,) loops for which there is evidence where the fit is taken for the truth."""
+    at_fit = replace(found, errors=problem.loops.errors(poses))
+    return at_fit.alone(scale) > LEAST_EVIDENCE
 
 
 def _fitted(problem: LoopProblem, poses: Array, kept: Mask, first: float) -> float:

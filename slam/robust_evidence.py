@@ -11,6 +11,7 @@ changes no verdict.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ _PERSISTENCE = 100.0
 _ROUGHEST = 100.0  # real motion may look like so much more noise than there is
 _MARGIN = np.log(1.5)  # width of the soft ends of that range
 _OCTAVES = np.arange(-16.0, 16.5, 0.5)
+_LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
 _WIDE = 2.0  # of a gate on single loops, over the limit: covariances are not quite known
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
 
@@ -41,23 +43,54 @@ class Evidence:
     """What the rest of a graph says about loops.
 
     Attributes:
-        chi2: (L,) squared error of each loop under prediction and measurement, at scale one.
-        log_spread: (L,) logarithm of the Gaussian's volume, sqrt(det(2 pi S)), at scale one.
+        loops: L edges.
+        errors: (L, dof) at the poses.
+        spread: (L, dof, dof) covariance of what the graph predicts, at scale one.
         log_volume: of all relative poses that the map allows.
-        dof: of an error.
-        posterior: of the poses, by the rest of the graph.
+        posterior: of the poses, by the graph.
     """
 
-    chi2: Array
-    log_spread: Array
+    loops: Edges
+    errors: Array
+    spread: Array
     log_volume: float
-    dof: int
     posterior: Posterior
+
+    @property
+    def dof(self) -> int:
+        """Of an error."""
+        return self.errors.shape[1]
+
+    @cached_property
+    def chi2(self) -> Array:
+        """(L,) squared errors under prediction and measurement, at scale one."""
+        return _squared(self.spread + self.loops.covariance, self.errors)
 
     def at(self, scale: float) -> Array:
         """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
-        spread = self.log_spread + 0.5 * self.dof * np.log(scale)
-        return self.log_volume - spread + log_density(self.chi2 / scale, self.dof)
+        return self._nats(self.chi2, _log_det(self.spread + self.loops.covariance), scale)
+
+    def alone(self, scale: float) -> Array:
+        """(L,) nats where the prediction is taken for the truth, so that only the loop's own error is left."""
+        return self._nats(_squared(self.loops.covariance, self.errors), _log_det(self.loops.covariance), scale)
+
+    def without_itself(self, scale: float) -> Array:
+        """(L,) nats in favour of each loop that the graph leans on, by the graph without that loop.
+
+        With posterior spread P and measurement R the prediction without the loop has covariance
+        R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
+        """
+        R = self.loops.covariance
+        whiten = self.loops.root
+        values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
+        left = np.maximum(1.0 - values, _LEAST_LEFT)  # samples may say that nothing is left
+        errors = np.einsum("mji,mj->mi", vectors, np.einsum("mij,mj->mi", whiten, self.errors))
+        chi2 = (np.square(errors) / left).sum(axis=1)
+        return self._nats(chi2, _log_det(R) - np.log(left).sum(axis=1), scale)
+
+    def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
+        spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
+        return self.log_volume - spread + log_density(chi2 / scale, self.dof)
 
 
 def log_density(chi2: Array, dof: int) -> Array:
@@ -70,11 +103,17 @@ def log_density(chi2: Array, dof: int) -> Array:
 def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
     """Judge loops by the poses (N, n, n) and by the posterior of the edges that support them."""
     belief = posterior(poses, support)
-    covariance = belief.spread(loops) + loops.covariance
-    errors = loops.errors(poses)
+    return Evidence(loops, loops.errors(poses), belief.spread(loops), log_volume(poses), belief)
+
+
+def _squared(covariance: Array, errors: Array) -> Array:
+    """(L,) chi-squares of errors (L, dof)."""
     solved = np.linalg.solve(covariance, errors[..., None])[..., 0]
-    log_spread = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
-    return Evidence((errors * solved).sum(axis=1), log_spread, log_volume(poses), loops.group.dof, belief)
+    return np.asarray((errors * solved).sum(axis=1))
+
+
+def _log_det(covariance: Array) -> Array:
+    return np.asarray(np.linalg.slogdet(covariance)[1])
 
 
 def limit(dof: int) -> float:
