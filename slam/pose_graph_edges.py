@@ -42,7 +42,7 @@ class Edges:
     @cached_property
     def root(self) -> Array:
         """(M, dof, dof) upper triangular roots of the information: they whiten errors."""
-        return np.asarray(np.swapaxes(np.linalg.cholesky(self.information), 1, 2), dtype=np.float64)
+        return np.linalg.cholesky(self.information).swapaxes(1, 2).astype(np.float64)
 
     @cached_property
     def covariance(self) -> Array:
