@@ -42,12 +42,12 @@ class Edges:
     @cached_property
     def root(self) -> Array:
         """(M, dof, dof) upper triangular roots of the information: they whiten errors."""
-        return np.linalg.cholesky(self.information).swapaxes(1, 2).astype(np.float64)
+        return np.asarray(np.linalg.cholesky(self.information).swapaxes(1, 2), dtype=np.float64)
 
     @cached_property
     def covariance(self) -> Array:
         """(M, dof, dof) inverse of the information."""
-        return np.linalg.inv(self.information)
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 
     def errors(self, poses: Array) -> Array:
         """(M, dof) log of measured^-1 @ T_first_second at poses (N, n, n)."""

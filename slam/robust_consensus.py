@@ -13,10 +13,11 @@ from slam.robust_problem import LoopProblem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 15
+_ROUNDS = 25
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
+_ALONE = 0.45  # share of what is known about a loop that the loop itself said; of samples, which say less
 _CHANCES = 2  # times that a loop may be let in and thrown out
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
 
@@ -44,12 +45,17 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     """Grow the set of loops that agree with the trusted edges and with one another."""
     none = np.zeros(len(problem.loops), dtype=bool)
     state = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
-    thrown = np.zeros(len(none), dtype=int)
+    thrown, challenged = np.zeros(len(none), dtype=int), False
     for _ in range(_ROUNDS):
         offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
         doubted = _doubted(state)
         if not (offered | doubted).any():
-            break
+            if challenged:
+                break
+            challenged, doubted = True, _challenged(state, screening)
+            if not doubted.any():
+                break
+            thrown -= doubted.astype(int)  # on leave, not thrown out
         after = _settled(problem, state, (state.kept & ~doubted) | offered)
         thrown += (state.kept | offered) & ~after.kept
         if after.kept.any():
@@ -77,6 +83,16 @@ def _doubted(state: Consensus) -> Mask:
     nats = state.found.without_itself(max(state.scale, state.fitted))
     against = state.kept & (nats < 0)
     return against & (nats <= 0.5 * nats[against].min(initial=0.0))
+
+
+def _challenged(state: Consensus, screening: Screening) -> Mask:
+    """Kept loops that rest on themselves alone, where loops were left out that odometry does not speak against.
+
+    One false loop that holds a stretch of the way by itself shuts out every true one there. Put aside for a
+    round, it must compete with them.
+    """
+    contenders = ~state.kept & screening.passed
+    return state.kept & (state.found.reliance > _ALONE) if contenders.any() else np.zeros_like(contenders)
 
 
 def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:

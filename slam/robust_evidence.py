@@ -80,13 +80,24 @@ class Evidence:
         With posterior spread P and measurement R the prediction without the loop has covariance
         R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
         """
-        R = self.loops.covariance
-        whiten = self.loops.root
-        values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
+        R, whiten = self.loops.covariance, self.loops.root
+        values, vectors = self._shares
         left = np.maximum(1.0 - values, _LEAST_LEFT)  # samples may say that nothing is left
         errors = np.einsum("mji,mj->mi", vectors, np.einsum("mij,mj->mi", whiten, self.errors))
         chi2 = (np.square(errors) / left).sum(axis=1)
         return self._nats(chi2, _log_det(R) - np.log(left).sum(axis=1), scale)
+
+    @cached_property
+    def reliance(self) -> Array:
+        """(L,) the least share, over directions, that a loop in use has in what is known about it."""
+        return np.asarray(self._shares[0][:, 0])
+
+    @cached_property
+    def _shares(self) -> tuple[Array, Array]:
+        """Eigenvalues (L, dof) of the spread in units of each loop's own covariance, and the directions."""
+        whiten = self.loops.root
+        values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
+        return values, vectors
 
     def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
