@@ -79,10 +79,10 @@ def write_g2o(path: Path, graph: Graph) -> None:
     with atomic_writer(path) as file:
         for key, numbers in zip(graph.ids, _numbers(graph.poses), strict=True):
             file.write(f"{kind.vertex} {key} {_words(numbers)}\n")
-        if graph.fixed is not None:
-            file.write(f"FIX {graph.fixed}\n")
         for i, j, numbers, row in zip(graph.first, graph.second, _numbers(graph.motions), rows, strict=True):
             file.write(f"{kind.edge} {i} {j} {_words(numbers)} {_words(row)}\n")
+        if graph.fixed is not None:
+            file.write(f"FIX {graph.fixed}\n")  # last: GTSAM reads no further
 
 
 def read_g2o(path: Path) -> Graph:

@@ -89,9 +89,9 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: Motions) -> None:
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_the_chordal_start_needs_no_start(group: Motions) -> None:
-    edges, true = ring(group, noise=1e-4)
+    edges, true = ring(group, noise=1e-3)
     lost = np.tile(np.eye(group.size), (len(true), 1, 1))
-    np.testing.assert_allclose(chordal(edges, lost), true, atol=0.02)
+    np.testing.assert_allclose(chordal(edges, lost), true, atol=0.1)
 
 
 def test_no_edge_has_no_errors() -> None:
