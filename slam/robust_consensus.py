@@ -17,7 +17,7 @@ _ROUNDS = 25
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
-_ALONE = 0.45  # share of what is known about a loop that the loop itself said; of samples, which say less
+_ALONE = 0.35  # share of what is known about a loop that the loop itself said; of samples, which say less
 _CHANCES = 2  # times that a loop may be let in and thrown out
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
 

@@ -18,7 +18,7 @@ def square(path: Path, false: bool = True) -> Path:
     """Write two laps of a square with drifting odometry, true loops and, at the end, a false one."""
     lines, turn, rng = [], np.pi / 2, np.random.default_rng(0)
     for k in range(2 * 4 * SIDE - 1):
-        along, across, angle = rng.normal(0.0, [0.03, 0.03, 0.004]) + [1.0, 0.0, 0.002]
+        along, across, angle = rng.normal([1.0, 0.0, 0.002], [0.03, 0.03, 0.004])
         angle += turn if k % SIDE == SIDE - 1 else 0.0
         lines.append(f"EDGE_SE2 {k} {k + 1} {along} {across} {angle} {INFORMATION}")
     lines += [f"EDGE_SE2 {k} {k + 4 * SIDE} 0.0 0.0 0.0 {INFORMATION}" for k in range(0, 4 * SIDE - 2, 3)]
