@@ -81,8 +81,8 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
 def _doubted(state: Consensus) -> Mask:
     """Kept loops that the others speak against, the worst: without them others may look better."""
     nats = state.found.without_itself(max(state.scale, state.fitted))
-    against = state.kept & (nats < 0)
-    return against & (nats <= 0.5 * nats[against].min(initial=0.0))
+    against = state.kept & (nats < LEAST_EVIDENCE)
+    return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
 
 
 def _challenged(state: Consensus, screening: Screening) -> Mask:
