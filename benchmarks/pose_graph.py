@@ -1,107 +1,187 @@
-"""How fast and how right the pose graph is: `python benchmarks/pose_graph.py [FOLDER OF TEST DATA]`.
+"""How fast and how right the pose graph is.
 
-Real part: LIBVISO2 odometry of KITTI with the loops that a bag of words proposed, most of them false, judged
-against ground truth (RobustSLAM graphs, lifted from the plane into space). The measured transform of every
-false loop in the files is zero; here it is drawn anew, so that it gives nothing away. Synthetic part:
-drives of true shape with drifting odometry and every revisit, for the online times.
+    python benchmarks/pose_graph.py [FOLDER OF TEST DATA] [--parts real few standard online] [--back-ends NAME...]
+
+real: odometry of KITTI by LIBVISO2 with the loops that a bag of words proposed, most of them false (the RobustSLAM
+graphs), under default settings. In the files every false loop measures (0, 0, 0); here they stay so, become random
+small motions, or agree with one another within each run of false loops. All covariances are also multiplied by
+1/16 and by 16. few: the same with no true loop, with one, and with three. standard: minima of public graphs from
+odometry alone, and the time against plain Levenberg-Marquardt. online: drives of true shape, a pose at a time.
 """
 
+import argparse
 import os
-import sys
 import time
-from dataclasses import dataclass
-from itertools import accumulate
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from odometry import se3
+from slam.graph_roles import roles
+from slam.graph_truth import absolute_error, find_truth
 from slam.loop_closing import LoopClosure
-from slam.pose_graph import PoseGraph, PoseGraphConfig
-from slam.robust import BACK_ENDS
+from slam.pose_graph import PoseGraph
+from slam.pose_graph_batch import chordal, minimum
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import inverse
+from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solved
+from slam.storage.g2o import read_g2o
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-FLAT_SIGMAS = (1e-3, 1e-3, 0.02)  # pitch and roll, rad; height, m: what a planar graph says nothing about
+SIZE_OF_FALSE = (2.0, 0.5, 0.1)  # m, m, rad: standard deviations of the motions that false loops are given
+RUN_GAP = 15  # poses between loops of one run, at most
+FACTORS = (1.0, 1 / 16, 16.0)
+STANDARD = ("smallGrid3D", "CSAIL", "intel", "manhattan", "parking-garage", "sphere2500", "torus3D", "city10000")
+
+
+@dataclass(frozen=True)
+class Real:
+    """A real graph in the plane, with the truth about it."""
+
+    name: str
+    problem: LoopProblem
+    true: Mask
+    positions: Array
+
+
+def real_graphs(folder: Path) -> Iterator[Real]:
+    """Read the nine graphs."""
+    for path in sorted((folder / "pose_graphs" / "kitti_real_loops").glob("*.g2o")):
+        graph = read_g2o(path)
+        sorted_ = roles(graph, path.name)
+        truth = find_truth(path, graph, sorted_.trusted, folder / "kitti_poses")
+        if truth.loops is not None and truth.positions is not None:
+            yield Real(path.stem.removeprefix("kitti_"), sorted_.problem, truth.loops, truth.positions)
+
+
+def zero(real: Real) -> Edges:
+    """Loops as in the file."""
+    return real.problem.loops
+
+
+def random(real: Real) -> Edges:
+    """Loops whose false ones measure small random motions."""
+    return _with_false(real, agreeing=False)
+
+
+def agreeing(real: Real) -> Edges:
+    """Loops whose false ones agree along odometry with the first of their run."""
+    return _with_false(real, agreeing=True)
+
+
+def _with_false(real: Real, agreeing: bool) -> Edges:
+    rng, loops, chain = np.random.default_rng(0), real.problem.loops, real.problem.start
+    motions, previous, begin = loops.motions.copy(), (-100, -100), -1
+    late, early = np.maximum(loops.first, loops.second), np.minimum(loops.first, loops.second)
+    for k in np.lexsort((early, late)):
+        if real.true[k]:
+            continue
+        ends = (int(loops.first[k]), int(loops.second[k]))
+        if agreeing and max(abs(ends[0] - previous[0]), abs(ends[1] - previous[1])) <= RUN_GAP:
+            i, j = loops.first[begin], loops.second[begin]
+            motions[k] = inverse(chain[ends[0]]) @ chain[i] @ motions[begin] @ inverse(chain[j]) @ chain[ends[1]]
+        else:
+            motions[k] = loops.group.exp(rng.normal(0.0, SIZE_OF_FALSE)[None])[0]
+            begin = k
+        previous = ends
+    return replace(loops, motions=motions)
+
+
+VARIANTS = {"as in the file": zero, "random": random, "agreeing runs": agreeing}
+
+
+def scaled(edges: Edges, factor: float) -> Edges:
+    """Multiply all covariances."""
+    return replace(edges, information=edges.information / factor)
+
+
+def judge(real: Real, label: str, problem: LoopProblem, back_end: str) -> None:
+    """Print one line: ATE against that of the true loops alone, verdicts, time."""
+    start, clock = time.perf_counter(), time.process_time()
+    outcome = solved(problem, back_end)
+    seconds, busy = time.perf_counter() - start, time.process_time() - clock
+    poses = minimum(problem.using(real.true), problem.start) if real.true.any() else problem.start
+    best, ate = absolute_error(poses, real.positions), absolute_error(outcome.poses, real.positions)
+    kept = outcome.kept
+    ok = ate is not None and best is not None and ate <= 1.02 * best and not kept[~real.true].any()
+    print(
+        f"{real.name:14} {label:24} {back_end:10} ATE {ate:7.2f} m, of true loops {best:6.2f} m   kept "
+        f"{kept[real.true].sum():4d} of {real.true.sum():4d} true, {kept[~real.true].sum():3d} of "
+        f"{(~real.true).sum():3d} false   {seconds:5.2f} s ({busy:5.2f} busy)  {'' if ok else 'MISSED'}",
+        flush=True,
+    )
+
+
+def judge_real(folder: Path, back_ends: list[str]) -> None:
+    """Print the table of the real graphs, their variants and their scales."""
+    for real in real_graphs(folder):
+        for variant, changed in VARIANTS.items():
+            loops = changed(real)
+            for factor in FACTORS:
+                problem = LoopProblem(scaled(real.problem.trusted, factor), scaled(loops, factor), real.problem.start)
+                for back_end in back_ends:
+                    judge(real, f"{variant}, x {factor:g}", problem, back_end)
+
+
+def judge_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
+    """Print the table of the real graphs with hardly any true loop left."""
+    for real in real_graphs(folder):
+        if not real.name.endswith("0.15"):
+            continue
+        order = np.random.default_rng(5).permutation(np.flatnonzero(real.true))
+        picks = {"no true loop": order[:0]}
+        picks |= {f"one true loop ({k})": order[k : k + 1] for k in range(trials)}
+        picks |= {f"three true loops ({k})": order[3 * k : 3 * k + 3] for k in range(trials // 2)}
+        for label, picked in picks.items():
+            left = ~real.true
+            left[picked] = True
+            problem = replace(real.problem, loops=zero(real)[left])
+            for back_end in back_ends:
+                judge(Real(real.name, problem, real.true[left], real.positions), label, problem, back_end)
+
+
+def judge_standard(folder: Path, back_ends: list[str]) -> None:
+    """Print minima and times of public graphs from odometry alone, and what the back ends make of true loops."""
+    for name in STANDARD:
+        problem = roles(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
+        edges = problem.using(np.ones(len(problem.loops), dtype=bool))
+        poses, seconds = timed(lambda edges=edges, problem=problem: minimum(edges, problem.start))
+        _, from_chordal = timed(lambda edges=edges, problem=problem: minimum(edges, chordal(edges, problem.start)))
+        print(
+            f"{name:14} minimum {0.5 * edges.chi2(poses).sum():12.6g} in {seconds:5.2f} s from odometry; chordal start "
+            f"and Levenberg-Marquardt {from_chordal:5.2f} s",
+            flush=True,
+        )
+        for back_end in back_ends:
+            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solved(problem, back_end))
+            print(f"  {back_end:10} kept {outcome.kept.sum()} of {len(problem.loops)} in {seconds:.2f} s", flush=True)
+
+
+def timed(work: Callable[[], Any]) -> tuple[Any, float]:
+    """Do some work and give what came of it, and the seconds that it took."""
+    start = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - start
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A graph's odometry and loops, with the truth about both."""
+    """A synthetic drive: motions with covariances, loops, true positions (N, 3)."""
 
     name: str
     motions: list[tuple[Array, Array]]
     loops: list[LoopClosure]
-    true: NDArray[np.bool_]
     positions: Array
 
 
-def lifted(x: float, y: float, theta: float) -> Array:
-    """Pose (4, 4) in camera axes of one in the plane: forward x is z, leftward y is -x."""
-    return se3.pose(Rotation.from_rotvec([0.0, -theta, 0.0]).as_matrix(), np.array([-y, 0.0, x]))
-
-
-def lifted_covariance(information: Array) -> Array:
-    """Covariance (6, 6), rotation first, of a planar edge's six numbers (upper triangle; x, y, theta)."""
-    flat = np.zeros((3, 3))
-    flat[np.triu_indices(3)] = information
-    flat = np.linalg.inv(flat + np.triu(flat, 1).T)
-    J = np.zeros((6, 3))
-    J[5, 0], J[3, 1], J[1, 2] = 1.0, -1.0, -1.0
-    pitch, roll, height = FLAT_SIGMAS
-    return J @ flat @ J.T + np.diag(np.square([pitch, 0.0, roll, 0.0, height, 0.0]))
-
-
-def true_pairs(path: Path) -> set[tuple[int, int]]:
-    """(match, query) of the loops that a GT_LC file lists as true."""
-    pairs = np.loadtxt(path, dtype=int, ndmin=2)
-    return {(int(pair.min()), int(pair.max())) for pair in pairs}
-
-
-def planar_edges(path: Path) -> list[tuple[int, int, Array, Array]]:
-    """Edges of a planar graph, first id below the second: ids, motion (4, 4), covariance (6, 6)."""
-    edges = []
-    for line in path.read_text().splitlines():
-        words = line.split()
-        if words and words[0] == "EDGE_SE2":
-            i, j = int(words[1]), int(words[2])
-            numbers = np.array(words[3:], dtype=np.float64)
-            T = lifted(*numbers[:3])
-            T = T if i < j else se3.inverse(T)
-            edges.append((min(i, j), max(i, j), T, lifted_covariance(numbers[3:])))
-    return edges
-
-
-def real_drive(folder: Path, sequence: str, alpha: str, agreeing: bool) -> Drive:
-    """Read a RobustSLAM graph and draw its false transforms anew, agreeing within a run of loops or not."""
-    rng = np.random.default_rng(0)
-    stem = folder / "pose_graphs" / "kitti_real_loops" / f"kitti_{sequence}_alpha_{alpha}"
-    truth = true_pairs(Path(f"{stem}_GT_LC.txt"))
-    edges = planar_edges(Path(f"{stem}.g2o"))
-    motions = {i: (T, covariance) for i, j, T, covariance in edges if j == i + 1}
-    odometry = [motions[i] for i in range(len(motions))]
-    chain = np.array(list(accumulate((T for T, _ in odometry), np.matmul, initial=np.eye(4))))
-    loops, true, previous = [], [], (-100, -100)
-    shift = np.eye(4)
-    for i, j, T, covariance in sorted((e for e in edges if e[1] != e[0] + 1), key=lambda e: (e[1], e[0])):
-        true.append((i, j) in truth)
-        if not true[-1]:
-            if not agreeing or max(abs(i - previous[0]), abs(j - previous[1])) > 15:
-                shift, first = lifted(*rng.normal(0.0, [2.0, 0.5, 0.1])), (i, j)
-            # loops of a run agree: each follows from the run's first one along odometry
-            step_i, step_j = se3.inverse(chain[i]) @ chain[first[0]], se3.inverse(chain[first[1]]) @ chain[j]
-            T, previous = step_i @ shift @ step_j, (i, j)
-        loops.append(LoopClosure(j, i, T, covariance, 30))
-    poses = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
-    positions = poses[: len(odometry) + 1, :, 3] * [1.0, 0.0, 1.0]  # judged in the plane, as the graph is
-    name = f"{sequence} alpha {alpha}, false loops {'agree in runs' if agreeing else 'random'}"
-    return Drive(name, odometry, loops, np.array(true), positions)
-
-
-def synthetic_drive(folder: Path, sequence: str = "00", every: int = 1) -> Drive:
+def synthetic_drive(folder: Path, sequence: str, every: int) -> Drive:
     """Make a drive of true shape with biased, noisy odometry and all revisits within 4 m, measured well."""
     rng = np.random.default_rng(0)
     rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
@@ -118,55 +198,12 @@ def synthetic_drive(folder: Path, sequence: str = "00", every: int = 1) -> Drive
             match = min(near, key=lambda m: float(np.linalg.norm(poses[m, :3, 3] - poses[query, :3, 3])))
             T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, sigmas))
             loops.append(LoopClosure(query, match, T, np.diag(sigmas**2), 100))
-    return Drive(f"{sequence} synthetic", motions, loops, np.ones(len(loops), bool), poses[:, :3, 3])
+    return Drive(f"{sequence} synthetic", motions, loops, poses[:, :3, 3])
 
 
-def ate(poses: Array, positions: Array) -> float:
-    """Root mean square position error after rigid alignment, metres."""
-    a, b = poses[:, :3, 3], positions
-    a, b = a - a.mean(0), b - b.mean(0)
-    rotation, _ = Rotation.align_vectors(b, a)
-    return float(np.sqrt(np.mean(np.sum((rotation.apply(a) - b) ** 2, axis=1))))
-
-
-def filled(drive: Drive, config: PoseGraphConfig, only_true: bool = False) -> PoseGraph:
-    """Fill the drive's graph, without asking for online estimates."""
-    graph = PoseGraph(config)
-    for T, covariance in drive.motions:
-        graph.add_odometry(T, covariance)
-    for loop, good in zip(drive.loops, drive.true, strict=True):
-        if good or not only_true:
-            graph.add_loop(loop)
-    return graph
-
-
-def judge(drive: Drive, config: PoseGraphConfig) -> None:
-    """Print what each back end makes of a drive."""
-    graph = filled(drive, config)
-    best = filled(drive, config, only_true=True).optimize("none")
-    residual = np.array([gate.residual for gate in graph.gates])
-    true, false = residual[drive.true] ** 2, residual[~drive.true] ** 2
-    passed = np.array([gate.passed for gate in graph.gates])
-    print(
-        f"{drive.name}: {drive.true.sum()} true, {(~drive.true).sum()} false; ATE of odometry "
-        f"{ate(graph.odometry_poses(), drive.positions):.2f} m, of true loops only "
-        f"{ate(best.poses, drive.positions):.2f} m; gate: chi2 of true <= {true.max(initial=0):.1f}, "
-        f"false >= {np.sort(false)[:3].round(1)}, passed {passed[drive.true].sum()} true, "
-        f"{passed[~drive.true].sum()} false"
-    )
-    for name in BACK_ENDS:
-        result = graph.optimize(name)
-        true_kept, false_kept = result.kept[drive.true].sum(), result.kept[~drive.true].sum()
-        print(
-            f"  {name:10} ATE {ate(result.poses, drive.positions):7.2f} m   kept {true_kept:4d} true "
-            f"{false_kept:4d} false   {result.seconds:6.2f} s",
-            flush=True,
-        )
-
-
-def clock_online(drive: Drive, config: PoseGraphConfig) -> None:
+def clock_online(drive: Drive) -> None:
     """Print the time of adding a frame and asking for its pose, with and without a loop."""
-    graph, loops = PoseGraph(config), {loop.query: loop for loop in drive.loops}
+    graph, loops = PoseGraph(), {loop.query: loop for loop in drive.loops}
     frame_ms, loop_ms = [], []
     for query, (T, covariance) in enumerate(drive.motions, start=1):
         start = time.perf_counter()
@@ -175,7 +212,7 @@ def clock_online(drive: Drive, config: PoseGraphConfig) -> None:
             graph.add_loop(loops[query])
         graph.latest()
         (loop_ms if query in loops else frame_ms).append(1e3 * (time.perf_counter() - start))
-    online, batch = ate(graph.poses(), drive.positions), ate(graph.optimize().poses, drive.positions)
+    online, batch = (absolute_error(poses, drive.positions) for poses in (graph.poses(), graph.optimize().poses))
     print(
         f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose {spread(frame_ms)}; "
         f"at a loop {spread(loop_ms)}; ATE of the last online map {online:.2f} m, of the batch {batch:.2f} m",
@@ -188,17 +225,26 @@ def spread(times: list[float]) -> str:
     return f"median {np.median(times):.2f}, p99 {np.percentile(times, 99):.1f}, worst {max(times):.0f}"
 
 
-def main(folder: Path) -> None:
-    """Print both tables."""
-    config = PoseGraphConfig()
-    for sequence in ("00", "02", "05"):
-        for alpha in ("0.00", "0.15", "0.30"):
-            for agreeing in (False, True):
-                judge(real_drive(folder, sequence, alpha, agreeing), config)
+def judge_online(folder: Path, back_ends: list[str]) -> None:
+    """Print online times of synthetic drives."""
     for sequence in ("07", "00"):
         for every in (5, 1):
-            clock_online(synthetic_drive(folder, sequence, every), config)
+            clock_online(synthetic_drive(folder, sequence, every))
+
+
+PARTS = {"real": judge_real, "few": judge_few, "standard": judge_standard, "online": judge_online}
+
+
+def main() -> None:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(description="Measure the pose graph and its back ends.")
+    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("REVISIT_TEST_DATA"))
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--back-ends", nargs="+", default=[DEFAULT], choices=list(BACK_ENDS))
+    arguments = parser.parse_args()
+    for part in arguments.parts:
+        PARTS[part](Path(arguments.folder), arguments.back_ends)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else os.environ["REVISIT_TEST_DATA"]))
+    main()

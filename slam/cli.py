@@ -35,6 +35,7 @@ Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show
 PARADIGM_NAMES = (
     "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
 )
+BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
 
@@ -103,7 +104,7 @@ def run(
     paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
     vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
     descriptor: Annotated[str | None, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = None,
-    robust: Annotated[str | None, typer.Option(help="Back end: none, huber, dcs, gnc.")] = None,
+    robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
     view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
@@ -159,6 +160,30 @@ def places(
 
     interrupted = recognise_places(PlacesOptions(**settings), Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+@app.command()
+def optimize(
+    graphs: Annotated[
+        list[Path], typer.Argument(metavar="GRAPH.g2o...", help="Pose graphs, in the plane or in space.")
+    ],
+    out: Out,
+    robust: Annotated[str, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = "pcm+gnc",
+    ground_truth: Annotated[
+        Path | None, typer.Option(help="True poses (KITTI, TUM), or a folder of them named as in the graphs' names.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Optimise pose graphs that may hold false loops; say which loops were kept, and why.
+
+    Edges between successive poses are odometry and trusted, all others are loops.
+
+    Example: revisit optimize kitti_05.g2o --ground-truth poses/05.txt --out runs/graph05
+    """
+    from slam.graph_command import OptimizeOptions, optimize_graphs
+
+    options = OptimizeOptions(tuple(graphs), out, robust, ground_truth, overwrite)
+    optimize_graphs(options, Console(stderr=True), Console())
 
 
 @evaluate_app.command("trajectory")

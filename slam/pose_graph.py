@@ -17,6 +17,7 @@ from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
 from slam.loop_trust import Admission, Change, LoopTrust, TrustConfig
 from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.pose_graph_edges import stacked
 from slam.pose_graph_keys import KeyChain, KeySpacing
 from slam.pose_graph_marginals import marginal_covariances
 from slam.pose_graph_online import IncrementalConfig, IncrementalMap
@@ -145,27 +146,28 @@ class PoseGraph:
         Raises:
             ConfigError: the name is not known.
         """
-        judge = robust_ends.back_end(robust)
         start = time.perf_counter()
-        limits = robust_ends.Limits(self.config.gate_chi2, self.config.inlier_chi2)
         problem = self._problem()
-        outcome = judge(problem, limits)
-        kept = outcome.weights >= 0.5
+        outcome = robust_ends.solved(problem, robust)
+        used = problem.using(outcome.kept)
         return Optimized(
             poses=outcome.poses,
             weights=outcome.weights,
-            residuals=np.sqrt(problem.chi2(outcome.poses)),
-            kept=kept,
-            reasons=robust_ends.reasons(problem, outcome, limits),
-            error_initial=problem.error(kept, problem.odometry),
-            error_final=problem.error(kept, outcome.poses),
+            residuals=np.sqrt(problem.loops.chi2(outcome.poses)),
+            kept=outcome.kept,
+            reasons=outcome.reasons,
+            error_initial=0.5 * float(used.chi2(problem.start).sum()),
+            error_final=0.5 * float(used.chi2(outcome.poses).sum()),
             seconds=time.perf_counter() - start,
         )
 
-    def _problem(self) -> solver.GraphProblem:
-        gate = np.array([gate.residual**2 for gate in self._gates])
-        soft = [self.config.softened(closure) for closure in self._loops]
-        return solver.GraphProblem(self._chain.poses, self._motions, soft, gate)
+    def _problem(self) -> robust_ends.LoopProblem:
+        real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in self._edges]
+        soft = [self.config.softened(loop) for loop in self._loops]
+        before, ends = np.arange(len(real)), [(loop.match, loop.query) for loop in soft]
+        chain = stacked(np.column_stack([before, before + 1]), real)
+        loops = stacked(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in soft])
+        return robust_ends.LoopProblem(chain, loops, self._chain.poses)
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):

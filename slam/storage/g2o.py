@@ -1,11 +1,16 @@
-"""Pose graphs as g2o text: `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT`.
+"""Pose graphs as g2o text, in the plane (`VERTEX_SE2`, `EDGE_SE2`) and in space (`VERTEX_SE3:QUAT`, `EDGE_SE3:QUAT`).
 
-In the file an edge's information has translation first, upper triangle by rows, and belongs to the right
-perturbation of its transform; `Graph3D` has our order, rotation first. As GTSAM does, the three rotation
-numbers are taken as a rotation vector in radians.
+In the file an edge's information belongs to the right perturbation of its transform, upper triangle by rows:
+x, y, theta in the plane; in space translation first, while `Graph` has our order, rotation first. As GTSAM does,
+the three rotation numbers are taken as a rotation vector in radians.
+
+What is repaired, with a warning: an edge from a pose to itself and one of zero information say nothing and go;
+information that is zero along some direction gets a billionth of its largest; quaternions and poses are
+normalised where rounding explains it. Several edges between two poses are several measurements. Everything else
+that is wrong is an error with its line.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,31 +19,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
 from slam.storage.atomic import atomic_writer
+from slam.storage.g2o_lines import UPPER, GraphLines, Kind, read_lines_of
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 _SWAPPED = np.array([3, 4, 5, 0, 1, 2])  # rotation first <-> translation first
-_UPPER = np.triu_indices(6)
-_IDS = {"VERTEX_SE3:QUAT": 1, "EDGE_SE3:QUAT": 2}
-_SIZES = {"VERTEX_SE3:QUAT": 1 + 7, "EDGE_SE3:QUAT": 2 + 7 + 21}
-_ROUNDING = 1e-9  # of an eigenvalue, relative to the largest
-_UNIT_TOLERANCE = 0.01  # files round quaternions; more than this is damage
 
 
 @dataclass(frozen=True)
-class Graph3D:
-    """A pose graph as it stands in a file.
+class Graph:
+    """A pose graph as it stands in a file, in the plane (n = 3, dof 3) or in space (n = 4, dof 6).
 
     Attributes:
-        ids: (N,) of the poses, in the file's order.
-        poses: (N, 4, 4) T_world_camera, metres.
+        ids: (N,) of the poses, in the file's order; those of its edges, sorted, where it has no poses.
+        poses: (N, n, n) T_world_camera, metres; the identity where the file has none.
         first, second: (M,) ids that each edge joins.
-        motions: (M, 4, 4) T_first_second, metres.
-        information: (M, 6, 6) inverse covariances of right perturbations, rotation first (1/rad^2, 1/m^2).
+        motions: (M, n, n) T_first_second, metres.
+        information: (M, dof, dof) inverse covariances of right perturbations, in GTSAM's order (1/rad^2, 1/m^2).
+        fixed: id of the pose that keeps its place (`FIX`), None where the file names none.
+        placed: the file says where the poses are.
+        warnings: what was repaired or passed over, in plain words.
     """
 
     ids: Ids
@@ -47,14 +50,17 @@ class Graph3D:
     second: Ids
     motions: Array
     information: Array
+    fixed: int | None = None
+    placed: bool = True
+    warnings: tuple[str, ...] = ()
 
 
-def chain_graph(poses: Array, odometry: Sequence[tuple[Array, Array]], closures: Sequence[LoopClosure]) -> Graph3D:
+def chain_graph(poses: Array, odometry: Sequence[tuple[Array, Array]], closures: Sequence[LoopClosure]) -> Graph:
     """Make a graph of poses (N, 4, 4), N - 1 motions (4, 4) with covariances (6, 6), and loops."""
     ids = np.arange(len(poses), dtype=np.int64)
     ends = np.array([(c.match, c.query) for c in closures], dtype=np.int64).reshape(-1, 2)
     edges = [*odometry, *((c.T_match_query, c.covariance) for c in closures)]
-    return Graph3D(
+    return Graph(
         ids=ids,
         poses=poses,
         first=np.concatenate([ids[:-1], ends[:, 0]]),
@@ -64,94 +70,58 @@ def chain_graph(poses: Array, odometry: Sequence[tuple[Array, Array]], closures:
     )
 
 
-def write_g2o(path: Path, graph: Graph3D) -> None:
+def write_g2o(path: Path, graph: Graph) -> None:
     """Write a graph, numbers as short as their exact value allows: the same graph gives the same bytes."""
-    rows = graph.information[:, _SWAPPED][:, :, _SWAPPED][:, _UPPER[0], _UPPER[1]]
+    flat = graph.poses.shape[-1] == 3
+    kind = Kind.of("SE2" if flat else "SE3:QUAT")
+    information = graph.information if flat else graph.information[:, _SWAPPED][:, :, _SWAPPED]
+    rows = information[:, *UPPER[kind.dof]]
     with atomic_writer(path) as file:
         for key, numbers in zip(graph.ids, _numbers(graph.poses), strict=True):
-            file.write(f"VERTEX_SE3:QUAT {key} {_words(numbers)}\n")
-        edges = zip(graph.first, graph.second, _numbers(graph.motions), rows, strict=True)
-        for i, j, numbers, information in edges:
-            file.write(f"EDGE_SE3:QUAT {i} {j} {_words(numbers)} {_words(information)}\n")
+            file.write(f"{kind.vertex} {key} {_words(numbers)}\n")
+        for i, j, numbers, row in zip(graph.first, graph.second, _numbers(graph.motions), rows, strict=True):
+            file.write(f"{kind.edge} {i} {j} {_words(numbers)} {_words(row)}\n")
+        if graph.fixed is not None:
+            file.write(f"FIX {graph.fixed}\n")  # last: GTSAM reads no further
 
 
-def read_g2o(path: Path) -> Graph3D:
-    """Read a 3D graph; lines of other kinds (parameters, comments, fixed poses) are passed over.
+def read_g2o(path: Path) -> Graph:
+    """Read a graph; lines of other kinds (parameters, comments) are passed over.
 
     Raises:
-        GraphError: no such file, a damaged line, an edge to a pose that is not there, or no pose at all.
+        GraphError: no such file, a damaged line, an edge to a pose that is not there, plane and space mixed, or
+            neither pose nor edge.
     """
-    vertices: list[Array] = []
-    edges: list[Array] = []
-    for number, kind, values in _lines(path):
-        numbers = _parsed(path, number, kind, values)
-        (vertices if kind == "VERTEX_SE3:QUAT" else edges).append(numbers)
-    if not vertices:
-        raise GraphError(f"{path}: expected VERTEX_SE3:QUAT lines, found none; is this a 3D graph in g2o format?")
-    nodes, links = np.array(vertices), np.array(edges).reshape(-1, 30)
-    graph = Graph3D(
-        ids=nodes[:, 0].astype(np.int64),
-        poses=_poses(nodes[:, 1:]),
-        first=links[:, 0].astype(np.int64),
-        second=links[:, 1].astype(np.int64),
-        motions=_poses(links[:, 2:9]),
-        information=_full(links[:, 9:]),
+    lines = read_lines_of(path)
+    ids = lines.vertex_ids if lines.placed else np.unique(lines.edge_ids)
+    size = 3 if lines.kind.dof == 3 else 4
+    unplaced = np.tile(np.eye(size), (len(ids), 1, 1))
+    return Graph(
+        ids=ids,
+        poses=_poses(lines.vertices) if lines.placed else unplaced,
+        first=lines.edge_ids[:, 0],
+        second=lines.edge_ids[:, 1],
+        motions=_poses(lines.edges),
+        information=_ordered(lines),
+        fixed=lines.fixed,
+        placed=lines.placed,
+        warnings=lines.warnings,
     )
-    _check(path, graph)
-    return graph
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GraphError(f"{path}: expected a pose graph in g2o format, could not read it: {error}") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if words and words[0] in _SIZES:
-            yield number, words[0], words[1:]
-
-
-def _parsed(path: Path, number: int, kind: str, words: list[str]) -> Array:
-    """Check the numbers of one line."""
-    where = f"{path}, line {number}: {kind}"
-    if len(words) != _SIZES[kind]:
-        raise GraphError(f"{where} has {len(words)} numbers, expected {_SIZES[kind]}; was the file cut short?")
-    ids = _IDS[kind]
-    try:
-        numbers = np.array([*map(int, words[:ids]), *map(float, words[ids:])], dtype=np.float64)
-    except ValueError as error:
-        raise GraphError(f"{where} holds something that is not a number: {error}") from error
-    length = float(np.linalg.norm(numbers[ids + 3 : ids + 7]))
-    if not np.isfinite(numbers).all() or abs(length - 1.0) > _UNIT_TOLERANCE:
-        raise GraphError(f"{where} expected finite numbers and a unit quaternion, its length is {length:.6g}")
-    return numbers
-
-
-def _check(path: Path, graph: Graph3D) -> None:
-    known, counts = np.unique(graph.ids, return_counts=True)
-    if counts.max() > 1:
-        raise GraphError(f"{path}: pose {known[counts.argmax()]} is there {counts.max()} times, expected once")
-    spectrum = np.linalg.eigvalsh(graph.information)
-    bad = np.flatnonzero((spectrum < -_ROUNDING * np.abs(spectrum).max(axis=1, keepdims=True)).any(axis=1))
-    if bad.size:
-        i, j = graph.first[bad[0]], graph.second[bad[0]]
-        raise GraphError(f"{path}: the information of edge {i} {j} has a negative eigenvalue, expected none")
-    missing = np.setdiff1d(np.concatenate([graph.first, graph.second]), known)
-    if missing.size:
-        raise GraphError(f"{path}: an edge names pose {missing[0]}, which has no VERTEX_SE3:QUAT line")
-
-
-def _full(upper: Array) -> Array:
-    """Information (M, 6, 6), rotation first, of the file's 21 numbers (M, 21)."""
-    out = np.zeros((len(upper), 6, 6))
-    out[:, _UPPER[0], _UPPER[1]] = upper
-    out[:, _UPPER[1], _UPPER[0]] = upper
-    return out[:, _SWAPPED][:, :, _SWAPPED]
+def _ordered(lines: GraphLines) -> Array:
+    """Information (M, dof, dof) in GTSAM's order."""
+    return lines.information if lines.kind.dof == 3 else lines.information[:, _SWAPPED][:, :, _SWAPPED]
 
 
 def _poses(numbers: Array) -> Array:
-    """Poses (N, 4, 4) of (N, 7): x y z qx qy qz qw, normalised."""
+    """Poses (N, n, n) of (N, 3): x y theta, or of (N, 7): x y z qx qy qz qw, normalised."""
+    if numbers.shape[1] == 3:
+        cosine, sine = np.cos(numbers[:, 2]), np.sin(numbers[:, 2])
+        out = np.tile(np.eye(3), (len(numbers), 1, 1))
+        out[:, 0, :] = np.stack([cosine, -sine, numbers[:, 0]], axis=1)
+        out[:, 1, :] = np.stack([sine, cosine, numbers[:, 1]], axis=1)
+        return out
     out = np.tile(np.eye(4), (len(numbers), 1, 1))
     if len(numbers):
         out[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
@@ -160,7 +130,10 @@ def _poses(numbers: Array) -> Array:
 
 
 def _numbers(poses: Array) -> Array:
-    """(N, 7): x y z qx qy qz qw of poses (N, 4, 4), qw not negative."""
+    """The file's numbers (N, 3) or (N, 7) of poses (N, n, n), qw not negative."""
+    if poses.shape[-1] == 3:
+        theta = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+        return np.column_stack([poses[:, 0, 2], poses[:, 1, 2], theta])
     if not len(poses):
         return np.zeros((0, 7))
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)

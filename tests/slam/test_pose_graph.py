@@ -155,7 +155,7 @@ def test_a_new_graph_holds_one_pose() -> None:
 
 
 def test_an_unknown_back_end_is_named_with_the_known_ones(drive: Drive) -> None:
-    with pytest.raises(ConfigError, match="'hubert': expected one of none, huber, dcs, gnc"):
+    with pytest.raises(ConfigError, match="'hubert': expected one of none, huber, dcs, switchable, gnc, pcm, pcm"):
         drive.graph().optimize("hubert")
 
 

@@ -1,0 +1,156 @@
+"""Where does each robust back end break? False loops are put into a graph, more and more of them.
+
+    python examples/false_loops.py [GRAPH.g2o ...] --out DIR [--kinds random grouped] [--shares 0 0.5 0.9]
+
+Without a graph a drive of two laps is simulated. The error is that of the graph without false loops: half
+chi-square of its edges, over its minimum. The table is printed and written as false_loops.csv, the plot as
+false_loops.png.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from slam.false_loops import KINDS, Contaminated, Injection, contaminated
+from slam.graph_roles import roles
+from slam.pose_graph_batch import minimum
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import Plane, compounded, inverse
+from slam.report.figures import new_figure, save_png, style
+from slam.robust import BACK_ENDS, LoopProblem, solved
+from slam.storage.g2o import read_g2o
+from slam.storage.tables import write_table
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("graph", "kind", "share", "back_end", "error_ratio", "true", "true_kept", "false", "false_kept", "seconds")
+SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table; `error_ratio` is one where the false loops did no harm."""
+
+    graph: str
+    kind: str
+    share: float
+    back_end: str
+    error_ratio: float
+    true: int
+    true_kept: int
+    false: int
+    false_kept: int
+    seconds: float
+
+
+def main() -> None:
+    """Read the arguments, fill the table, draw it."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("graphs", nargs="*", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--shares", nargs="+", type=float, default=list(SHARES))
+    parser.add_argument("--back-ends", nargs="+", default=list(BACK_ENDS), choices=list(BACK_ENDS))
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    graphs = {path.stem: roles(read_g2o(path), str(path)).problem for path in arguments.graphs}
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    for name, problem in (graphs or {"two_laps": two_laps(arguments.seed)}).items():
+        for row in measured(name, problem, arguments):
+            rows.append(row)
+            print(shown(row), flush=True)
+    write_table(arguments.out / "false_loops.csv", COLUMNS, (vars(row).values() for row in rows))
+    save_png(drawn(rows), arguments.out / "false_loops.png")
+
+
+def measured(name: str, problem: LoopProblem, arguments: argparse.Namespace) -> Iterator[Row]:
+    """Rows of one graph."""
+    clean = problem.using(np.ones(len(problem.loops), dtype=bool))
+    poses = minimum(clean, problem.start)
+    least = float(clean.chi2(poses).sum())
+    for kind in arguments.kinds:
+        for share in arguments.shares:
+            mixed = contaminated(problem, poses, Injection(kind, share, arguments.seed))
+            for back_end in arguments.back_ends:
+                yield tried(Trial(name, kind, share, back_end), mixed, clean, least)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is tried."""
+
+    graph: str
+    kind: str
+    share: float
+    back_end: str
+
+
+def tried(trial: Trial, mixed: Contaminated, clean: Edges, least: float) -> Row:
+    """Optimise under one back end and measure against the clean graph (its edges, its least chi-square)."""
+    start = time.perf_counter()
+    outcome = solved(mixed.problem, trial.back_end)
+    seconds = time.perf_counter() - start
+    kept, true = outcome.kept, mixed.true
+    ratio = float(clean.chi2(outcome.poses).sum()) / least
+    counts = (int(true.sum()), int(kept[true].sum()), int((~true).sum()), int(kept[~true].sum()))
+    return Row(*vars(trial).values(), ratio, *counts, seconds)
+
+
+def two_laps(seed: int, side: int = 100) -> LoopProblem:
+    """Drive twice round a block, a metre a step, with honest noise; every second step of lap two closes a loop."""
+    rng, group = np.random.default_rng(seed), Plane()
+    step_sigma, loop_sigma = np.array([0.03, 0.02, 0.003]), np.array([0.05, 0.05, 0.005])
+    count = 8 * side
+    turning = np.arange(count) % side >= side - 10
+    steps = np.column_stack([np.ones(count), np.zeros(count), np.where(turning, np.pi / 20, 0.0)])
+    true = group.exp(steps)
+    poses = compounded(np.eye(3), true)
+    odometry = true @ group.exp(rng.normal(size=(count, 3)) * step_sigma)
+    rows = np.arange(count, dtype=np.int64)
+    trusted = Edges(rows, rows + 1, odometry, np.tile(np.diag(step_sigma**-2), (count, 1, 1)))
+    later = np.arange(4 * side + 4, count, 2, dtype=np.int64)
+    measured_ = (
+        inverse(poses[later - 4 * side]) @ poses[later] @ group.exp(rng.normal(size=(len(later), 3)) * loop_sigma)
+    )
+    loops = Edges(later - 4 * side, later, measured_, np.tile(np.diag(loop_sigma**-2), (len(later), 1, 1)))
+    return LoopProblem(trusted, loops, compounded(np.eye(3), odometry))
+
+
+def shown(row: Row) -> str:
+    """One line for the terminal."""
+    return (
+        f"{row.graph:16} {row.kind:9} {row.share:4.0%}  {row.back_end:10} error x {row.error_ratio:<9.4g} "
+        f"true {row.true_kept:5d} of {row.true:5d}  false {row.false_kept:5d} of {row.false:5d}  {row.seconds:6.2f} s"
+    )
+
+
+def drawn(rows: list[Row]) -> Figure:
+    """Error and time over the share of false loops: a column for each graph and kind."""
+    panels = list(dict.fromkeys((row.graph, row.kind) for row in rows))
+    figure = new_figure(3.6 * len(panels) + 1.5, 6.5)
+    axes = figure.subplots(2, len(panels), squeeze=False, sharex=True)
+    for column, panel in enumerate(panels):
+        for back_end in dict.fromkeys(row.back_end for row in rows):
+            line = [row for row in rows if (row.graph, row.kind, row.back_end) == (*panel, back_end)]
+            shares = [100 * row.share for row in line]
+            axes[0, column].plot(shares, [row.error_ratio for row in line], "o-", ms=3, label=back_end)
+            axes[1, column].plot(shares, [row.seconds for row in line], "o-", ms=3)
+        axes[0, column].set(title=" ".join(panel), yscale="log")
+        axes[1, column].set(xlabel="false loops [%]", yscale="log")
+    for ax in axes.ravel():
+        style(ax)
+    axes[0, 0].set_ylabel("error over that of the clean graph")
+    axes[1, 0].set_ylabel("time [s]")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False)
+    return figure
+
+
+if __name__ == "__main__":
+    main()

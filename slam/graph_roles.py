@@ -1,0 +1,120 @@
+"""Which edges of a stored graph are trusted and which are loops, and where the trusted ones lead."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import GraphError
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import inverse
+from slam.robust_problem import LoopProblem
+from slam.storage.g2o import Graph
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Roles:
+    """A stored graph, sorted for the back ends.
+
+    Attributes:
+        order: (N,) rows of the graph's poses by id: the order of `problem.start`.
+        trusted: (M,) bool, edges taken for odometry.
+        problem: trusted edges and loops, each in the file's order.
+        warnings: what had to be assumed.
+    """
+
+    order: NDArray[np.int64]
+    trusted: Mask
+    problem: LoopProblem
+    warnings: tuple[str, ...]
+
+
+def roles(graph: Graph, name: str) -> Roles:
+    """Trust the first edge between poses of successive ids, and as many others as hold the graph together.
+
+    Args:
+        graph: as read.
+        name: of its file, for complaints.
+
+    Raises:
+        GraphError: the edges do not join all poses.
+    """
+    order = np.argsort(graph.ids, kind="stable")
+    ids = graph.ids[order]
+    edges = Edges(
+        np.searchsorted(ids, graph.first), np.searchsorted(ids, graph.second), graph.motions, graph.information
+    )
+    trusted, joined_by_loops = _spanning(edges, len(ids))
+    _check_connected(edges[trusted], ids, name)
+    start = _walked(edges[trusted], graph.poses[order][0], len(ids))
+    warnings: tuple[str, ...] = ()
+    if joined_by_loops.any():
+        one = int(np.flatnonzero(joined_by_loops)[0])
+        warnings = (
+            f"{name}: no odometry leads to some poses; {joined_by_loops.sum()} other edges are trusted instead, "
+            f"the first from {graph.first[one]} to {graph.second[one]}",
+        )
+    return Roles(order, trusted, LoopProblem(edges[trusted], edges[~trusted], start), warnings)
+
+
+def _spanning(edges: Edges, count: int) -> tuple[Mask, Mask]:
+    """Edges of a spanning tree, successive poses first; and those of them that do not join successive poses."""
+    successive = np.abs(edges.first - edges.second) == 1
+    parents = list(range(count))
+    trusted, other = np.zeros(len(edges), dtype=bool), np.zeros(len(edges), dtype=bool)
+
+    def root(node: int) -> int:
+        while parents[node] != node:
+            parents[node] = parents[parents[node]]
+            node = parents[node]
+        return node
+
+    for k in np.concatenate([np.flatnonzero(successive), np.flatnonzero(~successive)]):
+        i, j = root(int(edges.first[k])), root(int(edges.second[k]))
+        if i != j:
+            parents[max(i, j)] = min(i, j)
+            trusted[k], other[k] = True, not successive[k]
+    return trusted, other
+
+
+def _check_connected(tree: Edges, ids: NDArray[np.int64], name: str) -> None:
+    if len(tree) == len(ids) - 1:
+        return
+    reached = {row for row, _, _ in _visits(tree, len(ids))}
+    lost = next(row for row in range(len(ids)) if row not in reached)
+    raise GraphError(
+        f"{name}: expected edges that join all {len(ids)} poses, found none between pose {ids[0]} and "
+        f"pose {ids[lost]} ({len(ids) - len(reached)} poses are cut off); add the missing edge or split the file"
+    )
+
+
+def _walked(tree: Edges, first: Array, count: int) -> Array:
+    """Poses (N, n, n) along a spanning tree."""
+    poses = np.tile(first, (count, 1, 1))
+    backwards = inverse(tree.motions)
+    for row, before, edge in _visits(tree, count):
+        if edge >= 0:
+            forward = tree.first[edge] == before
+            poses[row] = poses[before] @ (tree.motions[edge] if forward else backwards[edge])
+    return poses
+
+
+def _visits(tree: Edges, count: int) -> list[tuple[int, int, int]]:
+    """Rows of the tree from row 0 outwards: row, the row before it, the edge between (-1 at the root)."""
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    for edge, (i, j) in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True)):
+        neighbours[i].append((j, edge))
+        neighbours[j].append((i, edge))
+    visits, seen, waiting = [(0, 0, -1)], {0}, deque([0])
+    while waiting:
+        before = waiting.popleft()
+        for row, edge in neighbours[before]:
+            if row not in seen:
+                seen.add(row)
+                visits.append((row, before, edge))
+                waiting.append(row)
+    return visits

@@ -1,0 +1,158 @@
+"""Rigid motions of the plane and of space as stacks of matrices, for graphs with many edges.
+
+Tangent vectors belong to right perturbations, `T @ exp(xi)`, in GTSAM's order: (x, y, theta) in the plane,
+rotation first in space, metres and radians. Formulas: Barfoot, State Estimation for Robotics (2017), chapter 7.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-4  # rad; below it the second-order series are exact to double precision
+
+
+class Motions(Protocol):
+    """The group that a graph's poses belong to.
+
+    Attributes:
+        size: rows of a pose matrix, 3 in the plane and 4 in space.
+        dof: length of a tangent vector.
+        rotation, translation: the parts of a tangent vector.
+    """
+
+    @property
+    def size(self) -> int: ...  # noqa: D102
+    @property
+    def dof(self) -> int: ...  # noqa: D102
+    @property
+    def rotation(self) -> slice: ...  # noqa: D102
+    @property
+    def translation(self) -> slice: ...  # noqa: D102
+
+    def exp(self, xi: Array) -> Array:
+        """Motions (M, size, size) of tangent vectors (M, dof)."""
+        ...
+
+    def log(self, T: Array) -> Array:
+        """Tangent vectors (..., dof) of poses (..., size, size)."""
+        ...
+
+    def adjoint(self, T: Array) -> Array:
+        """Adjoints (..., dof, dof): `T @ exp(xi) == exp(adjoint(T) @ xi) @ T`."""
+        ...
+
+
+class Plane:
+    """SE(2)."""
+
+    size, dof = 3, 3
+    translation, rotation = slice(0, 2), slice(2, 3)
+
+    def exp(self, xi: Array) -> Array:
+        """Motions (M, 3, 3) of tangent vectors (M, 3)."""
+        theta = xi[:, 2]
+        small = np.abs(theta) < _SMALL_ANGLE
+        safe = np.where(small, 1.0, theta)
+        a = np.where(small, 1.0 - theta**2 / 6.0, np.sin(theta) / safe)
+        b = np.where(small, 0.5 * theta, (1.0 - np.cos(theta)) / safe)
+        x, y = a * xi[:, 0] - b * xi[:, 1], b * xi[:, 0] + a * xi[:, 1]
+        return planar_poses(np.stack([x, y, theta], axis=1))
+
+    def log(self, T: Array) -> Array:
+        """Tangent vectors (..., 3) of poses (..., 3, 3)."""
+        theta = np.arctan2(T[..., 1, 0], T[..., 0, 0])
+        half = 0.5 * theta
+        # half / tan(half), whose series is 1 - half^2 / 3
+        small = np.abs(theta) < _SMALL_ANGLE
+        a = np.where(small, 1.0 - half**2 / 3.0, half / np.tan(np.where(small, 1.0, half)))
+        x, y = T[..., 0, 2], T[..., 1, 2]
+        return np.stack([a * x + half * y, a * y - half * x, theta], axis=-1)
+
+    def adjoint(self, T: Array) -> Array:
+        """Adjoints (..., 3, 3) of poses (..., 3, 3)."""
+        Ad = T.copy()
+        Ad[..., 0, 2], Ad[..., 1, 2] = T[..., 1, 2], -T[..., 0, 2]
+        return Ad
+
+
+class Space:
+    """SE(3)."""
+
+    size, dof = 4, 6
+    rotation, translation = slice(0, 3), slice(3, 6)
+
+    def exp(self, xi: Array) -> Array:
+        """Motions (M, 4, 4) of tangent vectors (M, 6)."""
+        w, v = xi[:, :3], xi[:, 3:]
+        angle = np.linalg.norm(w, axis=1)
+        small = angle < _SMALL_ANGLE
+        safe = np.where(small, 1.0, angle)
+        a = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+        b = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+        across = np.cross(w, v)
+        T = np.tile(np.eye(4), (len(xi), 1, 1))
+        T[:, :3, :3] = Rotation.from_rotvec(w).as_matrix()
+        T[:, :3, 3] = v + a[:, None] * across + b[:, None] * np.cross(w, across)
+        return T
+
+    def log(self, T: Array) -> Array:
+        """Tangent vectors (..., 6) of poses (..., 4, 4)."""
+        flat = T.reshape(-1, 4, 4)
+        if not len(flat):
+            return np.zeros((*T.shape[:-2], 6))
+        w = Rotation.from_matrix(flat[:, :3, :3]).as_rotvec()
+        angle = np.linalg.norm(w, axis=1)
+        small = angle < _SMALL_ANGLE
+        safe = np.where(small, 1.0, angle)
+        # inverse of the left Jacobian applied to t
+        c = np.where(small, 1.0 / 12.0, (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
+        t = flat[:, :3, 3]
+        across = np.cross(w, t)
+        v = t - 0.5 * across + c[:, None] * np.cross(w, across)
+        return np.concatenate([w, v], axis=1).reshape(*T.shape[:-2], 6)
+
+    def adjoint(self, T: Array) -> Array:
+        """Adjoints (..., 6, 6) of poses (..., 4, 4)."""
+        R, t = T[..., :3, :3], T[..., :3, 3]
+        Ad = np.zeros((*T.shape[:-2], 6, 6))
+        Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+        Ad[..., 3:, :3] = np.cross(t[..., None, :], R, axisa=-1, axisb=-2, axisc=-2)
+        return Ad
+
+
+def planar_poses(numbers: Array) -> Array:
+    """Poses (M, 3, 3) of the plane of (M, 3): x, y in metres, heading in radians."""
+    cosine, sine = np.cos(numbers[:, 2]), np.sin(numbers[:, 2])
+    poses = np.tile(np.eye(3), (len(numbers), 1, 1))
+    poses[:, :2, 0] = np.stack([cosine, sine], axis=1)
+    poses[:, :2, 1] = np.stack([-sine, cosine], axis=1)
+    poses[:, :2, 2] = numbers[:, :2]
+    return poses
+
+
+def motions_of(poses: Array) -> Motions:
+    """Group of poses (..., 3, 3) or (..., 4, 4)."""
+    return Plane() if poses.shape[-1] == 3 else Space()
+
+
+def inverse(T: Array) -> Array:
+    """Invert poses (..., n, n) of either group."""
+    out = np.zeros_like(T)
+    R = np.swapaxes(T[..., :-1, :-1], -1, -2)
+    out[..., :-1, :-1] = R
+    out[..., :-1, -1:] = -R @ T[..., :-1, -1:]
+    out[..., -1, -1] = 1.0
+    return out
+
+
+def compounded(first: Array, steps: Array) -> Array:
+    """Poses (N + 1, n, n) that N steps (N, n, n) lead to from the first (n, n); rotations stay orthonormal."""
+    poses = np.empty((len(steps) + 1, *first.shape))
+    poses[0] = first
+    for k, step in enumerate(steps):
+        poses[k + 1] = poses[k] @ step
+    return poses

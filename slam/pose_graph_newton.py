@@ -1,0 +1,87 @@
+"""Gauss-Newton on arrays of edges: the inner loop of the back ends, where weights change with every step.
+
+GTSAM's optimisers keep weights fixed while they converge and need each factor built anew for a new weight;
+here a weight is a factor on rows. The last step to the minimum is left to GTSAM (`slam.pose_graph_solver`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import SuperLU, splu
+
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import inverse
+
+Array = NDArray[np.float64]
+Reweight = Callable[[Array, int], Array]  # chi-squares (M,), number of the step -> weights (M,)
+
+_DAMPING = 1e-9  # relative to the diagonal; poses that no weighted edge holds stay where they are
+_HALVINGS = 4  # of a step that makes the fit worse
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When iteratively reweighted least squares ends."""
+
+    steps: int = 25  # at most
+    settled: float = 0.1  # change of the weighted error that ends it, in mean errors of an edge: a vague
+    # direction counts as much as a stiff one, which a share of the whole error would forget
+    least: int = 1  # steps that are taken in any case, while a schedule of weights runs
+
+
+def reweighted(poses: Array, edges: Edges, reweight: Reweight, schedule: Schedule | None = None) -> Array:
+    """Poses (N, n, n) by iteratively reweighted least squares; the first pose stays where it is.
+
+    Args:
+        poses: the start.
+        edges: a connected graph.
+        reweight: weights of the edges' squared errors, asked for before every step.
+        schedule: when to end.
+    """
+    schedule = schedule or Schedule()
+    for number in range(schedule.steps):
+        chi2 = edges.chi2(poses)
+        weights = reweight(chi2, number)
+        before = float(weights @ chi2)
+        poses, after = _step(poses, edges, weights, before)
+        if number + 1 >= schedule.least and before - after <= schedule.settled * before / len(edges):
+            break
+    return poses
+
+
+def whitened_jacobian(poses: Array, edges: Edges) -> sparse.csr_array:
+    """Jacobian (M dof, N dof) of the whitened errors, to first order in the residuals."""
+    dof, count = edges.group.dof, len(edges)
+    relative = inverse(poses[edges.second]) @ poses[edges.first]
+    blocks = np.concatenate([-edges.root @ edges.group.adjoint(relative), edges.root], axis=2)
+    ends = np.stack([edges.first, edges.second], axis=1)
+    columns = (ends[:, :, None] * dof + np.arange(dof)).reshape(count, 1, 2 * dof)
+    columns = np.broadcast_to(columns, (count, dof, 2 * dof))
+    rows = np.arange(0, count * dof * 2 * dof + 1, 2 * dof)
+    return sparse.csr_array((blocks.ravel(), columns.ravel(), rows), shape=(count * dof, len(poses) * dof))
+
+
+def factorized(jacobian: sparse.csr_array) -> SuperLU:
+    """Sparse factors of the normal equations of a Jacobian."""
+    H = (jacobian.T @ jacobian).tocsc()
+    H = H + sparse.diags_array(_DAMPING * H.diagonal() + np.finfo(float).tiny, format="csc")
+    return splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+def _step(poses: Array, edges: Edges, weights: Array, before: float) -> tuple[Array, float]:
+    """Take one step and give the weighted error it leads to; poses stay where every length makes it worse."""
+    dof = edges.group.dof
+    scale = np.repeat(np.sqrt(weights), dof)
+    jacobian = sparse.csr_array(sparse.diags_array(scale) @ whitened_jacobian(poses, edges)[:, dof:])
+    errors = scale * np.einsum("mij,mj->mi", edges.root, edges.errors(poses)).ravel()
+    step = -factorized(jacobian).solve(jacobian.T @ errors)
+    step = np.concatenate([np.zeros(dof), step]).reshape(len(poses), dof)
+    for halving in range(_HALVINGS):
+        moved = poses @ edges.group.exp(0.5**halving * step)
+        after = float(weights @ edges.chi2(moved))
+        if after <= before:
+            return moved, after
+    return poses, before

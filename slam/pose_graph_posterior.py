@@ -1,0 +1,52 @@
+"""How sure a pose graph is of any two of its poses: samples of its posterior.
+
+A marginal for every proposed loop would need as many solves as there are loops; a fixed number of samples
+gives all of them at once (perturb-and-solve: Papandreou and Yuille, NIPS 2010).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import inverse
+from slam.pose_graph_newton import factorized, whitened_jacobian
+
+Array = NDArray[np.float64]
+
+SAMPLES = 48
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Samples of the Gaussian posterior of a graph about its poses.
+
+    Attributes:
+        poses: (N, n, n) the estimate.
+        samples: (N, dof, S) right perturbations of the poses, the first pose held.
+    """
+
+    poses: Array
+    samples: Array
+
+    def spread(self, edges: Edges) -> Array:
+        """Covariances (M, dof, dof) of the relative pose of each edge's ends, its own measurement apart.
+
+        Scaled so that its inverse is unbiased (Hartlap et al., A&A 2007).
+        """
+        relative = inverse(self.poses[edges.second]) @ self.poses[edges.first]
+        moved = edges.group.adjoint(relative) @ self.samples[edges.first]
+        difference = self.samples[edges.second] - moved
+        count, dof = difference.shape[2], difference.shape[1]
+        return difference @ np.swapaxes(difference, 1, 2) / (count - dof - 1)
+
+
+def posterior(poses: Array, edges: Edges, seed: int = 0) -> Posterior:
+    """Sample the posterior of a connected graph at poses (N, n, n)."""
+    dof = edges.group.dof
+    jacobian = whitened_jacobian(poses, edges)[:, dof:]
+    noise = np.random.default_rng(seed).normal(size=(jacobian.shape[0], SAMPLES))
+    moved = factorized(jacobian).solve(jacobian.T @ noise)
+    samples = np.concatenate([np.zeros((dof, SAMPLES)), moved]).reshape(len(poses), dof, SAMPLES)
+    return Posterior(poses, samples)
