@@ -92,7 +92,8 @@ def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config
 def brakes(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
     """Whether a motion falls short of the expected one by half, by more than brakes can do, or goes sideways.
 
-    Then something else fills the view: what keeps its distance from the camera seems to stand still.
+    Then something else fills the view: what keeps its distance from the camera seems to stand still. A camera that
+    goes back at once is none of that: the recording was cut there.
     """
     ahead = float(np.linalg.norm(expected.T[:3, 3]))
     way = min(ahead, expected.way)
@@ -101,7 +102,8 @@ def brakes(T: Array, expected: Expectation, config: PlausibilityConfig) -> bool:
     slower = config.braking_mps2 * expected.interval * expected.unmeasured
     limit = slower * expected.interval * expected.steps + config.moving_m
     skids = way > config.jump_m * expected.steps and sideways > max(progress, limit)
-    return bool(way - progress > max(0.5 * way, limit) or skids)
+    stops = way - progress > max(0.5 * way, limit) and progress > -max(0.25 * way, config.jump_m * expected.steps)
+    return bool(stops or skids)
 
 
 def distance(T: Array, T_expected: Array, config: PlausibilityConfig) -> float:

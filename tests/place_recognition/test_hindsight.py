@@ -23,7 +23,7 @@ def settled(opinions: list[Opinion], config: HindsightConfig | None = None) -> d
     return {belief.query: belief for belief in beliefs}
 
 
-@pytest.mark.parametrize("speed", [-2.0, -1.0, 0.5, 1.0, 1.4, 2.0])
+@pytest.mark.parametrize("speed", [-1.2, -1.0, 0.8, 1.0, 1.25])
 def test_weak_images_on_one_line_are_accepted_together(speed):
     beliefs = settled([opinion(q, (300 + round(speed * q), 12.0)) for q in range(100, 140)])
     assert all(beliefs[q].accepted for q in range(105, 135))
