@@ -1,0 +1,51 @@
+"""How did the camera move? Stereo odometry alone, against the ground truth.
+
+    python examples/2_odometry.py [--out runs/examples]
+
+Leaves 2_odometry.png: the trajectory, and how its error grows. Odometry adds small errors without end; the other
+examples take them away again.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from odometry.stereo import StereoOdometry
+from slam.datasets.open import open_drive
+from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
+from slam.report import colours
+from slam.report.figures import new_figure, save_png, style
+from slam.simulation import DriveSpec, simulate
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
+parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
+given = parser.parse_args()
+
+spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
+drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+
+odometry = StereoOdometry(drive.camera)
+poses = []  # T_world_camera; the world is the first camera
+for frame in drive:
+    motion = odometry.track(frame.left, frame.right, frame.timestamp)
+    poses.append(poses[-1] @ motion.T_previous_current if poses else np.eye(4))
+estimate, truth = np.array(poses), drive.ground_truth
+
+ate, end = absolute_trajectory_error(estimate, truth), end_error(estimate, truth)
+way = distances_along(truth)
+print(f"after {way[-1]:.0f} m: ATE {ate:.2f} m after SE(3) alignment, end error {end:.2f} m ({end / way[-1]:.2%})")
+
+figure = new_figure(9.0, 4.2)
+plan, error = figure.subplots(1, 2)
+plan.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")
+plan.plot(estimate[:, 0, 3], estimate[:, 2, 3], color=colours.ODOMETRY, label="odometry")
+plan.set(xlabel="x [m]", ylabel="z [m]", aspect="equal", title=f"ATE {ate:.2f} m, SE(3) alignment")
+plan.legend(frameon=False)
+error.plot(way, np.linalg.norm(estimate[:, :3, 3] - truth[:, :3, 3], axis=1), color=colours.ODOMETRY)
+error.set(xlabel="way driven [m]", ylabel="position error, starts made equal [m]", title="the error grows")
+for ax in (plan, error):
+    style(ax)
+save_png(figure, given.out / "2_odometry.png")

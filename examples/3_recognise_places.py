@@ -1,0 +1,51 @@
+"""Have I been here? One paradigm of place recognition on the images of one camera, without odometry.
+
+    python examples/3_recognise_places.py [--paradigm tracked-words] [--out runs/examples]
+
+Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures 4.7 to 4.9 of the chapter) and
+3_precision_recall.png (Figure 4.16).
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.catalogue import PARADIGMS, build
+from slam.datasets.open import open_drive
+from slam.report.figures import save_png
+from slam.report.place_figures import places_picture, precision_recall_picture
+from slam.simulation import DriveSpec, loop_truth, simulate
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--paradigm", choices=PARADIGMS, default="tracked-words", help="how places are recognised")
+parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
+parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
+given = parser.parse_args()
+
+spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
+drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+
+rows = MatrixRows()  # keeps what the recogniser compared, for the picture only
+recogniser = build(given.paradigm, SharedFeatures(Surf()), rows=rows)
+beliefs = []
+for frame in drive:
+    # An answer may come late: a recogniser of sequences waits until the sequence ends. NaN: nobody measures the way.
+    beliefs += recogniser.observe(frame.index, frame.left, travelled=float("nan"))
+beliefs += recogniser.finish()
+
+truth = loop_truth(drive.ground_truth).astype(bool)  # (N, N): row = query, column = earlier image
+curve = precision_recall(beliefs, truth)
+right, wrong = accepted_counts(beliefs, truth)
+print(f"{given.paradigm}: {right} true and {wrong} false detections, R@P100 {curve.recall_at_full_precision:.3f}")
+
+matrices = {stage: rows.matrix(len(drive), stage) for stage in rows.stages}
+detections = np.array([(b.query, b.match) for b in beliefs if b.accepted], dtype=np.int64).reshape(-1, 2)
+save_png(places_picture(given.paradigm, matrices, detections, truth), given.out / "3_recognise_places.png")
+curves = {given.paradigm: curve}
+save_png(precision_recall_picture(curves, "two laps of a simulated street"), given.out / "3_precision_recall.png")

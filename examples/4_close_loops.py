@@ -1,0 +1,61 @@
+"""The whole chain, frame by frame: odometry drifts, places are recognised, geometry proves them, the graph corrects.
+
+    python examples/4_close_loops.py [--out runs/examples]
+
+Leaves 4_close_loops.png: trajectory and map by odometry alone, and after the loops were closed (Figure 4.1 of the
+chapter). `revisit run` does the same with a report, a recording and all files.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from slam.config import RunConfig
+from slam.datasets.open import open_drive
+from slam.evaluation.trajectory import absolute_trajectory_error
+from slam.parts import build_parts
+from slam.report import colours
+from slam.report.figures import new_figure, save_png, style
+from slam.simulation import DriveSpec, simulate
+from slam.system import Slam
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
+parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
+given = parser.parse_args()
+
+spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
+drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+
+config = RunConfig()
+slam = Slam(build_parts(drive.camera, config))
+poses, attempts = [], []
+for frame in drive:
+    now = slam.process(frame)
+    poses.append(now.T_world_camera_odometry)
+    attempts += now.attempts
+late, optimized = slam.finish(config.robust)
+closed = [attempt.belief for attempt in (*attempts, *late) if attempt.closed]
+
+before, after, truth = np.array(poses), optimized.poses, drive.ground_truth
+panels = (("odometry alone", before, colours.ODOMETRY), (f"{optimized.kept.sum()} loops", after, colours.CORRECTED))
+
+figure = new_figure(10.0, 5.2)
+axes = figure.subplots(1, 2, sharex=True, sharey=True)
+for ax, (name, estimate, colour) in zip(axes, panels, strict=True):
+    ate = absolute_trajectory_error(estimate, truth)
+    print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
+    cloud = slam.parts.landmarks.cloud(estimate)  # points are kept in the frame that saw them: they move with it
+    style(ax)
+    ax.plot(cloud.points[::5, 0], cloud.points[::5, 2], ".", color="black", ms=0.8, alpha=0.3, rasterized=True)
+    ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")
+    ax.plot(estimate[:, 0, 3], estimate[:, 2, 3], color=colour, label=name)
+    for belief in closed:
+        ax.plot(*estimate[[belief.query, belief.match]][:, [0, 2], 3].T, color=colours.ACCEPTED, lw=0.6)
+    ax.set(title=f"{name}: ATE {ate:.2f} m, SE(3) alignment", xlabel="x [m]", aspect="equal")
+    ax.legend(frameon=False, loc="upper right")
+x, z = truth[:, 0, 3], truth[:, 2, 3]
+axes[0].set(ylabel="z [m]", xlim=(x.min() - 25, x.max() + 25), ylim=(z.min() - 25, z.max() + 25))
+save_png(figure, given.out / "4_close_loops.png")

@@ -1,0 +1,52 @@
+"""The numbered examples run as they stand, on a tiny drive, and each leaves a picture."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]_*.py"))
+TINY = ("--width", "256", "--speed", "40")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One folder for all: the drive is rendered once."""
+    return tmp_path_factory.mktemp("examples")
+
+
+def run(example: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, str(example), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths})
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_and_leaves_its_picture(example: Path, out: Path):
+    tiny = TINY if "--width" in example.read_text() else ()
+    result = run(example, "--out", str(out), *tiny)
+    assert result.returncode == 0, result.stderr
+    picture = cv2.imread(str(out / f"{example.stem}.png"))
+    assert picture is not None
+    assert picture.std() > 10, "an empty picture"
+    if example.stem == "5_false_loops":
+        assert_that_robust_optimisation_helps(result.stdout)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_fits_on_a_screen_or_two(example: Path):
+    assert len(example.read_text().splitlines()) <= 80
+
+
+def test_the_examples_are_numbered_without_gaps():
+    assert [path.stem[0] for path in EXAMPLES] == [str(number) for number in range(1, len(EXAMPLES) + 1)]
+    assert len(EXAMPLES) >= 6
+
+
+def assert_that_robust_optimisation_helps(printed: str) -> None:
+    errors = {line.split(":")[0]: float(line.split("ATE ")[1].split(" m")[0]) for line in printed.splitlines()}
+    assert errors["pcm+gnc"] < errors["odometry"] < errors["none"]
