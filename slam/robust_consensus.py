@@ -45,19 +45,20 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     """Grow the set of loops that agree with the trusted edges and with one another."""
     none = np.zeros(len(problem.loops), dtype=bool)
     state = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
-    thrown, challenged = np.zeros(len(none), dtype=int), False
-    for _ in range(_ROUNDS):
+    thrown, doubts, challenged = np.zeros(len(none), dtype=int), np.zeros(len(none), dtype=int), False
+    for left in reversed(range(_ROUNDS)):
         offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
-        doubted = _doubted(state)
+        doubted = _doubted(state, doubts < _CHANCES) if left >= _CHANCES else none  # the last word is theirs
         if not (offered | doubted).any():
             if challenged:
                 break
             challenged, doubted = True, _challenged(state, screening)
             if not doubted.any():
                 break
-            thrown -= doubted.astype(int)  # on leave, not thrown out
-        after = _settled(problem, state, (state.kept & ~doubted) | offered)
-        thrown += (state.kept | offered) & ~after.kept
+        use = (state.kept & ~doubted) | offered
+        after = _settled(problem, state, use)
+        thrown += use & ~after.kept
+        doubts += doubted
         if after.kept.any():
             after = replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
         else:
@@ -78,10 +79,10 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
     return sure if sure.any() else able
 
 
-def _doubted(state: Consensus) -> Mask:
+def _doubted(state: Consensus, allowed: Mask) -> Mask:
     """Kept loops that the others speak against, the worst: without them others may look better."""
     nats = state.found.without_itself(max(state.scale, state.fitted))
-    against = state.kept & (nats < LEAST_EVIDENCE)
+    against = allowed & state.kept & (nats < LEAST_EVIDENCE)
     return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
 
 

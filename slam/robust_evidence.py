@@ -97,7 +97,7 @@ class Evidence:
         """Eigenvalues (L, dof) of the spread in units of each loop's own covariance, and the directions."""
         whiten = self.loops.root
         values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
-        return values, vectors
+        return values / self.posterior.inflation, vectors
 
     def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
