@@ -13,7 +13,8 @@ from slam.robust_problem import LoopProblem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 25
+_ROUNDS = 50
+_FEW = 0.03  # of the kept loops: so few more are no reason to wait with those less sure
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
@@ -72,11 +73,12 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
     nats = state.found.at(max(state.scale, state.fitted))
     count = max(int(state.kept.sum()), 1)
     odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
-    able = allowed & ~state.kept & (nats > LEAST_EVIDENCE + min(odds, 0.0))
-    if not able.any():
-        return able
-    sure = able & (nats > LEAST_EVIDENCE + odds)
-    return sure if sure.any() else able
+    able, many = allowed & ~state.kept, float(np.log(max(len(nats), 1)))
+    for extra in (max(odds, 0.0) + many, max(odds, 0.0) + 0.5 * many, odds):
+        offered: Mask = able & (nats > LEAST_EVIDENCE + extra)
+        if offered.sum() > _FEW * state.kept.sum():
+            return offered
+    return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not offered.any() else offered
 
 
 def _doubted(state: Consensus, allowed: Mask) -> Mask:
