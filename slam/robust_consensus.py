@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.robust_chance import lucky
 from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
@@ -65,7 +66,13 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
         else:
             after = replace(state, kept=none, poses=problem.start)
         state = after
-    return state
+    return _beyond_chance(problem, state, screening)
+
+
+def _beyond_chance(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
+    """Leave out the loops that may be in by luck."""
+    luck = lucky(state.kept, screening.found, state.found)
+    return _settled(problem, state, state.kept & ~luck) if luck.any() else state
 
 
 def _offered(state: Consensus, allowed: Mask) -> Mask:

@@ -80,12 +80,25 @@ class Evidence:
         With posterior spread P and measurement R the prediction without the loop has covariance
         R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
         """
-        R, whiten = self.loops.covariance, self.loops.root
-        values, vectors = self._shares
-        left = np.maximum(1.0 - values, _LEAST_LEFT)  # samples may say that nothing is left
-        errors = np.einsum("mji,mj->mi", vectors, np.einsum("mij,mj->mi", whiten, self.errors))
-        chi2 = (np.square(errors) / left).sum(axis=1)
-        return self._nats(chi2, _log_det(R) - np.log(left).sum(axis=1), scale)
+        log_det = _log_det(self.loops.covariance) - np.log(self._left).sum(axis=1)
+        return self._nats(self.chi2_without_itself, log_det, scale)
+
+    @cached_property
+    def chi2_without_itself(self) -> Array:
+        """(L,) squared errors that loops in use would have if they were not, at scale one."""
+        errors = np.einsum("mji,mj->mi", self._shares[1], np.einsum("mij,mj->mi", self.loops.root, self.errors))
+        return np.asarray((np.square(errors) / self._left).sum(axis=1))
+
+    @property
+    def supported(self) -> NDArray[np.bool_]:
+        """(L,) loops in use of which others say enough for samples to tell what is left without the loop."""
+        enough: NDArray[np.bool_] = self._shares[0][:, -1] < 1.0 - _LEAST_LEFT
+        return enough
+
+    @property
+    def _left(self) -> Array:
+        """(L, dof) of each loop's covariance, by direction, once the fit has taken its share."""
+        return np.maximum(1.0 - self._shares[0], _LEAST_LEFT)
 
     @cached_property
     def reliance(self) -> Array:
