@@ -20,6 +20,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_posterior import Posterior, posterior
+from slam.robust_problem import LoopProblem
 
 Array = NDArray[np.float64]
 
@@ -175,11 +176,16 @@ class Screening:
         return gate
 
 
-def screened(poses: Array, trusted: Edges, loops: Edges) -> Screening:
-    """Judge loops by the poses (N, n, n) that trusted edges alone lead to."""
-    found = evidence(poses, trusted, loops)
-    scale = calibrated(found, roughness(trusted))
-    return Screening(found, scale, limit(loops.group.dof) * scale)
+def screened(problem: LoopProblem, roughness: float) -> Screening:
+    """Judge loops by the poses that trusted edges alone lead to.
+
+    Args:
+        problem: may be condensed.
+        roughness: of odometry, from every step.
+    """
+    found = evidence(problem.start, problem.trusted, problem.loops)
+    scale = calibrated(found, roughness)
+    return Screening(found, scale, limit(problem.loops.group.dof) * scale)
 
 
 def calibrated(found: Evidence, roughness: float) -> float:
