@@ -18,8 +18,8 @@ _RATE = 0.05  # of false loops among those kept
 _NEAREST = 3  # of the loops left out that set the rate
 
 
-def lucky(kept: Mask, before: Evidence, after: Evidence) -> Mask:
-    """(L,) kept loops that cannot be told from chance.
+def chances(kept: Mask, before: Evidence, after: Evidence) -> Array:
+    """(L,) numbers of false loops to expect as near as each kept loop, by what speaks most for it.
 
     Args:
         kept: (L,) loops that are in.
@@ -30,6 +30,11 @@ def lucky(kept: Mask, before: Evidence, after: Evidence) -> Mask:
     supported = kept & after.supported
     by_others = expected(after.chi2_without_itself, after.chi2[~kept], after.dof)
     chance[supported] = np.minimum(chance, by_others)[supported]
+    return chance
+
+
+def lucky(kept: Mask, chance: Array) -> Mask:
+    """(L,) kept loops that cannot be told from chance."""
     luck = np.zeros_like(kept)
     luck[kept] = ~discoveries(chance[kept], _RATE)
     return luck

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_chance import lucky
+from slam.robust_chance import chances, expected, lucky
 from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
@@ -70,9 +70,15 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
 
 
 def _beyond_chance(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
-    """Leave out the loops that may be in by luck."""
-    luck = lucky(state.kept, screening.found, state.found)
-    return _settled(problem, state, state.kept & ~luck) if luck.any() else state
+    """Leave out the loops that may be in by luck, once the map without them speaks for them no better."""
+    kept, chance = state.kept, chances(state.kept, screening.found, state.found)
+    luck = lucky(kept, chance)
+    if not luck.any():
+        return state
+    without = _settled(problem, state, kept & ~luck)
+    found = evidence(without.poses, problem.using(without.kept), problem.loops)
+    chance[luck] = np.minimum(chance, expected(found.chi2, found.chi2[~kept], found.dof))[luck]
+    return _settled(problem, state, kept & ~lucky(kept, chance))
 
 
 def _offered(state: Consensus, allowed: Mask) -> Mask:
