@@ -14,7 +14,8 @@ from slam.robust_evidence import Evidence
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_RATE = 0.05  # of false loops among those kept
+RATE = 0.05  # of false loops among those kept
+SECOND_RATE = 0.25 * RATE  # where a first test failed
 _NEAREST = 3  # of the loops left out that set the rate
 
 
@@ -33,10 +34,10 @@ def chances(kept: Mask, before: Evidence, after: Evidence) -> Array:
     return chance
 
 
-def lucky(kept: Mask, chance: Array) -> Mask:
+def lucky(kept: Mask, chance: Array, rate: float = RATE) -> Mask:
     """(L,) kept loops that cannot be told from chance."""
     luck = np.zeros_like(kept)
-    luck[kept] = ~discoveries(chance[kept], _RATE)
+    luck[kept] = ~discoveries(chance[kept], rate)
     return luck
 
 

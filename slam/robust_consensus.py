@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_chance import chances, expected, lucky
+from slam.robust_chance import SECOND_RATE, chances, expected, lucky
 from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
@@ -21,6 +21,7 @@ _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
 _ALONE = 0.35  # share of what is known about a loop that the loop itself said; of samples, which say less
 _CHANCES = 2  # times that a loop may be let in and thrown out
+_PRIOR_LINKS = 50.0  # weight of the first scale in predictions: odometry's drift persists where a fit hides it
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
 
 
@@ -41,6 +42,12 @@ class Consensus:
     found: Evidence
     scale: float
     fitted: float
+
+    @property
+    def predicting(self) -> float:
+        """Scale for predictions: the fit corrects the first guess as loops come in, and is never undercut."""
+        share = self.kept.sum() / (_PRIOR_LINKS + self.kept.sum())
+        return float(max(self.fitted, self.fitted**share * self.scale ** (1.0 - share)))
 
 
 def grown(problem: LoopProblem, screening: Screening) -> Consensus:
@@ -78,12 +85,12 @@ def _beyond_chance(problem: LoopProblem, state: Consensus, screening: Screening)
     without = _settled(problem, state, kept & ~luck)
     found = evidence(without.poses, problem.using(without.kept), problem.loops)
     chance[luck] = np.minimum(chance, expected(found.chi2, found.chi2[~kept], found.dof))[luck]
-    return _settled(problem, state, kept & ~lucky(kept, chance))
+    return _settled(problem, state, kept & ~lucky(kept, chance, SECOND_RATE))
 
 
 def _offered(state: Consensus, allowed: Mask) -> Mask:
     """Loops that are next: those whose evidence outweighs the odds, else all that have some."""
-    nats = state.found.at(max(state.scale, state.fitted))
+    nats = state.found.at(state.predicting)
     count = max(int(state.kept.sum()), 1)
     odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
     able, many = allowed & ~state.kept, float(np.log(max(len(nats), 1)))
@@ -96,7 +103,7 @@ def _offered(state: Consensus, allowed: Mask) -> Mask:
 
 def _doubted(state: Consensus, allowed: Mask) -> Mask:
     """Kept loops that the others speak against, the worst: without them others may look better."""
-    nats = state.found.without_itself(max(state.scale, state.fitted))
+    nats = state.found.without_itself(state.predicting)
     against = allowed & state.kept & (nats < LEAST_EVIDENCE)
     return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
 
@@ -113,7 +120,7 @@ def _challenged(state: Consensus, screening: Screening) -> Mask:
 
 def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
     """Those of the offered loops that agree with one another."""
-    rows, scale = np.flatnonzero(offered), max(state.scale, state.fitted)
+    rows, scale = np.flatnonzero(offered), state.predicting
     if len(rows) > 1:
         nats = np.maximum(state.found.at(scale)[rows], 1e-3)
         good = agreeing(state.found.posterior, problem.loops[rows], nats, scale)
