@@ -15,11 +15,12 @@ from slam.errors import ConfigError
 from slam.pose_graph_batch import minimum
 from slam.robust_condensed import condensed
 from slam.robust_consensus import grown
-from slam.robust_evidence import LEAST_EVIDENCE, Screening, roughness, screened
+from slam.robust_evidence import LEAST_EVIDENCE
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_kernels import Kernel, dcs, huber, kernel_poses, switchable
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem, Outcome
+from slam.robust_screening import Screening, roughness, screened
 
 __all__ = ["BACK_ENDS", "DEFAULT", "LoopGate", "LoopProblem", "Optimized", "Outcome", "back_end", "solved"]
 

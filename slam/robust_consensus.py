@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.robust_chance import SECOND_RATE, chances, expected, lucky
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
+from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem
+from slam.robust_screening import Screening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -71,7 +72,7 @@ def grown(problem: LoopProblem, screening: Screening) -> Consensus:
         if after.kept.any():
             after = replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
         else:
-            after = replace(state, kept=none, poses=problem.start)
+            after = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
         state = after
     return _beyond_chance(problem, state, screening)
 

@@ -4,10 +4,6 @@ A true loop misses the pose that the other edges predict by an error of Student'
 whose covariance is not quite known; a false one by anything that the extent of the map allows. The logarithm
 of the ratio of the two densities is the evidence. It asks more than a gate does: where the prediction is
 vague, agreement proves little.
-
-Stated covariances are wrong by one factor or another, so all of them are multiplied by a scale. It is the one
-that explains the loops best, near what the roughness of odometry allows: scaling every covariance of a graph
-changes no verdict.
 """
 
 from dataclasses import dataclass
@@ -21,7 +17,6 @@ from scipy.stats import f as f_distribution
 
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_posterior import Posterior, posterior
-from slam.robust_problem import LoopProblem
 
 Array = NDArray[np.float64]
 
@@ -29,15 +24,8 @@ CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
 FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
-_MIXTURE_ODDS = LEAST_EVIDENCE
-# Errors of odometry that persist add up: over a long way the variance is up to this many times what the
-# roughness of single steps shows. Measured: 15 to 70 on real drives, 1 to 5 in simulated graphs.
-_PERSISTENCE = 100.0
-_ROUGHEST = 100.0  # real motion may look like so much more noise than there is
-_MARGIN = np.log(1.5)  # width of the soft ends of that range
-_OCTAVES = np.arange(-16.0, 16.5, 0.5)
+_HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
-_WIDE = 2.0  # of a gate on single loops, over the limit: covariances are not quite known
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
 
 
@@ -94,8 +82,8 @@ class Evidence:
 
     @property
     def supported(self) -> NDArray[np.bool_]:
-        """(L,) loops in use of which others say enough for samples to tell what is left without the loop."""
-        enough: NDArray[np.bool_] = self._shares[0][:, -1] < 1.0 - _LEAST_LEFT
+        """(L,) loops in use of which others say as much, in some direction, as the loops themselves."""
+        enough: NDArray[np.bool_] = self.reliance < _HALF
         return enough
 
     @property
@@ -161,70 +149,3 @@ def log_volume(poses: Array) -> float:
     sides = np.sqrt(12.0 * np.maximum(spread, _FLATTEST * spread.max()))
     turns = 2.0 * np.pi if positions.shape[1] == 2 else 8.0 * np.pi**2
     return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(turns))
-
-
-@dataclass(frozen=True)
-class Screening:
-    """Each loop judged by itself, before any is believed.
-
-    Attributes:
-        found: the evidence.
-        scale: of all covariances.
-        limit: chi-square, as stated, that a true loop seldom exceeds once the map is right.
-    """
-
-    found: Evidence
-    scale: float
-    limit: float
-
-    @property
-    def passed(self) -> NDArray[np.bool_]:
-        """(L,) loops that drift explains."""
-        gate: NDArray[np.bool_] = self.found.chi2 <= _WIDE * self.limit
-        return gate
-
-
-def screened(problem: LoopProblem, roughness: float) -> Screening:
-    """Judge loops by the poses that trusted edges alone lead to.
-
-    Args:
-        problem: may be condensed.
-        roughness: of odometry, from every step.
-    """
-    found = evidence(problem.start, problem.trusted, problem.loops)
-    scale = calibrated(found, roughness)
-    return Screening(found, scale, limit(problem.loops.group.dof) * scale)
-
-
-def calibrated(found: Evidence, roughness: float) -> float:
-    """Scale of all covariances under which loops, true ones mixed with false, are likeliest."""
-    scales = roughness * 2.0**_OCTAVES
-    below = np.maximum(np.log(roughness / _ROUGHEST / scales), 0.0)
-    above = np.maximum(np.log(scales / (roughness * _PERSISTENCE)), 0.0)
-    doubt = 0.5 * np.square((below + above) / _MARGIN)
-    scores = [np.logaddexp(0.0, found.at(scale) - _MIXTURE_ODDS).sum() for scale in scales]
-    return float(scales[np.argmax(np.array(scores) - doubt)])
-
-
-def roughness(trusted: Edges) -> float:
-    """Variance of odometry's steps over what is stated, from how little smooth motion explains them.
-
-    High differences of the motions take away what changes slowly; the least over four orders and the median
-    over the components also stand corners and stops.
-    """
-    order = np.argsort(trusted.first, kind="stable")
-    steps = trusted.group.log(trusted.motions[order])
-    root = np.median(trusted.root, axis=0)
-    found = [_scatter(steps, times, root) for times in range(1, 5) if len(steps) > 2 * times]
-    return max(min(found, default=1.0), 1e-6)
-
-
-def _scatter(steps: Array, times: int, root: Array) -> float:
-    """Robust variance of whitened differences, of independent errors once."""
-    gain = np.sqrt(sum(c**2 for c in _binomials(times)))
-    scatter = np.abs(np.diff(steps, times, axis=0) @ root.T) / gain
-    return float(np.median(np.square(1.4826 * np.median(scatter, axis=0))))
-
-
-def _binomials(times: int) -> Array:
-    return np.diff(np.eye(2 * times + 1)[times], times)
