@@ -38,8 +38,16 @@ class Posterior:
         relative = inverse(self.poses[edges.second]) @ self.poses[edges.first]
         moved = edges.group.adjoint(relative) @ self.samples[edges.first]
         difference = self.samples[edges.second] - moved
-        count, dof = difference.shape[2], difference.shape[1]
-        return difference @ np.swapaxes(difference, 1, 2) / (count - dof - 1)
+        return difference @ np.swapaxes(difference, 1, 2) / self._divisor
+
+    @property
+    def inflation(self) -> float:
+        """Expected `spread` over the covariance itself."""
+        return self.samples.shape[2] / self._divisor
+
+    @property
+    def _divisor(self) -> int:
+        return self.samples.shape[2] - self.samples.shape[1] - 1
 
 
 def posterior(poses: Array, edges: Edges, seed: int = 0) -> Posterior:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from slam.errors import ConfigError
 from slam.pose_graph_batch import minimum
+from slam.robust_condensed import condensed
 from slam.robust_consensus import grown
-from slam.robust_evidence import LEAST_EVIDENCE, Screening, screened
+from slam.robust_evidence import LEAST_EVIDENCE
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_kernels import Kernel, dcs, huber, kernel_poses, switchable
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem, Outcome
+from slam.robust_screening import Screening, roughness, screened
 
 __all__ = ["BACK_ENDS", "DEFAULT", "LoopGate", "LoopProblem", "Optimized", "Outcome", "back_end", "solved"]
 
@@ -96,14 +98,15 @@ def _pcm(problem: LoopProblem, screening: Screening) -> Outcome:
     rows = np.flatnonzero(kept)
     if len(rows) > 1:
         nats = np.maximum(screening.found.at(screening.scale)[rows], 1e-3)
-        kept[rows] = agreeing(screening.found.posterior, problem.loops[rows], nats, screening.scale)
+        kept[rows] = agreeing(screening.found.posterior, screening.found.loops[rows], nats, screening.scale)
     return _leaning_on(problem, kept, problem.start)
 
 
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> Outcome:
     """Loops let in by evidence, consistent in pairs, cleaned by graduated non-convexity, until none follows."""
-    grown_ = grown(problem, screening)
-    return _leaning_on(problem, grown_.kept, grown_.poses)
+    small = condensed(problem)
+    grown_ = grown(small.problem, screening)
+    return _leaning_on(problem, grown_.kept, small.expanded(grown_.poses))
 
 
 BackEnd = Callable[[LoopProblem, Screening], Outcome]
@@ -136,7 +139,8 @@ def solved(problem: LoopProblem, name: str = DEFAULT) -> Outcome:
     if not len(problem.loops):
         none = np.zeros(0, dtype=bool)
         return _leaning_on(problem, none, problem.start)
-    screening = screened(problem.start, problem.trusted, problem.loops)
+    small = condensed(problem).problem
+    screening = screened(small, roughness(problem.trusted))
     outcome = judge(problem, screening)
     return replace(outcome, reasons=_reasons(problem, screening, outcome))
 

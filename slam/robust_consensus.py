@@ -5,20 +5,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, Screening, evidence, limit
+from slam.robust_chance import SECOND_RATE, chances, expected, lucky
+from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem
+from slam.robust_screening import Screening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 25
+_ROUNDS = 50
+_FEW = 0.03  # of the kept loops: so few more are no reason to wait with those less sure
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
 _ALONE = 0.35  # share of what is known about a loop that the loop itself said; of samples, which say less
 _CHANCES = 2  # times that a loop may be let in and thrown out
+_PRIOR_LINKS = 50.0  # weight of the first scale in predictions: odometry's drift persists where a fit hides it
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
 
 
@@ -40,48 +44,68 @@ class Consensus:
     scale: float
     fitted: float
 
+    @property
+    def predicting(self) -> float:
+        """Scale for predictions: the fit corrects the first guess as loops come in, and is never undercut."""
+        share = self.kept.sum() / (_PRIOR_LINKS + self.kept.sum())
+        return float(max(self.fitted, self.fitted**share * self.scale ** (1.0 - share)))
+
 
 def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     """Grow the set of loops that agree with the trusted edges and with one another."""
     none = np.zeros(len(problem.loops), dtype=bool)
     state = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
-    thrown, challenged = np.zeros(len(none), dtype=int), False
-    for _ in range(_ROUNDS):
+    thrown, doubts, challenged = np.zeros(len(none), dtype=int), np.zeros(len(none), dtype=int), False
+    for left in reversed(range(_ROUNDS)):
         offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
-        doubted = _doubted(state)
+        doubted = _doubted(state, doubts < _CHANCES) if left >= _CHANCES else none  # the last word is theirs
         if not (offered | doubted).any():
             if challenged:
                 break
             challenged, doubted = True, _challenged(state, screening)
             if not doubted.any():
                 break
-            thrown -= doubted.astype(int)  # on leave, not thrown out
-        after = _settled(problem, state, (state.kept & ~doubted) | offered)
-        thrown += (state.kept | offered) & ~after.kept
+        use = (state.kept & ~doubted) | offered
+        after = _settled(problem, state, use)
+        thrown += use & ~after.kept
+        doubts += doubted
         if after.kept.any():
             after = replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
         else:
-            after = replace(state, kept=none, poses=problem.start)
+            after = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
         state = after
-    return state
+    return _beyond_chance(problem, state, screening)
+
+
+def _beyond_chance(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
+    """Leave out the loops that may be in by luck, once the map without them speaks for them no better."""
+    kept, chance = state.kept, chances(state.kept, screening.found, state.found)
+    luck = lucky(kept, chance)
+    if not luck.any():
+        return state
+    without = _settled(problem, state, kept & ~luck)
+    found = evidence(without.poses, problem.using(without.kept), problem.loops)
+    chance[luck] = np.minimum(chance, expected(found.chi2, found.chi2[~kept], found.dof))[luck]
+    return _settled(problem, state, kept & ~lucky(kept, chance, SECOND_RATE))
 
 
 def _offered(state: Consensus, allowed: Mask) -> Mask:
     """Loops that are next: those whose evidence outweighs the odds, else all that have some."""
-    nats = state.found.at(max(state.scale, state.fitted))
+    nats = state.found.at(state.predicting)
     count = max(int(state.kept.sum()), 1)
     odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
-    able = allowed & ~state.kept & (nats > LEAST_EVIDENCE + min(odds, 0.0))
-    if not able.any():
-        return able
-    sure = able & (nats > LEAST_EVIDENCE + odds)
-    return sure if sure.any() else able
+    able, many = allowed & ~state.kept, float(np.log(max(len(nats), 1)))
+    for extra in (max(odds, 0.0) + many, max(odds, 0.0) + 0.5 * many, odds):
+        offered: Mask = able & (nats > LEAST_EVIDENCE + extra)
+        if offered.sum() > _FEW * state.kept.sum():
+            return offered
+    return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not offered.any() else offered
 
 
-def _doubted(state: Consensus) -> Mask:
+def _doubted(state: Consensus, allowed: Mask) -> Mask:
     """Kept loops that the others speak against, the worst: without them others may look better."""
-    nats = state.found.without_itself(max(state.scale, state.fitted))
-    against = state.kept & (nats < LEAST_EVIDENCE)
+    nats = state.found.without_itself(state.predicting)
+    against = allowed & state.kept & (nats < LEAST_EVIDENCE)
     return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
 
 
@@ -97,7 +121,7 @@ def _challenged(state: Consensus, screening: Screening) -> Mask:
 
 def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
     """Those of the offered loops that agree with one another."""
-    rows, scale = np.flatnonzero(offered), max(state.scale, state.fitted)
+    rows, scale = np.flatnonzero(offered), state.predicting
     if len(rows) > 1:
         nats = np.maximum(state.found.at(scale)[rows], 1e-3)
         good = agreeing(state.found.posterior, problem.loops[rows], nats, scale)

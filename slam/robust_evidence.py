@@ -4,10 +4,6 @@ A true loop misses the pose that the other edges predict by an error of Student'
 whose covariance is not quite known; a false one by anything that the extent of the map allows. The logarithm
 of the ratio of the two densities is the evidence. It asks more than a gate does: where the prediction is
 vague, agreement proves little.
-
-Stated covariances are wrong by one factor or another, so all of them are multiplied by a scale. It is the one
-that explains the loops best, near what the roughness of odometry allows: scaling every covariance of a graph
-changes no verdict.
 """
 
 from dataclasses import dataclass
@@ -17,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import f as f_distribution
 
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_posterior import Posterior, posterior
@@ -26,15 +23,9 @@ Array = NDArray[np.float64]
 CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
 FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
-_MIXTURE_ODDS = LEAST_EVIDENCE
-# Errors of odometry that persist add up: over a long way the variance is up to this many times what the
-# roughness of single steps shows. Measured: 15 to 70 on real drives, 1 to 5 in simulated graphs.
-_PERSISTENCE = 100.0
-_ROUGHEST = 100.0  # real motion may look like so much more noise than there is
-_MARGIN = np.log(1.5)  # width of the soft ends of that range
-_OCTAVES = np.arange(-16.0, 16.5, 0.5)
+_NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
+_HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
-_WIDE = 2.0  # of a gate on single loops, over the limit: covariances are not quite known
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
 
 
@@ -80,12 +71,25 @@ class Evidence:
         With posterior spread P and measurement R the prediction without the loop has covariance
         R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
         """
-        R, whiten = self.loops.covariance, self.loops.root
-        values, vectors = self._shares
-        left = np.maximum(1.0 - values, _LEAST_LEFT)  # samples may say that nothing is left
-        errors = np.einsum("mji,mj->mi", vectors, np.einsum("mij,mj->mi", whiten, self.errors))
-        chi2 = (np.square(errors) / left).sum(axis=1)
-        return self._nats(chi2, _log_det(R) - np.log(left).sum(axis=1), scale)
+        log_det = _log_det(self.loops.covariance) - np.log(self._left).sum(axis=1)
+        return self._nats(self.chi2_without_itself, log_det, scale)
+
+    @cached_property
+    def chi2_without_itself(self) -> Array:
+        """(L,) squared errors that loops in use would have if they were not, at scale one."""
+        errors = np.einsum("mji,mj->mi", self._shares[1], np.einsum("mij,mj->mi", self.loops.root, self.errors))
+        return np.asarray((np.square(errors) / self._left).sum(axis=1))
+
+    @property
+    def supported(self) -> NDArray[np.bool_]:
+        """(L,) loops in use of which others say as much, in some direction, as the loops themselves."""
+        enough: NDArray[np.bool_] = self.reliance < _HALF
+        return enough
+
+    @property
+    def _left(self) -> Array:
+        """(L, dof) of each loop's covariance, by direction, once the fit has taken its share."""
+        return np.maximum(1.0 - self._shares[0], _LEAST_LEFT)
 
     @cached_property
     def reliance(self) -> Array:
@@ -97,11 +101,12 @@ class Evidence:
         """Eigenvalues (L, dof) of the spread in units of each loop's own covariance, and the directions."""
         whiten = self.loops.root
         values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
-        return values, vectors
+        return values / self.posterior.inflation, vectors
 
     def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
-        return self.log_volume - spread + log_density(chi2 / scale, self.dof)
+        nats = self.log_volume - spread + log_density(chi2 / scale, self.dof)
+        return np.where(chi2 <= scale * farthest(self.dof), nats, -np.inf)
 
 
 def log_density(chi2: Array, dof: int) -> Array:
@@ -132,6 +137,11 @@ def limit(dof: int) -> float:
     return float(chi2_distribution.ppf(CONFIDENCE, dof))
 
 
+def farthest(dof: int) -> float:
+    """Chi-square beyond which no volume is large enough to make a loop true: Student's tail ends here."""
+    return float(dof * f_distribution.isf(_NEVER, dof, FREEDOM))
+
+
 def log_volume(poses: Array) -> float:
     """Logarithm of the volume of poses within the extent of a trajectory (N, n, n): metres and radians."""
     positions = poses[:, :-1, -1]
@@ -139,65 +149,3 @@ def log_volume(poses: Array) -> float:
     sides = np.sqrt(12.0 * np.maximum(spread, _FLATTEST * spread.max()))
     turns = 2.0 * np.pi if positions.shape[1] == 2 else 8.0 * np.pi**2
     return float(np.log(np.maximum(sides, 1e-9)).sum() + np.log(turns))
-
-
-@dataclass(frozen=True)
-class Screening:
-    """Each loop judged by itself, before any is believed.
-
-    Attributes:
-        found: the evidence.
-        scale: of all covariances.
-        limit: chi-square, as stated, that a true loop seldom exceeds once the map is right.
-    """
-
-    found: Evidence
-    scale: float
-    limit: float
-
-    @property
-    def passed(self) -> NDArray[np.bool_]:
-        """(L,) loops that drift explains."""
-        gate: NDArray[np.bool_] = self.found.chi2 <= _WIDE * self.limit
-        return gate
-
-
-def screened(poses: Array, trusted: Edges, loops: Edges) -> Screening:
-    """Judge loops by the poses (N, n, n) that trusted edges alone lead to."""
-    found = evidence(poses, trusted, loops)
-    scale = calibrated(found, roughness(trusted))
-    return Screening(found, scale, limit(loops.group.dof) * scale)
-
-
-def calibrated(found: Evidence, roughness: float) -> float:
-    """Scale of all covariances under which loops, true ones mixed with false, are likeliest."""
-    scales = roughness * 2.0**_OCTAVES
-    below = np.maximum(np.log(roughness / _ROUGHEST / scales), 0.0)
-    above = np.maximum(np.log(scales / (roughness * _PERSISTENCE)), 0.0)
-    doubt = 0.5 * np.square((below + above) / _MARGIN)
-    scores = [np.logaddexp(0.0, found.at(scale) - _MIXTURE_ODDS).sum() for scale in scales]
-    return float(scales[np.argmax(np.array(scores) - doubt)])
-
-
-def roughness(trusted: Edges) -> float:
-    """Variance of odometry's steps over what is stated, from how little smooth motion explains them.
-
-    High differences of the motions take away what changes slowly; the least over four orders and the median
-    over the components also stand corners and stops.
-    """
-    order = np.argsort(trusted.first, kind="stable")
-    steps = trusted.group.log(trusted.motions[order])
-    root = np.median(trusted.root, axis=0)
-    found = [_scatter(steps, times, root) for times in range(1, 5) if len(steps) > 2 * times]
-    return max(min(found, default=1.0), 1e-6)
-
-
-def _scatter(steps: Array, times: int, root: Array) -> float:
-    """Robust variance of whitened differences, of independent errors once."""
-    gain = np.sqrt(sum(c**2 for c in _binomials(times)))
-    scatter = np.abs(np.diff(steps, times, axis=0) @ root.T) / gain
-    return float(np.median(np.square(1.4826 * np.median(scatter, axis=0))))
-
-
-def _binomials(times: int) -> Array:
-    return np.diff(np.eye(2 * times + 1)[times], times)

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph_newton import reweighted
-from slam.robust_evidence import Screening
 from slam.robust_gnc import fitted_poses
 from slam.robust_problem import LoopProblem
+from slam.robust_screening import Screening
 
 Array = NDArray[np.float64]
 

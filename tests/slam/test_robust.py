@@ -181,3 +181,15 @@ def test_standard_graphs_reach_their_minimum_from_odometry(test_data: Path, name
     problem = roles(read_g2o(test_data / "pose_graphs" / f"{name}.g2o"), name).problem
     poses = minimum(everything(problem), problem.start)
     assert 0.5 * everything(problem).chi2(poses).sum() == pytest.approx(least, rel=1e-3)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_odometry_without_noise_but_with_a_bias_keeps_its_loops(group: str) -> None:
+    problem = laps(GROUPS[group])
+    move = GROUPS[group]
+    steps = np.zeros((len(problem.trusted), move.dof))
+    steps[:, move.translation.start] = 1.002
+    steps[np.arange(len(steps)) % 40 >= 32, move.rotation.stop - 1] = np.pi / 16 + 1e-4
+    trusted = replace(problem.trusted, motions=move.exp(steps))
+    outcome = solved(LoopProblem(trusted, problem.loops, compounded(np.eye(move.size), trusted.motions)))
+    assert outcome.kept.mean() >= 0.98

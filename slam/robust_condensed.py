@@ -1,0 +1,71 @@
+"""A chain of poses without those that no loop touches: less to solve, the same answer to first order.
+
+Odometry between the poses that stay is compounded, its covariance carried along by the adjoint (Barfoot and
+Furgale, T-RO 2014).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import inverse
+from slam.robust_problem import LoopProblem
+
+Array = NDArray[np.float64]
+
+_SPACING = 10  # poses, at most, from one that stays to the next: the shape of the way remains
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """A problem in fewer poses.
+
+    Attributes:
+        problem: its trusted edges join successive poses that stayed.
+        rows: (K,) of the poses that stayed in the whole problem.
+        whole: (N, n, n) start of the whole problem.
+    """
+
+    problem: LoopProblem
+    rows: NDArray[np.int64]
+    whole: Array
+
+    def expanded(self, poses: Array) -> Array:
+        """Poses (N, n, n) of the whole problem from those that stayed (K, n, n), corrections shared out evenly."""
+        if len(self.rows) == len(self.whole):
+            return poses
+        correction = poses @ inverse(self.whole[self.rows])
+        row = np.arange(len(self.whole))
+        at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
+        share = (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
+        group = self.problem.trusted.group
+        change = group.log(inverse(correction[at]) @ correction[at + 1])
+        return np.asarray(correction[at] @ group.exp(share[:, None] * change) @ self.whole)
+
+
+def condensed(problem: LoopProblem) -> Condensed:
+    """Leave out poses that no loop touches; trusted edges other than a chain of successive poses stay as they are."""
+    count, loops, trusted = len(problem.start), problem.loops, problem.trusted
+    order = np.argsort(trusted.first, kind="stable")
+    rows = np.unique(np.concatenate([loops.first, loops.second, np.arange(0, count, _SPACING), [count - 1]]))
+    successive = len(trusted) == count - 1 and bool(
+        (trusted.first[order] == np.arange(count - 1)).all() and (trusted.second == trusted.first + 1).all()
+    )
+    if not successive or len(rows) == count:
+        return Condensed(problem, np.arange(count), problem.start)
+    renamed = Edges(
+        np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
+    )
+    small = LoopProblem(_compounded(trusted[order], problem.start, rows), renamed, problem.start[rows])
+    return Condensed(small, rows, problem.start)
+
+
+def _compounded(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+    """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
+    ends = np.repeat(rows[1:], np.diff(rows))
+    Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])
+    covariance = np.add.reduceat(Ad @ steps.covariance @ np.swapaxes(Ad, 1, 2), rows[:-1], axis=0)
+    at = np.arange(len(rows) - 1)
+    return Edges(at, at + 1, inverse(poses[rows[:-1]]) @ poses[rows[1:]], np.linalg.inv(covariance))

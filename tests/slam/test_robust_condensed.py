@@ -1,0 +1,57 @@
+"""A chain with fewer poses: the same errors, the same way back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.pose_graph_batch import minimum
+from slam.pose_graph_edges import Edges
+from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
+from slam.robust_condensed import condensed
+from slam.robust_problem import LoopProblem
+
+
+def drive(group: Motions, count: int = 95) -> LoopProblem:
+    rng = np.random.default_rng(7)
+    sigmas = rng.uniform(0.01, 0.03, group.dof)
+    steps = np.zeros((count, group.dof))
+    steps[:, group.translation.start], steps[:, group.rotation.stop - 1] = 1.0, 2 * np.pi / count
+    motions = group.exp(steps + 0.1 * sigmas * rng.normal(size=(count, group.dof)))
+    rows = np.arange(count)
+    information = np.tile(np.diag(sigmas**-2.0), (count, 1, 1))
+    trusted = Edges(rows, rows + 1, motions, information)
+    start = compounded(np.eye(group.size), motions)
+    ends = np.array([[0, count], [3, count - 8]])
+    moved = group.exp(0.02 * rng.normal(size=(2, group.dof)))
+    measured = inverse(start[ends[:, 0]]) @ start[ends[:, 1]] @ moved
+    return LoopProblem(trusted, Edges(ends[:, 0], ends[:, 1], measured, information[:2]), start)
+
+
+@pytest.mark.parametrize("group", [Plane(), Space()])
+def test_the_least_error_and_the_poses_are_those_of_the_whole_graph(group: Motions) -> None:
+    whole = drive(group)
+    small = condensed(whole)
+    every = np.ones(2, dtype=bool)
+    poses = minimum(whole.using(every), whole.start)
+    fewer = minimum(small.problem.using(every), small.problem.start)
+    assert len(fewer) < 20
+    assert small.problem.using(every).chi2(fewer).sum() == pytest.approx(whole.using(every).chi2(poses).sum(), rel=0.01)
+    np.testing.assert_allclose(fewer, poses[small.rows], atol=2e-3)
+    np.testing.assert_allclose(small.expanded(fewer), poses, atol=0.01)
+
+
+@pytest.mark.parametrize("group", [Plane(), Space()])
+def test_loops_err_as_before_and_the_start_comes_back(group: Motions) -> None:
+    whole = drive(group)
+    small = condensed(whole)
+    np.testing.assert_allclose(small.problem.loops.chi2(small.problem.start), whole.loops.chi2(whole.start))
+    np.testing.assert_allclose(small.problem.trusted.chi2(small.problem.start), 0.0, atol=1e-9)
+    np.testing.assert_allclose(small.expanded(small.problem.start), whole.start, atol=1e-9)
+
+
+def test_edges_that_are_no_chain_stay_as_they_are() -> None:
+    whole = drive(Plane())
+    backwards = replace(whole.trusted, first=whole.trusted.second, second=whole.trusted.first)
+    other = replace(whole, trusted=backwards)
+    assert condensed(other).problem is other
