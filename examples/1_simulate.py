@@ -6,23 +6,15 @@ Leaves 1_simulate.png (the first stereo pair, and the way in plan view) and the 
 that every other example and `revisit run` can read it.
 """
 
-import argparse
-from pathlib import Path
+from street import arguments, street
 
 from slam.datasets.open import open_drive
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style
-from slam.simulation import DriveSpec, simulate
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
-parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
-parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
-given = parser.parse_args()
+given = arguments(__doc__).parse_args()
 
-# Everything follows from the spec: the same one gives the same bits, and a drive that is there is not rendered again.
-spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
-root = simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}")
+root = street(given)
 
 drive = open_drive(root)
 print(f"{root}: {len(drive)} stereo pairs, {drive.timestamps[-1]:.0f} s, baseline {drive.camera.baseline} m")

@@ -6,26 +6,17 @@ Leaves 2_odometry.png: the trajectory, and how its error grows. Odometry adds sm
 examples take them away again.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from street import arguments, street
 
 from odometry.stereo import StereoOdometry
 from slam.datasets.open import open_drive
 from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style
-from slam.simulation import DriveSpec, simulate
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
-parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
-parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
-given = parser.parse_args()
-
-spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
-drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+given = arguments(__doc__).parse_args()
+drive = open_drive(street(given))
 
 odometry = StereoOdometry(drive.camera)
 poses = []  # T_world_camera; the world is the first camera

@@ -6,10 +6,8 @@ Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures
 3_precision_recall.png (Figure 4.16).
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from street import arguments, street
 
 from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
@@ -19,17 +17,12 @@ from place_recognition.paradigms.catalogue import PARADIGMS, build
 from slam.datasets.open import open_drive
 from slam.report.figures import save_png
 from slam.report.place_figures import places_picture, precision_recall_picture
-from slam.simulation import DriveSpec, loop_truth, simulate
+from slam.simulation import loop_truth
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser = arguments(__doc__)
 parser.add_argument("--paradigm", choices=PARADIGMS, default="tracked-words", help="how places are recognised")
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
-parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
-parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
 given = parser.parse_args()
-
-spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
-drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+drive = open_drive(street(given))
 
 rows = MatrixRows()  # keeps what the recogniser compared, for the picture only
 recogniser = build(given.paradigm, SharedFeatures(Surf()), rows=rows)

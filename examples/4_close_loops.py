@@ -6,10 +6,8 @@ Leaves 4_close_loops.png: trajectory and map by odometry alone, and after the lo
 chapter). `revisit run` does the same with a report, a recording and all files.
 """
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from street import arguments, street
 
 from slam.config import RunConfig
 from slam.datasets.open import open_drive
@@ -17,17 +15,10 @@ from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.parts import build_parts
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style
-from slam.simulation import DriveSpec, simulate
 from slam.system import Slam
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
-parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
-parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
-given = parser.parse_args()
-
-spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
-drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+given = arguments(__doc__).parse_args()
+drive = open_drive(street(given))
 
 config = RunConfig()
 slam = Slam(build_parts(drive.camera, config))

@@ -5,11 +5,9 @@
 Leaves 6_own_paradigm.png: its precision and recall beside those of a paradigm of the chapter.
 """
 
-import argparse
-from pathlib import Path
-
 import cv2
 import numpy as np
+from street import arguments, street
 
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.image_processing.features import SharedFeatures
@@ -19,7 +17,7 @@ from place_recognition.recognizer import Belief
 from slam.datasets.open import open_drive
 from slam.report.figures import save_png
 from slam.report.place_figures import precision_recall_picture
-from slam.simulation import DriveSpec, loop_truth, simulate
+from slam.simulation import loop_truth
 
 
 class BrightnessPattern:
@@ -48,14 +46,8 @@ class BrightnessPattern:
         return Belief(query, best, float(cosines[best]), accepted=bool(cosines[best] >= self.threshold))
 
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
-parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
-parser.add_argument("--speed", type=float, default=10.0, help="of the car, metres a second; it sees ten images in one")
-given = parser.parse_args()
-
-spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=given.width, height=given.width * 376 // 1241)
-drive = open_drive(simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}"))
+given = arguments(__doc__).parse_args()
+drive = open_drive(street(given))
 truth = loop_truth(drive.ground_truth).astype(bool)
 
 recognisers = {

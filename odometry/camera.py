@@ -60,3 +60,12 @@ class StereoCamera:
         pixels, disparity = np.asarray(pixels_left, dtype=np.float64), np.asarray(disparity, dtype=np.float64)
         z = self.fx * self.baseline / np.where(disparity > 0, disparity, np.nan)
         return np.stack([(pixels[:, 0] - self.cx) * z / self.fx, (pixels[:, 1] - self.cy) * z / self.fy, z], axis=1)
+
+
+_NEAREST = 0.3  # m; nothing is seen closer
+_FARTHEST = 1e6  # m; as good as infinity
+
+
+def within_sight(inverse_depth: Array) -> Array:
+    """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
+    return np.clip(inverse_depth, 1.0 / _FARTHEST, 1.0 / _NEAREST)

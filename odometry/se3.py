@@ -29,12 +29,12 @@ def pose(R: Array, t: Array) -> Array:
 
 
 def inverse(T: Array) -> Array:
-    """Invert one pose (4, 4) or a stack of them (..., 4, 4)."""
-    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    """Invert one pose (4, 4) or a stack of them (..., 4, 4); or of the plane, (..., 3, 3)."""
+    Rt = np.swapaxes(T[..., :-1, :-1], -1, -2)
     out = np.zeros_like(T)
-    out[..., :3, :3] = Rt
-    out[..., :3, 3] = -(Rt @ T[..., :3, 3:])[..., 0]
-    out[..., 3, 3] = 1.0
+    out[..., :-1, :-1] = Rt
+    out[..., :-1, -1] = -(Rt @ T[..., :-1, -1:])[..., 0]
+    out[..., -1, -1] = 1.0
     return out
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.calibration import COEFFICIENTS, Calibration
+from odometry.camera import within_sight
 from odometry.normal_equations import accumulate
 
 Array = NDArray[np.float64]
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 # because most of the view may belong to another car; tracks err more often by much than Gauss allows, and with 2.4
 # instead of his 3.0 it comes to what the median says where nothing else moves.
 _QUANTILE, _AT_QUANTILE, _LIMIT = 0.3, 2.4, 15.09
-_NEAREST = 0.3  # m; nothing is seen closer
 _DAMPING = 1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
 
 
@@ -151,7 +151,7 @@ class _Problem:
         self._pixels = tracks.pixels()
         self._prior, self._prior_information = prior, np.linalg.inv(prior.covariance)
         left, right = prior.perfect(tracks.first_left, tracks.first_right)
-        self._inverse_depth = self._bounded((left[:, 0] - right[:, 0]) / (camera.fx * camera.baseline))
+        self._inverse_depth = within_sight((left[:, 0] - right[:, 0]) / (camera.fx * camera.baseline))
         self._T_second_first, self._calibration = T_second_first, prior.coefficients.copy()
         self._linearise(np.inf)
 
@@ -162,7 +162,7 @@ class _Problem:
         H[6:, 6:] += self._prior_information
         b[6:] += self._prior_information @ (self._calibration - self._prior.coefficients)
         change = np.linalg.solve(H + _DAMPING * np.eye(len(H)), -b).astype(np.float64)
-        self._inverse_depth = self._bounded(self._inverse_depth - self._depth_offset - self._depth_rows @ change)
+        self._inverse_depth = within_sight(self._inverse_depth - self._depth_offset - self._depth_rows @ change)
         self._T_second_first = se3.exp(change[:6]) @ self._T_second_first
         self._calibration = self._calibration + change[6:]
         return change[:6]
@@ -210,7 +210,3 @@ class _Problem:
             self._T_second_first, self._calibration, np.inf,
         )  # fmt: skip
         return H
-
-    def _bounded(self, inverse_depth: Array) -> Array:
-        """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
-        return np.clip(inverse_depth, 1e-6, 1.0 / _NEAREST)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from odometry.calibration import Calibration
-from odometry.camera import StereoCamera
+from odometry.camera import StereoCamera, within_sight
 from odometry.window_equations import accumulate
 
 Array = NDArray[np.float64]
@@ -22,7 +22,6 @@ Indices = NDArray[np.int64]
 
 _LIMIT = 11.34  # chi squared, 99 %, three residuals of a sighting
 _MEDIAN = 2.366  # its median
-_NEAREST = 0.3  # m
 _NOISE_AT_FIRST = 0.3  # pixels; the largest that is assumed as well
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
 
@@ -125,14 +124,14 @@ class SlidingWindow:
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
         sightings = (tracks.first, tracks.frame, tracks.places)
         start = tracks.places[tracks.first[:-1]]
-        depths = _bounded((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
+        depths = within_sight((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
         poses = self._poses
         for _ in range(self._config.iterations):
             scale = _LIMIT * self._noise_px**2
             H, b, chi2, rows, offset = accumulate(intrinsics, sightings, depths, poses, scale)
             change = np.zeros(len(b))
             change[6:] = np.linalg.solve(H[6:, 6:] / scale + _DAMPING * np.eye(len(b) - 6), -b[6:] / scale)
-            depths = _bounded(depths - offset - rows @ change)
+            depths = within_sight(depths - offset - rows @ change)
             poses = np.array([T @ se3.exp(xi) for T, xi in zip(poses, change.reshape(-1, 6), strict=True)])
         if np.isfinite(poses).all():
             self._poses = poses
@@ -159,8 +158,3 @@ def _gather(frames: list[Sighted], calibration: Calibration) -> _Tracks:
     order, counts = order[np.repeat(counts > 1, counts)], counts[counts > 1]
     places = np.stack([left[:, 0], right[:, 0], left[:, 1]], axis=1)
     return _Tracks(np.concatenate([[0], np.cumsum(counts)]), frame[order], places[order])
-
-
-def _bounded(inverse_depth: Array) -> Array:
-    """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
-    return np.clip(inverse_depth, 1e-6, 1.0 / _NEAREST)

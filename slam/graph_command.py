@@ -170,7 +170,6 @@ def _rows(done: Solved) -> list[tuple[object, ...]]:
 def _section(done: Solved, options: OptimizeOptions) -> dict[str, object]:
     """The part of metrics.json that is about the graph."""
     problem, outcome = done.roles.problem, done.outcome
-    used = problem.using(outcome.kept)
     ate = [absolute_error(poses, done.truth.positions) for poses in (problem.start, outcome.poses)]
     true = done.truth.loops
     return {
@@ -184,8 +183,8 @@ def _section(done: Solved, options: OptimizeOptions) -> dict[str, object]:
         "false_kept": None if true is None else int(outcome.kept[~true].sum()),
         "ate_initial_m": ate[0],
         "ate_m": ate[1],
-        "error_initial": 0.5 * float(used.chi2(problem.start).sum()),
-        "error_final": 0.5 * float(used.chi2(outcome.poses).sum()),
+        "error_initial": problem.error(outcome.kept, problem.start),
+        "error_final": problem.error(outcome.kept, outcome.poses),
         "seconds": done.seconds,
     }
 

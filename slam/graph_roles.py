@@ -1,10 +1,12 @@
 """Which edges of a stored graph are trusted and which are loops, and where the trusted ones lead."""
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse.csgraph import breadth_first_order
 
 from slam.errors import GraphError
 from slam.pose_graph_edges import Edges
@@ -64,19 +66,10 @@ def roles(graph: Graph, name: str) -> Roles:
 def _spanning(edges: Edges, count: int) -> tuple[Mask, Mask]:
     """Edges of a spanning tree, successive poses first; and those of them that do not join successive poses."""
     successive = np.abs(edges.first - edges.second) == 1
-    parents = list(range(count))
+    pieces = DisjointSet(range(count))
     trusted, other = np.zeros(len(edges), dtype=bool), np.zeros(len(edges), dtype=bool)
-
-    def root(node: int) -> int:
-        while parents[node] != node:
-            parents[node] = parents[parents[node]]
-            node = parents[node]
-        return node
-
     for k in np.concatenate([np.flatnonzero(successive), np.flatnonzero(~successive)]):
-        i, j = root(int(edges.first[k])), root(int(edges.second[k]))
-        if i != j:
-            parents[max(i, j)] = min(i, j)
+        if pieces.merge(int(edges.first[k]), int(edges.second[k])):
             trusted[k], other[k] = True, not successive[k]
     return trusted, other
 
@@ -84,7 +77,7 @@ def _spanning(edges: Edges, count: int) -> tuple[Mask, Mask]:
 def _check_connected(tree: Edges, ids: NDArray[np.int64], name: str) -> None:
     if len(tree) == len(ids) - 1:
         return
-    reached = {row for row, _, _ in _visits(tree, len(ids))}
+    reached = {0, *(row for row, _, _ in _visits(tree, len(ids)))}
     lost = next(row for row in range(len(ids)) if row not in reached)
     raise GraphError(
         f"{name}: expected edges that join all {len(ids)} poses, found none between pose {ids[0]} and "
@@ -97,24 +90,15 @@ def _walked(tree: Edges, first: Array, count: int) -> Array:
     poses = np.tile(first, (count, 1, 1))
     backwards = inverse(tree.motions)
     for row, before, edge in _visits(tree, count):
-        if edge >= 0:
-            forward = tree.first[edge] == before
-            poses[row] = poses[before] @ (tree.motions[edge] if forward else backwards[edge])
+        forward = tree.first[edge] == before
+        poses[row] = poses[before] @ (tree.motions[edge] if forward else backwards[edge])
     return poses
 
 
 def _visits(tree: Edges, count: int) -> list[tuple[int, int, int]]:
-    """Rows of the tree from row 0 outwards: row, the row before it, the edge between (-1 at the root)."""
-    neighbours: list[list[tuple[int, int]]] = [[] for _ in range(count)]
-    for edge, (i, j) in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True)):
-        neighbours[i].append((j, edge))
-        neighbours[j].append((i, edge))
-    visits, seen, waiting = [(0, 0, -1)], {0}, deque([0])
-    while waiting:
-        before = waiting.popleft()
-        for row, edge in neighbours[before]:
-            if row not in seen:
-                seen.add(row)
-                visits.append((row, before, edge))
-                waiting.append(row)
-    return visits
+    """Rows of the tree from row 0 outwards, that row left out: row, the row before it, the edge between."""
+    between = {frozenset(ends): k for k, ends in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True))}
+    joined = sparse.csr_array((np.ones(len(tree)), (tree.first, tree.second)), shape=(count, count))
+    rows, before = breadth_first_order(joined, 0, directed=False)
+    steps = zip(rows[1:].tolist(), before[rows[1:]].tolist(), strict=True)
+    return [(row, previous, between[frozenset((row, previous))]) for row, previous in steps]

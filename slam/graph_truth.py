@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
+from slam.evaluation.trajectory import umeyama
 from slam.storage.g2o import Graph
 from slam.storage.text import read_numbers
 from slam.storage.trajectory import read_trajectory
@@ -93,13 +94,8 @@ def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
 
 
 def aligned(estimate: Array, positions: Array) -> Array:
-    """Positions (N, d) laid over true ones (N, d), metres, by the best rigid motion (Umeyama, PAMI 1991)."""
-    a, b = estimate - estimate.mean(axis=0), positions - positions.mean(axis=0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    signs = np.ones(a.shape[1])
-    signs[-1] = np.sign(np.linalg.det(U @ Vt))  # a rotation, never a reflection
-    laid: Array = a @ ((U * signs) @ Vt).T + positions.mean(axis=0)
-    return laid
+    """Positions (N, d) laid over true ones (N, d), metres, by the best rigid motion."""
+    return umeyama(estimate, positions).apply(estimate)
 
 
 def absolute_error(poses: Array, positions: Array | None) -> float | None:

@@ -90,7 +90,7 @@ class PoseGraph:
         """
         stated = _checked(covariance, f"motion to frame {len(self)}")
         real = self.config.drift.of_motion(T_previous_current, stated)
-        self._motions.add(solver.motion_factor(len(self), T_previous_current, real))
+        self._motions.add(solver.odometry_factor(len(self) - 1, len(self), T_previous_current, real))
         self._edges.append((T_previous_current, covariance))
         self._chain.append(T_previous_current, stated)
         key = self._keys.append(T_previous_current, real)
@@ -149,15 +149,14 @@ class PoseGraph:
         start = time.perf_counter()
         problem = self._problem()
         outcome = robust_ends.solved(problem, robust)
-        used = problem.using(outcome.kept)
         return Optimized(
             poses=outcome.poses,
             weights=outcome.weights,
             residuals=np.sqrt(problem.loops.chi2(outcome.poses)),
             kept=outcome.kept,
             reasons=outcome.reasons,
-            error_initial=0.5 * float(used.chi2(problem.start).sum()),
-            error_final=0.5 * float(used.chi2(outcome.poses).sum()),
+            error_initial=problem.error(outcome.kept, problem.start),
+            error_final=problem.error(outcome.kept, outcome.poses),
             seconds=time.perf_counter() - start,
         )
 

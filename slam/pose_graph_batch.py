@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from slam.errors import GraphError
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import planar_poses
+from slam.pose_graph_solver import ANCHOR_SIGMA, to_poses
 
 Array = NDArray[np.float64]
 
-_ANCHOR_SIGMA = 1e-6  # rad and m; holds the first pose without disturbing the numerics
 _TOLERANCE = 1e-6  # relative decrease of the error that ends an optimisation
 _PATIENCE = 5  # iterations after which a start that still gains much is doubted
 _MUCH = 0.01  # relative decrease in one iteration
@@ -103,7 +103,7 @@ def _graph(edges: Edges, first: Array) -> gtsam.NonlinearFactorGraph:
     flat = first.shape[0] == 3
     between = gtsam.BetweenFactorPose2 if flat else gtsam.BetweenFactorPose3
     prior = gtsam.PriorFactorPose2 if flat else gtsam.PriorFactorPose3
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.full(edges.group.dof, _ANCHOR_SIGMA))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.full(edges.group.dof, ANCHOR_SIGMA))
     graph = gtsam.NonlinearFactorGraph()
     graph.add(prior(0, _gtsam_poses(first[None])[0], noise))
     rows = zip(edges.first.tolist(), edges.second.tolist(), _gtsam_poses(edges.motions), edges.information, strict=True)
@@ -129,8 +129,4 @@ def _values(poses: Array) -> gtsam.Values:
 def _poses(values: gtsam.Values, like: Array) -> Array:
     if like.shape[-1] == 3:
         return planar_poses(gtsam.utilities.extractPose2(values))
-    rows = gtsam.utilities.extractPose3(values)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
-    poses[:, :3, 3] = rows[:, 9:]
-    return poses
+    return to_poses(values)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from odometry.se3 import inverse as inverse
+
 Array = NDArray[np.float64]
 
 _SMALL_ANGLE = 1e-4  # rad; below it the second-order series are exact to double precision
@@ -137,16 +139,6 @@ def planar_poses(numbers: Array) -> Array:
 def motions_of(poses: Array) -> Motions:
     """Group of poses (..., 3, 3) or (..., 4, 4)."""
     return Plane() if poses.shape[-1] == 3 else Space()
-
-
-def inverse(T: Array) -> Array:
-    """Invert poses (..., n, n) of either group."""
-    out = np.zeros_like(T)
-    R = np.swapaxes(T[..., :-1, :-1], -1, -2)
-    out[..., :-1, :-1] = R
-    out[..., :-1, -1:] = -R @ T[..., :-1, -1:]
-    out[..., -1, -1] = 1.0
-    return out
 
 
 def compounded(first: Array, steps: Array) -> Array:

@@ -10,9 +10,9 @@ import gtsam
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from slam import pose_graph_solver as solver
+from slam.pose_graph_newton import factors
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ def marginal_covariances(graph: gtsam.NonlinearFactorGraph, poses: Array, bias: 
         poses: T_world_camera (N, 4, 4), metres, where the graph is solved.
         bias: (N - 1, 6) standard deviation of the lasting error of each motion; all motions share its sign.
     """
-    linear = graph.linearize(solver.to_values(poses))
-    marginals = gtsam.Marginals(graph, solver.to_values(poses))
+    values = solver.to_values(poses)
+    linear, marginals = graph.linearize(values), gtsam.Marginals(graph, values)
     own = np.array([marginals.marginalCovariance(key) for key in range(len(poses))])
     shift = _response(linear, len(poses), bias)
     return own + shift @ np.swapaxes(shift, 1, 2)
@@ -46,6 +46,4 @@ def _response(linear: gtsam.GaussianFactorGraph, count: int, bias: Array) -> Arr
     whitening = moved.multiply(same_pose).tocsr()
     spread = np.concatenate([np.zeros((1, _DOF)), bias])[:, :, None] * np.eye(_DOF)
     right = A[: count * _DOF].T @ (whitening @ spread.reshape(-1, _DOF))
-    H = (A.T @ A).tocsc()
-    factor = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return factor.solve(right).reshape(count, _DOF, _DOF)
+    return factors((A.T @ A).tocsc()).solve(right).reshape(count, _DOF, _DOF)

@@ -1,7 +1,7 @@
 """Gauss-Newton on arrays of edges: the inner loop of the back ends, where weights change with every step.
 
 GTSAM's optimisers keep weights fixed while they converge and need each factor built anew for a new weight;
-here a weight is a factor on rows. The last step to the minimum is left to GTSAM (`slam.pose_graph_solver`).
+here a weight is a factor on rows. The last step to the minimum is left to GTSAM (`slam.pose_graph_batch`).
 """
 
 from collections.abc import Callable
@@ -68,6 +68,11 @@ def factorized(jacobian: sparse.csr_array) -> SuperLU:
     """Sparse factors of the normal equations of a Jacobian."""
     H = (jacobian.T @ jacobian).tocsc()
     H = H + sparse.diags_array(_DAMPING * H.diagonal() + np.finfo(float).tiny, format="csc")
+    return factors(H)
+
+
+def factors(H: sparse.csc_array) -> SuperLU:
+    """Sparse factors of a symmetric, positive definite matrix."""
     return splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 

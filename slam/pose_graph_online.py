@@ -61,7 +61,7 @@ class IncrementalMap:
         """Add the next key by its motion (4, 4) and covariance (6, 6)."""
         pose = gtsam.Pose3(self.T_world_newest @ T_previous_key)
         self._newest += 1
-        self._graph.add(solver.motion_factor(self._newest, T_previous_key, covariance))
+        self._graph.add(solver.odometry_factor(self._newest - 1, self._newest, T_previous_key, covariance))
         self._values.insert(self._newest, pose)
         self._estimate.insert(self._newest, pose)
 
@@ -73,7 +73,7 @@ class IncrementalMap:
         """Take known loops in, from the next `step` on."""
         for number, loop in loops.items():
             self._fresh.append((number, self._graph.size()))
-            self._graph.add(solver.loop_factor(loop, "huber", self._config.width))
+            self._graph.add(solver.doubted_factor(loop, self._config.width))
 
     def drop(self, numbers: Iterable[int]) -> None:
         """Take loops in use out, from the next `step` on; their effect is undone."""

@@ -11,30 +11,30 @@ from slam.loop_closing import LoopClosure
 
 Array = NDArray[np.float64]
 
-_ANCHOR_SIGMA = 1e-6  # rad and m; holds the first pose without disturbing the numerics
-_KERNELS = {
-    "huber": gtsam.noiseModel.mEstimator.Huber.Create,
-    "dcs": gtsam.noiseModel.mEstimator.DCS.Create,
-}
+ANCHOR_SIGMA = 1e-6  # rad and m; holds the first pose without disturbing the numerics
 
 
 def anchor(T_world_first: Array) -> gtsam.PriorFactorPose3:
     """Prior that holds frame 0 at a pose (4, 4)."""
-    noise = gtsam.noiseModel.Isotropic.Sigma(6, _ANCHOR_SIGMA)
+    noise = gtsam.noiseModel.Isotropic.Sigma(6, ANCHOR_SIGMA)
     return gtsam.PriorFactorPose3(0, gtsam.Pose3(T_world_first), noise)
 
 
-def motion_factor(current: int, T_previous_current: Array, covariance: Array) -> gtsam.BetweenFactorPose3:
-    """Odometry from frame current - 1 to current, covariance (6, 6) rotation first."""
+def odometry_factor(first: int, second: int, T_first_second: Array, covariance: Array) -> gtsam.BetweenFactorPose3:
+    """Factor of a motion (4, 4) between two keys, covariance (6, 6) rotation first."""
     noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-    return gtsam.BetweenFactorPose3(current - 1, current, gtsam.Pose3(T_previous_current), noise)
+    return gtsam.BetweenFactorPose3(first, second, gtsam.Pose3(T_first_second), noise)
 
 
-def loop_factor(closure: LoopClosure, kernel: str | None = None, width: float = 0.0) -> gtsam.BetweenFactorPose3:
-    """Factor of a loop, plain or under a robust kernel (`huber`: width in sigmas, `dcs`: a chi-square)."""
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(closure.covariance)
-    if kernel is not None:
-        noise = gtsam.noiseModel.Robust.Create(_KERNELS[kernel](width), noise)
+def loop_factor(closure: LoopClosure) -> gtsam.BetweenFactorPose3:
+    """Factor of a loop that is known to be right."""
+    return odometry_factor(closure.match, closure.query, closure.T_match_query, closure.covariance)
+
+
+def doubted_factor(closure: LoopClosure, width: float) -> gtsam.BetweenFactorPose3:
+    """Factor of a loop whose pull does not grow beyond a width in sigmas (Huber)."""
+    kernel = gtsam.noiseModel.mEstimator.Huber.Create(width)
+    noise = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(closure.covariance))
     return gtsam.BetweenFactorPose3(closure.match, closure.query, gtsam.Pose3(closure.T_match_query), noise)
 
 

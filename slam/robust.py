@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from slam.errors import ConfigError
 from slam.pose_graph_batch import minimum
-from slam.robust_condensed import condensed
 from slam.robust_consensus import grown
 from slam.robust_evidence import LEAST_EVIDENCE
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_kernels import Kernel, dcs, huber, kernel_poses, switchable
 from slam.robust_pcm import agreeing
 from slam.robust_problem import LoopProblem, Outcome
-from slam.robust_screening import Screening, roughness, screened
+from slam.robust_screening import Screening, screened
 
 __all__ = ["BACK_ENDS", "DEFAULT", "LoopGate", "LoopProblem", "Optimized", "Outcome", "back_end", "solved"]
 
@@ -104,9 +103,8 @@ def _pcm(problem: LoopProblem, screening: Screening) -> Outcome:
 
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> Outcome:
     """Loops let in by evidence, consistent in pairs, cleaned by graduated non-convexity, until none follows."""
-    small = condensed(problem)
-    grown_ = grown(small.problem, screening)
-    return _leaning_on(problem, grown_.kept, small.expanded(grown_.poses))
+    found = grown(screening.small.problem, screening)
+    return _leaning_on(problem, found.kept, screening.small.expanded(found.poses))
 
 
 BackEnd = Callable[[LoopProblem, Screening], Outcome]
@@ -139,8 +137,7 @@ def solved(problem: LoopProblem, name: str = DEFAULT) -> Outcome:
     if not len(problem.loops):
         none = np.zeros(0, dtype=bool)
         return _leaning_on(problem, none, problem.start)
-    small = condensed(problem).problem
-    screening = screened(small, roughness(problem.trusted))
+    screening = screened(problem)
     outcome = judge(problem, screening)
     return replace(outcome, reasons=_reasons(problem, screening, outcome))
 

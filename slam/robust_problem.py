@@ -29,6 +29,10 @@ class LoopProblem:
         """Trusted edges, then the chosen loops (L,)."""
         return joined(self.trusted, self.loops[chosen])
 
+    def error(self, chosen: Mask, poses: Array) -> float:
+        """Half chi-square of the trusted edges and the chosen loops (L,) at poses (N, n, n)."""
+        return 0.5 * float(self.using(chosen).chi2(poses).sum())
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph_edges import Edges
+from slam.robust_condensed import Condensed, condensed
 from slam.robust_evidence import LEAST_EVIDENCE, Evidence, evidence, limit
 from slam.robust_problem import LoopProblem
 
@@ -32,11 +33,13 @@ class Screening:
     """Each loop judged by itself, before any is believed.
 
     Attributes:
-        found: the evidence.
+        small: the problem without the poses that no loop touches.
+        found: the evidence, by the small problem.
         scale: of all covariances.
         limit: chi-square, as stated, that a true loop seldom exceeds once the map is right.
     """
 
+    small: Condensed
     found: Evidence
     scale: float
     limit: float
@@ -48,16 +51,12 @@ class Screening:
         return gate
 
 
-def screened(problem: LoopProblem, roughness: float) -> Screening:
-    """Judge loops by the poses that trusted edges alone lead to.
-
-    Args:
-        problem: may be condensed.
-        roughness: of odometry, from every step.
-    """
-    found = evidence(problem.start, problem.trusted, problem.loops)
-    scale = calibrated(found, roughness)
-    return Screening(found, scale, limit(problem.loops.group.dof) * scale)
+def screened(problem: LoopProblem) -> Screening:
+    """Judge loops by the poses that trusted edges alone lead to."""
+    small = condensed(problem)
+    found = evidence(small.problem.start, small.problem.trusted, small.problem.loops)
+    scale = calibrated(found, roughness(problem.trusted))  # from every step: condensed ones are smooth
+    return Screening(small, found, scale, limit(problem.loops.group.dof) * scale)
 
 
 def calibrated(found: Evidence, roughness: float) -> float:

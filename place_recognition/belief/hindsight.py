@@ -7,6 +7,7 @@ seen from afar do on one side at most. So the answer waits for some images.
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +64,16 @@ class Opinion:
 
     beliefs: tuple[Belief, ...]
     proofs: tuple[Proof, ...] = ()
+
+    @classmethod
+    def none(cls, query: int) -> "Opinion":
+        """No place may be that of the image with this id."""
+        return cls((Belief(query, None, 0.0, accepted=False),))
+
+    @classmethod
+    def of(cls, query: int, proofs: tuple[Proof, ...], believe: Callable[[Proof], Belief]) -> "Opinion":
+        """What the paradigm believes of each proof about the image with this id."""
+        return cls(tuple(map(believe, proofs)), proofs) if proofs else cls.none(query)
 
 
 class Hindsight:

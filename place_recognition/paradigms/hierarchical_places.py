@@ -158,7 +158,7 @@ class HierarchicalPlaces:
         descriptors = features.descriptors[: self.config.features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
         if len(descriptors) < self.config.place.least_features:
-            return self._verdicts.add(self._no_match())
+            return self._verdicts.add(Opinion.none(image_id))
         return self._verdicts.add(self._opinion(descriptors[: self.config.asked]))
 
     def finish(self) -> list[Belief]:
@@ -172,9 +172,6 @@ class HierarchicalPlaces:
             rng = np.random.default_rng((self.config.seed, len(self._places)))
             self._places.add(grow_gas(np.concatenate(ended), rng, self.config.gas).nodes, last)
 
-    def _no_match(self) -> Opinion:
-        return Opinion((Belief(int(self._route.ids[-1]), None, 0.0, accepted=False),))
-
     def _opinion(self, descriptors: Floats) -> Opinion:
         """The opinion about the latest image, whose strongest descriptors (N, D) vote."""
         horizon = self._route.horizon()
@@ -182,7 +179,7 @@ class HierarchicalPlaces:
         ballot = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._show(ballot)
         proofs = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)
-        return Opinion(tuple(self._belief(proof, ballot) for proof in proofs), proofs) if proofs else self._no_match()
+        return Opinion.of(int(self._route.ids[-1]), proofs, lambda proof: self._belief(proof, ballot))
 
     def _belief(self, proof: Proof, ballot: PlaceBallot) -> Belief:
         improbable = ballot.improbability(self._places.place_of(proof.location))

@@ -210,9 +210,7 @@ class SequenceMatching:
     def _opinion(self, query: int, pool: Indices, horizon: int, response: Floats) -> Opinion:
         alike = _spread(pool, self._words.likeness(query, pool), self.config.images)
         proofs = self._judge.judge(query, alike, horizon)
-        if not proofs:
-            return Opinion((Belief(int(self._route.ids[query]), None, 0.0, accepted=False),))
-        return Opinion(tuple(self._belief(p, self._response_at(p.location, response)) for p in proofs), proofs)
+        return Opinion.of(int(self._route.ids[query]), proofs, lambda proof: self._belief(proof, response))
 
     def _response_at(self, location: int, response: Floats) -> float:
         """The response of the sequence of an image, or of the one before or after it if that is greater."""
@@ -220,7 +218,8 @@ class SequenceMatching:
         around = response[max(sequence - 1, 0) : sequence + 2]
         return float(around.max()) if len(around) else 0.0
 
-    def _belief(self, proof: Proof, response: float) -> Belief:
+    def _belief(self, proof: Proof, responses: Floats) -> Belief:
+        response = self._response_at(proof.location, responses)
         return Belief(
             query=int(self._route.ids[proof.query]),
             match=int(self._route.ids[proof.location]),

@@ -132,9 +132,7 @@ class TrackedWords:
         """What votes and geometry say of the best neighbours of voted locations."""
         voted = ballot.leaders(self.config.places, self.config.neighbours, math.log(self.config.chance))
         proofs = self._judge.judge(self._route.latest, self._around(voted, horizon), horizon)
-        if not proofs:
-            return Opinion((Belief(query, None, 0.0, accepted=False),))
-        return Opinion(tuple(self._belief(query, proof, ballot) for proof in proofs), proofs)
+        return Opinion.of(query, proofs, lambda proof: self._belief(query, proof, ballot))
 
     def _belief(self, query: int, proof: Proof, ballot: Ballot) -> Belief:
         return Belief(

@@ -27,8 +27,8 @@ class Similarity:
     """The map p -> scale * R @ p + t of positions, metres.
 
     Attributes:
-        R: (3, 3) rotation.
-        t: (3,) metres.
+        R: (d, d) rotation, in space or in the plane.
+        t: (d,) metres.
         scale: 1 for a rigid motion.
     """
 
@@ -37,7 +37,7 @@ class Similarity:
     scale: float
 
     def apply(self, points: Array) -> Array:
-        """Map points (N, 3)."""
+        """Map points (N, d)."""
         return self.scale * points @ self.R.T + self.t
 
     def apply_poses(self, T_world_camera: Array) -> Array:
@@ -131,7 +131,7 @@ def trajectory_errors(estimate: Array, truth: Array, alignment: Alignment = "se3
 
 
 def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Similarity:
-    """Align positions (N, 3) to target (N, 3), metres, by least squares (Umeyama 1991, eq. 34 to 43).
+    """Align positions (N, d) to target (N, d), metres, by least squares (Umeyama 1991, eq. 34 to 43).
 
     Where the positions leave the rotation open (all on one line, or one place) some best one is given; the
     scale of positions that do not move is 1.
@@ -140,7 +140,8 @@ def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Simil
     spread = source - mean_source
     U, singular, Vt = np.linalg.svd((target - mean_target).T @ spread / len(source))
     # The last singular direction is flipped where the best orthogonal matrix would be a reflection.
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    signs = np.ones(len(singular))
+    signs[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     R = (U * signs) @ Vt
     variance = float((spread**2).sum() / len(source))
     scale = float(singular @ signs) / variance if alignment == "sim3" and variance > 0 else 1.0

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.evaluation.trajectory import Similarity
+from slam.evaluation.trajectory import Similarity, distances_along
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def confidence_ellipses(poses: Array, covariances: Array, aligned: Similarity) -
         covariances: (N, 6, 6) of right perturbations, rotation first.
         aligned: moves the poses into the frame of the picture.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+    way = distances_along(poses)
     shown = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _SHOWN + 1)[1:]).clip(max=len(way) - 1))
     R = aligned.scale * aligned.R @ poses[shown, :3, :3]
     plan = (R @ covariances[shown, 3:, 3:] @ np.swapaxes(R, 1, 2))[:, _PLAN[:, None], _PLAN]

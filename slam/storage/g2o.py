@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slam.loop_closing import LoopClosure
+from slam.pose_graph_lie import planar_poses
 from slam.storage.atomic import atomic_writer
-from slam.storage.g2o_lines import UPPER, GraphLines, Kind, read_lines_of
+from slam.storage.g2o_lines import UPPER, Kind, read_lines_of
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -74,8 +75,7 @@ def write_g2o(path: Path, graph: Graph) -> None:
     """Write a graph, numbers as short as their exact value allows: the same graph gives the same bytes."""
     flat = graph.poses.shape[-1] == 3
     kind = Kind.of("SE2" if flat else "SE3:QUAT")
-    information = graph.information if flat else graph.information[:, _SWAPPED][:, :, _SWAPPED]
-    rows = information[:, *UPPER[kind.dof]]
+    rows = _reordered(graph.information)[:, *UPPER[kind.dof]]
     with atomic_writer(path) as file:
         for key, numbers in zip(graph.ids, _numbers(graph.poses), strict=True):
             file.write(f"{kind.vertex} {key} {_words(numbers)}\n")
@@ -102,26 +102,22 @@ def read_g2o(path: Path) -> Graph:
         first=lines.edge_ids[:, 0],
         second=lines.edge_ids[:, 1],
         motions=_poses(lines.edges),
-        information=_ordered(lines),
+        information=_reordered(lines.information),
         fixed=lines.fixed,
         placed=lines.placed,
         warnings=lines.warnings,
     )
 
 
-def _ordered(lines: GraphLines) -> Array:
-    """Information (M, dof, dof) in GTSAM's order."""
-    return lines.information if lines.kind.dof == 3 else lines.information[:, _SWAPPED][:, :, _SWAPPED]
+def _reordered(information: Array) -> Array:
+    """Information (M, dof, dof) from the file's order to GTSAM's, or back; in the plane they are one."""
+    return information if information.shape[-1] == 3 else information[:, _SWAPPED][:, :, _SWAPPED]
 
 
 def _poses(numbers: Array) -> Array:
     """Poses (N, n, n) of (N, 3): x y theta, or of (N, 7): x y z qx qy qz qw, normalised."""
     if numbers.shape[1] == 3:
-        cosine, sine = np.cos(numbers[:, 2]), np.sin(numbers[:, 2])
-        out = np.tile(np.eye(3), (len(numbers), 1, 1))
-        out[:, 0, :] = np.stack([cosine, -sine, numbers[:, 0]], axis=1)
-        out[:, 1, :] = np.stack([sine, cosine, numbers[:, 1]], axis=1)
-        return out
+        return planar_poses(numbers)
     out = np.tile(np.eye(4), (len(numbers), 1, 1))
     if len(numbers):
         out[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ def read_loops(path: Path) -> tuple[LoopRow, ...]:
     Raises:
         DataError: missing file, other columns, a cell that cannot be read.
     """
-    return tuple(LoopRow(**_cells(path, row, LoopRow)) for row in _read(path, LOOP_COLUMNS)[1])  # type: ignore[arg-type]
+    return _rows(path, LoopRow)
 
 
 def write_stages(path: Path, stages: Iterable[StageRow]) -> None:
@@ -122,10 +122,19 @@ def read_stages(path: Path) -> tuple[StageRow, ...]:
     Raises:
         DataError: missing file, other columns, a cell that cannot be read.
     """
-    return tuple(StageRow(**_cells(path, row, StageRow)) for row in _read(path, STAGE_COLUMNS)[1])  # type: ignore[arg-type]
+    return _rows(path, StageRow)
 
 
-def _cells(path: Path, row: dict[str, str], kind: type[LoopRow] | type[StageRow]) -> dict[str, object]:
+_Row = TypeVar("_Row", LoopRow, StageRow)
+
+
+def _rows(path: Path, kind: type[_Row]) -> tuple[_Row, ...]:
+    """All lines of a table whose columns are the fields of a kind of row."""
+    names = tuple(field.name for field in fields(kind))
+    return tuple(kind(**_cells(path, row, kind)) for row in _read(path, names)[1])  # type: ignore[arg-type]
+
+
+def _cells(path: Path, row: dict[str, str], kind: type[_Row]) -> dict[str, object]:
     readers: dict[object, Callable[[str], object]] = {
         int: int,
         int | None: lambda cell: int(cell) if cell else None,

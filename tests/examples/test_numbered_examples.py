@@ -27,7 +27,7 @@ def run(example: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_and_leaves_its_picture(example: Path, out: Path):
-    tiny = TINY if "--width" in example.read_text() else ()
+    tiny = TINY if "street(given)" in example.read_text() else ()
     result = run(example, "--out", str(out), *tiny)
     assert result.returncode == 0, result.stderr
     picture = cv2.imread(str(out / f"{example.stem}.png"))

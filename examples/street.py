@@ -1,0 +1,25 @@
+"""The drive that the numbered examples share: two laps of a simulated street.
+
+Everything follows from its spec: the same one gives the same bits, and a drive that is there is not rendered again.
+"""
+
+import argparse
+from pathlib import Path
+
+from slam.simulation import DriveSpec, simulate
+
+
+def arguments(doc: str | None) -> argparse.ArgumentParser:
+    """The options of an example on the street, with its docstring as help."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+    parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
+    parser.add_argument("--speed", type=float, default=10.0, help="of the car, m/s; it sees ten images in a second")
+    return parser
+
+
+def street(given: argparse.Namespace) -> Path:
+    """Root of the drive, KITTI's layout, in the folder of the results."""
+    width, height = given.width, given.width * 376 // 1241
+    spec = DriveSpec("circle", laps=2, length=200.0, speed=given.speed, width=width, height=height)
+    return simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}")
