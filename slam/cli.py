@@ -35,6 +35,7 @@ Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show
 PARADIGM_NAMES = (
     "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
 )
+FEATURE_NAMES = "surf, surf-oriented, sift, orb"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
@@ -102,6 +103,7 @@ def run(
         str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
     ] = None,
     paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
+    features: Annotated[str | None, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = None,
     vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
     descriptor: Annotated[str | None, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = None,
     robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
@@ -120,6 +122,7 @@ def run(
     options = RunOptions(source, sequence, out, view, overwrite, config)
     chosen = {
         "paradigm": paradigm,
+        "features": features,
         "vocabulary": None if vocabulary is None else str(vocabulary),
         "descriptor": descriptor,
         "robust": robust,
@@ -142,7 +145,8 @@ def places(
     ground_truth: Annotated[
         Path | None, typer.Option(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
     ] = None,
-    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
+    features: Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = "surf",
+    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it one for surf.")] = None,
     descriptor: Annotated[str, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = "hog",
     exclude: Annotated[float | None, typer.Option(help="Match no image less than so many seconds old.")] = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where there is no times.txt.")] = None,
@@ -232,7 +236,7 @@ def evaluate_loops(
 def train_vocabulary(
     sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
     out: Annotated[Path, typer.Option("--out", help="File for the words.")],
-    features: Annotated[str, typer.Option(help="What the words are made of: surf, surf-oriented, sift, orb.")] = "surf",
+    features: Annotated[str, typer.Option(help=f"What the words are made of: {FEATURE_NAMES}.")] = "surf",
     words: Annotated[int, typer.Option(help="How many.")] = 10000,
     sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
