@@ -9,7 +9,7 @@ from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
-from slam.record import LoopRow, StageRow
+from slam.record import ONLINE_SEPARATOR, LoopRow, StageRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
@@ -64,9 +64,6 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
         truth=judge(closure.query, closure.match, closure),
         reason=optimized.reasons[number],
     )
-
-
-ONLINE_SEPARATOR = " | "
 
 
 def stage_rows(

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+ONLINE_SEPARATOR = " | "  # between the changes of `StageRow.online`
+
 
 @dataclass(frozen=True)
 class LoopRow:
