@@ -9,7 +9,7 @@ from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
-from slam.record import ONLINE_SEPARATOR, LoopRow, StageRow
+from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
@@ -107,4 +107,13 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
         gate_residual=gate.residual,
         gate_passed=gate.passed,
         gate_reason=gate.reason,
+    )
+
+
+def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:
+    """Where the images of each belief agree, for those whose relative pose was sought."""
+    return tuple(
+        MatchedPixels(attempt.belief.query, attempt.belief.match, found.pixels_query, found.pixels_match)
+        for attempt in attempts
+        if (found := attempt.geometry) is not None and attempt.belief.match is not None
     )

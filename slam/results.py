@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.map_size import map_size
+from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
-from slam.ledger import Judge, stage_rows, write_ledger
+from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
@@ -42,6 +43,7 @@ class Finished:
         config: the settings.
         slam: the system, with its graph and landmarks.
         drive_log: what it said of each frame.
+        rows: the recogniser's matrix.
         optimized: the final trajectory and the verdicts on the loops.
         interrupted: stopped by the user.
         wall_seconds: from the first frame to the end of the final optimisation.
@@ -51,6 +53,7 @@ class Finished:
     config: RunConfig
     slam: Slam
     drive_log: DriveLog
+    rows: MatrixRows
     optimized: Optimized
     interrupted: bool
     wall_seconds: float
@@ -62,6 +65,7 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
     table, landmarks, graph = log.table(), finished.slam.parts.landmarks, finished.slam.parts.graph
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
     odometry = np.array(log.odometry)
+    places = _places(finished, truth)
     record = DriveRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {drive.name}",
         timestamps=table.timestamps,
@@ -77,10 +81,13 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_after=landmarks.cloud(optimized.poses),
         metrics={},
         stages=stage_rows(log.attempts, graph.gates, graph.history),
+        matched=matched_pixels(log.attempts),
+        curve=places.curve,
+        matrices={stage: finished.rows.matrix(len(table), stage) for stage in finished.rows.stages},
         odometry_covariances=graph.odometry_covariances(),
         corrected_covariances=graph.covariances(optimized),
     )
-    record.metrics.update(provenance | _measured(record, finished))
+    record.metrics.update(provenance | _measured(record, finished, places))
     return record
 
 
@@ -131,10 +138,9 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
+def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> dict[str, object]:
     errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    places = _places(record, finished)
     notes = places.notes | _notes("loops", loops)
     for name, error in errors.items():
         notes |= _notes(name, error)
@@ -155,8 +161,8 @@ def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
     }
 
 
-def _places(record: DriveRecord, finished: Finished) -> PlaceResult:
-    truth = None if record.ground_truth is None else revisit_matrix(record.ground_truth)
+def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:
+    truth = None if ground_truth is None else revisit_matrix(ground_truth)
     beliefs = [attempt.belief for attempt in finished.drive_log.attempts]
     size = map_size(finished.slam.parts.recognizer)
     return judge_places(finished.config.paradigm, beliefs, truth, size)
