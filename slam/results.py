@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
+from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
 from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
@@ -121,7 +123,15 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")
-    write_report(record, folder / "report.html", lambda index: drive[index].left, dataclasses.asdict(config))
+    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
+
+
+def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
+    """The left image of a frame; None where it can no longer be read, which is no reason to lose the run."""
+    try:
+        return drive[index].left
+    except DataError:
+        return None
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:

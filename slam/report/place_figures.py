@@ -57,6 +57,13 @@ def places_picture(
     return figure
 
 
+def matrix_picture(matrix: Matrix) -> Figure:
+    """Draw one matrix alone."""
+    figure = new_figure(_PANEL + 0.9, _PANEL)
+    draw_matrix(figure.subplots(), matrix, "")
+    return figure
+
+
 def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
     _frame(ax, title, len(matrix.values) * matrix.step)
@@ -70,6 +77,8 @@ def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
         columns, rows, cells, cmap=_SHADES, vmin=low, vmax=max(high, low + 1e-9), rasterized=True, shading="flat"
     )
     bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.045, pad=0.02, extend="max")
+    assert bar.solids is not None
+    bar.solids.set_rasterized(True)  # like the matrix, as a dark page turns the colours of images round
     bar.set_label("the paradigm's own scale", color=INK)
     bar.ax.tick_params(colors=INK, labelsize=8)
 
