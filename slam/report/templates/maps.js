@@ -21,6 +21,9 @@
     const ticks = draw("g", { class: "ticks" }, svg);
     const marker = draw("circle", { r: 5, class: "marker", visibility: "hidden" }, svg);
     inner.append(...contents);
+    for (const dot of inner.querySelectorAll("use")) { // stays as large as it is, see the style sheet
+      dot.style.transformOrigin = `${dot.getAttribute("x")}px ${dot.getAttribute("y")}px`;
+    }
     return { figure, svg, inner, ticks, marker, ...data };
   });
   if (!views.length) return;
