@@ -21,7 +21,7 @@ from slam.record import DriveRecord, LoopRow
 from slam.report.evidence import album
 from slam.report.page import write_report
 from tests.slam.report import fabricate
-from tests.slam.report.browser import MISSING, Browser, browser, has_browser
+from tests.slam.report.browser import NO_BROWSER, Browser, browser, has_browser
 
 FRAMES, ROWS = 5000, 2000
 INLIERS = 150
@@ -76,7 +76,7 @@ def main() -> None:
             table.add_row("seconds to open", f"{opened:.2f}")
             table.add_row("seconds to open a row for the first time", f"{pair:.2f}")
         else:
-            table.add_row("seconds to open", MISSING)
+            table.add_row("seconds to open", NO_BROWSER)
     Console().print(table)
 
 

@@ -152,4 +152,4 @@ def _caption(row: LoopRow, drawn: int, pictured: Album) -> str:
     if drawn:
         some = "all" if drawn == row.inliers else f"{drawn}"
         return f"{shown} Drawn: {some} of the {row.inliers} matches that agree with one relative pose."
-    return f"{shown} No match is drawn: {'no relative pose was found' if row.accepted else 'none was sought'}."
+    return f"{shown} No match is drawn: no relative pose was {'found' if row.accepted else 'sought'}."

@@ -70,7 +70,7 @@ def places(record: DriveRecord) -> list[Picture]:
         pictures.append(_picture("places-curve", "Precision over recall", caption, curve))
     for stage, matrix in record.matrices.items():
         title = _STAGES.get(stage, stage)
-        caption = "A dark line beside the diagonal is a stretch of the way that was driven again."
+        caption = "A line beside the diagonal is a stretch of the way that was driven again."
         pictures.append(_picture(f"places-{stage}", title, caption, matrix_picture(matrix)))
     return pictures
 

@@ -119,7 +119,8 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
     if curves:
         title = "circle: highest recall without a false one"
-        ax.legend(loc="lower left", edgecolor="none", labelcolor=INK, title=title, title_fontsize=8, fontsize=9)
+        clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
+        ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
     else:
         ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
     return figure

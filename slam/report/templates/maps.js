@@ -33,7 +33,7 @@
   let view = { ...whole }; // metres, from the lower left corner
   let frame = null;
 
-  const round = (step, value) => value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  const round = (step, value) => value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9))).replace("-", "\u2212");
   const between = (from, to) => {
     const raw = (to - from) / 4, power = 10 ** Math.floor(Math.log10(raw));
     const step = [1, 2, 5, 10].map((k) => k * power).find((k) => k >= raw);
@@ -158,7 +158,7 @@
     const bar = document.createElement("div");
     bar.className = "bar";
     map.readout = document.createElement("output");
-    map.readout.textContent = "Point at the way to see its frames; press the map and turn the wheel to zoom.";
+    map.readout.textContent = "Point at the way to see its frames. To zoom: the buttons, or the wheel once the map was pressed.";
     map.closer = control(map, "+", "Zoom in", () => zoom(1.5));
     map.farther = control(map, "\u2212", "Zoom out", () => zoom(1 / 1.5));
     map.all = control(map, "All", "Show all", () => zoom(0));
