@@ -111,9 +111,17 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
 
 
 def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:
-    """Where the images of each belief agree, for those whose relative pose was sought."""
-    return tuple(
-        MatchedPixels(attempt.belief.query, attempt.belief.match, found.pixels_query, found.pixels_match)
-        for attempt in attempts
-        if (found := attempt.geometry) is not None and attempt.belief.match is not None
-    )
+    """Where the images of each belief agree: with a relative pose where one was found, else as the recogniser saw."""
+    found = (_agreement(attempt.belief, attempt.geometry) for attempt in attempts)
+    return tuple(pair for pair in found if pair is not None)
+
+
+def _agreement(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
+    if belief.match is None:
+        return None
+    if geometry is not None and len(geometry.pixels_query):
+        return MatchedPixels(belief.query, belief.match, geometry.pixels_query, geometry.pixels_match)
+    if len(belief.pixels):
+        now, then = belief.pixels[:, :2], belief.pixels[:, 2:]
+        return MatchedPixels(belief.query, belief.match, now, then, "one epipolar geometry")
+    return None

@@ -80,17 +80,19 @@ class StageRow:
 
 @dataclass(frozen=True)
 class MatchedPixels:
-    """Where two images show the landmarks that agree with one relative pose, believed in the end or not.
+    """Where two images show the same things, as far as geometry bears that out, believed in the end or not.
 
     Attributes:
         query, match: frame indices.
         pixels_query, pixels_match: (K, 2) float32 in the two left images, pixels.
+        agree_with: what they agree with, "one relative pose" or else "one epipolar geometry".
     """
 
     query: int
     match: int
     pixels_query: NDArray[np.float32]
     pixels_match: NDArray[np.float32]
+    agree_with: str = "one relative pose"
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class DriveRecord:
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
         stages: what each stage measured of each row of the ledger.
-        matched: of the rows for which a relative pose was sought.
+        matched: of the rows whose images agree somewhere.
         curve: precision over recall of the recogniser; None without ground truth.
         matrices: what the recogniser thought of all pairs of images, by stage: "similarity", "filtered".
         odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the

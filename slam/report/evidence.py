@@ -67,7 +67,8 @@ def evidence(record: DriveRecord, images: ImageSource, budget: int = BUDGET) -> 
     rows = []
     for row in record.loops:
         key = row.query, row.match
-        lines = _lines(matched[key]) if key in matched and pictured.shows(row) else np.empty((0, 4), np.int64)
+        pair = matched.get(key)
+        lines = _lines(pair) if pair and pictured.shows(row) else np.empty((0, 4), np.int64)
         rows.append(
             {
                 "query": int(row.query),
@@ -75,7 +76,7 @@ def evidence(record: DriveRecord, images: ImageSource, budget: int = BUDGET) -> 
                 "fate": verdict(row),
                 "title": headline(row),
                 "told": list(told(paradigm, row, stages.get(key, StageRow(*key)))),
-                "caption": _caption(row, len(lines), pictured),
+                "caption": _caption(row, pair, len(lines), pictured),
                 "lines": lines.ravel().tolist(),
             }
         )
@@ -143,13 +144,14 @@ def _lines(pair: MatchedPixels) -> NDArray[np.int64]:
     return np.rint(both[chosen]).astype(np.int64)
 
 
-def _caption(row: LoopRow, drawn: int, pictured: Album) -> str:
+def _caption(row: LoopRow, pair: MatchedPixels | None, drawn: int, pictured: Album) -> str:
     if not pictured.pictures:
         return "The images were not at hand when this page was made."
     if not pictured.shows(row):
         return "The images of this pair are not in this page, to keep it small."
     shown = f"Frame {row.query} above, frame {row.match} below."
-    if drawn:
-        some = "all" if drawn == row.inliers else f"{drawn}"
-        return f"{shown} Drawn: {some} of the {row.inliers} matches that agree with one relative pose."
-    return f"{shown} No match is drawn: no relative pose was {'found' if row.accepted else 'sought'}."
+    if pair is None or not drawn:
+        return f"{shown} No match is drawn: none is known that agrees with one geometry."
+    count = len(pair.pixels_query)
+    some = "all" if drawn == count else str(drawn)
+    return f"{shown} Drawn: {some} of the {count} matches that agree with {pair.agree_with}."
