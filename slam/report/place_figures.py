@@ -18,7 +18,7 @@ Ids = NDArray[np.int64]
 
 _PANEL = 4.6  # inches
 _CELLS = 600  # a side of a matrix as it is drawn: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, "#001d33"])
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
 # Colour and dashes of the curves: the dashes tell them apart where the colours do not.
 _LINES = (
@@ -120,7 +120,8 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
     if curves:
         title = "circle: highest recall without a false one"
         clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
-        ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
+        legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
+        legend.get_title().set_color(INK)
     else:
         ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
     return figure

@@ -235,6 +235,11 @@ def test_both_themes_can_be_read(page, theme):
 def test_a_phone_shows_everything_without_scrolling_aside(page):
     page.screen(390, 844)
     assert page.run("return document.documentElement.scrollWidth") <= 390
+    wider = page.run(
+        "return [...document.querySelectorAll('main > section')]"
+        ".map((part) => { part.scrollIntoView(); return part.scrollWidth - part.clientWidth; })"
+    )
+    assert wider == [0] * 6
     open_row(page, 110)
     left, right, inner, outer = page.run(
         "const box = document.querySelector('#pair'), { left, right } = box.getBoundingClientRect();"
