@@ -19,6 +19,7 @@ from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_tru
 from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
 from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
+from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
@@ -151,7 +152,7 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
 def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> dict[str, object]:
     errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    notes = places.notes | _notes("loops", loops)
+    notes = places.notes | _notes("loops", loops) | UNKNOWN
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
@@ -166,6 +167,7 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> d
         "frames_per_second": len(record.timestamps) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
+        "memory_mb": held_mb(finished.slam.parts),
         "interrupted": finished.interrupted,
         "notes": notes,
     }

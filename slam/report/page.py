@@ -65,7 +65,7 @@ def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str,
         maps=maps(record),
         places=places(record),
         charts=charts(record),
-        stages=stage_times(record),
+        stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
         pairs=some_pairs(kept(record), source),
         counts={"kept": len(kept(record)), "rejected": len(rejected(record))},
         ledger=[(row, verdict(row), ledger_cells(row)) for row in record.loops],
@@ -96,7 +96,6 @@ def _facts(record: DriveRecord) -> list[tuple[str, Cell]]:
         ("frames a second", cell(record, "frames_per_second", 1)),
         ("wall time", cell(record, "wall_seconds", 1, " s")),
         ("peak memory", cell(record, "peak_memory_mb", 0, " MB")),
-        ("map of places", _megabytes(record, "places.map_bytes")),
         ("predicted motions", Cell(str(int(np.count_nonzero(record.predicted))))),
     ]
 
@@ -104,8 +103,3 @@ def _facts(record: DriveRecord) -> list[tuple[str, Cell]]:
 def _notes(record: DriveRecord) -> list[tuple[str, str]]:
     notes = record.metrics.get("notes")
     return [(str(key), str(why)) for key, why in notes.items()] if isinstance(notes, Mapping) else []
-
-
-def _megabytes(record: DriveRecord, key: str) -> Cell:
-    found = value(record.metrics, key)
-    return Cell(f"{found / 1e6:.1f} MB") if isinstance(found, int | float) else cell(record, key)

@@ -122,6 +122,8 @@ def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path,
     assert f"<h1>{escape(HOSTILE)} 06</h1>" in report
     assert "<i id" not in report
     assert metrics["source"] == str(source)
+    assert metrics["memory_mb"]["place recognition"] == metrics["places"]["map_bytes"] / 1e6
+    assert all(0 < held < metrics["peak_memory_mb"] for held in metrics["memory_mb"].values() if held is not None)
     # and each loop that was proposed has its images, with where they agree
     evidence = json.loads(re.search(r'id="evidence">(.*?)</script>', report)[1])
     kept = [row for row in evidence["rows"] if row["fate"] == "kept"]

@@ -71,7 +71,9 @@ def metrics(frames):
         "loops": {"proposed": 19, "verified": 13, "kept": 13, "true": 13, "false": 0,
                   "precision": 1.0, "recall": 0.9},
         "timing_ms": {"total": {"median": 42.0, "p99": 81.0}}, "frames_per_second": 21.3, "wall_seconds": 9.4,
-        "peak_memory_mb": 512.0, "notes": {"odometry.t_rel_percent": "the drive is shorter than 800 m"},
+        "peak_memory_mb": 512.0,
+        "memory_mb": {"odometry": 3.2, "recognise": 61.5},
+        "notes": {"odometry.t_rel_percent": "the drive is shorter than 800 m"},
     }  # fmt: skip
 
 

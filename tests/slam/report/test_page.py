@@ -96,6 +96,11 @@ def test_what_is_not_known_is_a_dash_with_its_reason(whole):
     assert "odometry.t_rel_percent : the drive is shorter than 800 m" in Page(whole).text
 
 
+def test_each_stage_has_its_time_and_what_it_holds(whole):
+    assert re.search(r"odometry \d+\.\d \d+\.\d \d+ % 3\.2 recognise", Page(whole).text)
+    assert re.search(rf"verify \d+\.\d \d+\.\d \d+ % {MISSING} \(not computed\)", Page(whole).text)
+
+
 def test_table_headings_have_a_scope_and_tables_a_caption(whole):
     tags = Page(whole).tags
     assert all("scope" in attrs for tag, attrs in tags if tag == "th")
