@@ -3,7 +3,6 @@
 from place_recognition.evaluation.map_size import array_bytes, map_size
 from slam.system import Parts
 
-
 UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json
 
 
