@@ -60,6 +60,7 @@ def places_picture(
 def matrix_picture(matrix: Matrix) -> Figure:
     """Draw one matrix alone."""
     figure = new_figure(_PANEL + 0.9, _PANEL)
+    figure.set_layout_engine("compressed")  # the panel is square
     draw_matrix(figure.subplots(), matrix, "")
     return figure
 
