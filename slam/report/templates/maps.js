@@ -179,7 +179,9 @@
     }, { passive: false });
     let held = null;
     map.svg.addEventListener("pointerdown", (event) => {
-      held = view.width < whole.width ? under(map, event) : null;
+      const at = under(map, event);
+      if (at) choose(nearest(map, at)); // a finger does not hover
+      held = view.width < whole.width ? at : null;
       if (held) map.svg.setPointerCapture(event.pointerId);
     });
     map.svg.addEventListener("pointerup", () => { held = null; });

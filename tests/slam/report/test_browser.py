@@ -202,6 +202,11 @@ def test_the_frame_under_the_pointer_is_named_with_its_error_in_both_maps_at_any
         page.run(WHEEL, *page.run(END_OF_WAY, number), number)
 
 
+def test_a_finger_marks_a_frame(page):
+    page.run(END_OF_WAY.replace("pointermove", "pointerdown"), 0)
+    assert text(page, ".map output").startswith("Frame 199: ")
+
+
 def test_maps_zoom_together_by_button_key_and_wheel_and_show_all_again(page):
     widths = "return [...document.querySelectorAll('.inside')].map((map) => map.viewBox.baseVal.width)"
     whole = page.run(widths)
