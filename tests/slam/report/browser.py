@@ -53,11 +53,14 @@ class Browser:
         """Open a file and wait until it has been drawn. Returns the seconds that took."""
         self.loaded(), self.complaints()
         self.driver.get(path.absolute().as_uri())
-        drawn = (
+        return self.settle() / 1000
+
+    def settle(self) -> float:
+        """Wait until the page has done what is due, and has drawn it. Returns the milliseconds since it was opened."""
+        return self.driver.execute_async_script(
             "const done = arguments[0];"
             "requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now())));"
         )
-        return self.driver.execute_async_script(drawn) / 1000
 
     def run(self, script: str, *arguments: object) -> object:
         """What a script returns."""
@@ -86,3 +89,4 @@ class Browser:
     def press(self, *keys: str) -> None:
         """Press keys where the focus is."""
         self.driver.switch_to.active_element.send_keys(*keys)
+        self.settle()
