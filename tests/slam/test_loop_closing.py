@@ -182,6 +182,8 @@ def test_landmarks_in_one_corner_are_rejected() -> None:
     answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).close(1, 0)
     assert isinstance(answer, Rejection)
     assert "cells" in answer.reason
+    assert len(answer.pixels_query) == len(answer.pixels_match) == answer.inliers > 0
+    np.testing.assert_array_less(answer.pixels_match, [[250, 150]] * answer.inliers)
 
 
 def test_landmarks_come_back_in_the_camera_frame() -> None:
