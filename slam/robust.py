@@ -93,11 +93,8 @@ def _gnc(problem: LoopProblem, screening: Screening) -> Outcome:
 
 def _pcm(problem: LoopProblem, screening: Screening) -> Outcome:
     """Pairwise consistent loops among the gated ones, and least squares on them (Mangelson et al., ICRA 2018)."""
-    kept = screening.passed.copy()
-    rows = np.flatnonzero(kept)
-    if len(rows) > 1:
-        nats = np.maximum(screening.found.at(screening.scale)[rows], 1e-3)
-        kept[rows] = agreeing(screening.found.posterior, screening.found.loops[rows], nats, screening.scale)
+    kept = np.zeros(len(problem.loops), dtype=bool)
+    kept[agreeing(screening.found, np.flatnonzero(screening.passed), screening.scale)] = True
     return _leaning_on(problem, kept, problem.start)
 
 

@@ -17,6 +17,7 @@ Mask = NDArray[np.bool_]
 RATE = 0.05  # of false loops among those kept
 SECOND_RATE = 0.25 * RATE  # where a first test failed
 _NEAREST = 3  # of the loops left out that set the rate
+_TRUE_OUT = 0.02  # of the kept loops: as many true ones may have been left out, and nearer than any false one
 
 
 def chances(kept: Mask, before: Evidence, after: Evidence) -> Array:
@@ -27,9 +28,9 @@ def chances(kept: Mask, before: Evidence, after: Evidence) -> Array:
         before: evidence by odometry alone.
         after: evidence by odometry and the kept loops.
     """
-    chance = expected(before.chi2, before.chi2[~kept], before.dof)
+    chance = expected(before.volume, false_ones(before.volume, kept))
     supported = kept & after.supported
-    by_others = expected(after.chi2_without_itself, after.chi2[~kept], after.dof)
+    by_others = expected(after.volume_without_itself, false_ones(after.volume, kept))
     chance[supported] = np.minimum(chance, by_others)[supported]
     return chance
 
@@ -41,12 +42,17 @@ def lucky(kept: Mask, chance: Array, rate: float = RATE) -> Mask:
     return luck
 
 
-def expected(chi2: Array, false: Array, dof: int) -> Array:
-    """(M,) number of false loops to expect within each of M chi-squares, after those of known false ones."""
+def false_ones(volume: Array, kept: Mask) -> Array:
+    """Volumes of the loops left out, less the nearest that may be true."""
+    return np.sort(volume[~kept])[int(_TRUE_OUT * kept.sum()) :]
+
+
+def expected(volume: Array, false: Array) -> Array:
+    """(M,) number of false loops to expect within each of M volumes, after those of known false ones."""
     nearest = np.sort(false)[:_NEAREST]
     if not len(nearest):
-        return np.zeros(len(chi2))
-    return np.asarray(len(nearest) * (chi2 / max(float(nearest[-1]), np.finfo(float).tiny)) ** (0.5 * dof))
+        return np.zeros(len(volume))
+    return np.asarray(len(nearest) * volume / max(float(nearest[-1]), np.finfo(float).tiny))
 
 
 def discoveries(chance: Array, rate: float) -> Mask:

@@ -6,44 +6,58 @@ are weighed by the evidence for their loops and grown greedily, so that a crowd 
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import inverse
 from slam.pose_graph_posterior import Posterior
-from slam.robust_evidence import limit
+from slam.robust_evidence import Evidence, limit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 SEEDS = 150  # loops of which every pair is looked at; the others must agree with most of those found good
 _TAIL = 2.0  # on the limit: covariances are not quite known
 _SHARE = 0.8  # of the good seeds that another loop must agree with
+_NEAR = 8  # loops next to each other, itself included, that have a say on it
+_LEAST = 1e-3  # nats, of a weight
 _CHUNK = 3000  # pairs at a time: memory
 
 
-def agreeing(posterior: Posterior, loops: Edges, nats: Array, scale: float) -> Mask:
-    """(M,) the loops to believe together.
+def agreeing(found: Evidence, rows: Rows, scale: float) -> Rows:
+    """Those of the offered loops (M rows) to believe together.
 
     Args:
-        posterior: of the poses, without these loops.
-        loops: M edges.
-        nats: (M,) evidence for each, positive.
+        found: evidence for all loops by the rest of the graph.
+        rows: of the loops that are offered.
         scale: of all covariances.
     """
-    chosen = np.zeros(len(loops), dtype=bool)
-    seeds = np.argsort(-nats, kind="stable")[:SEEDS]
-    others = np.setdiff1d(np.arange(len(loops)), seeds)
-    bound = _TAIL * limit(loops.group.dof)
-    agree = pair_chi2(posterior, loops[seeds], loops[seeds], scale) <= bound
-    good = heaviest_clique(agree & agree.T, nats[seeds])
-    chosen[seeds[good]] = True
-    if len(others):
-        share = (pair_chi2(posterior, loops[others], loops[seeds[good]], scale) <= bound).mean(axis=1)
-        chosen[others] = share >= _SHARE
-    return chosen
+    nats = np.maximum(found.at(scale)[rows], _LEAST)
+    order = np.argsort(-nats, kind="stable")
+    seeds, others = rows[order[:SEEDS]], rows[np.sort(order[SEEDS:])]
+    agree = agreement(found, seeds, seeds, scale)
+    good = seeds[heaviest_clique(agree & agree.T, nats[order[:SEEDS]])]
+    share = agreement(found, others, good, scale).sum(axis=1)
+    return np.sort(np.concatenate([good, others[share >= _SHARE * len(good)]]))
 
 
-def heaviest_clique(agree: Mask, weights: Array) -> NDArray[np.int64]:
+def outvoted(found: Evidence, rows: Rows, scale: float) -> Rows:
+    """Those of the offered loops (M rows) against which more evidence speaks, of the loops next to each, than for them.
+
+    The others of a crowd agree with nearly everything far away; who is wrong shows close by.
+    """
+    if len(rows) < 2:
+        return rows[:0]
+    ends = np.column_stack([found.loops.first[rows], found.loops.second[rows]])
+    _, near = cKDTree(ends).query(ends, k=min(_NEAR, len(rows)))
+    one, other = np.repeat(np.arange(len(rows)), near.shape[1]), near.ravel()
+    agree = (_agree(found, rows[one], rows[other], scale) | (one == other)).reshape(near.shape)
+    nats = np.maximum(found.at(scale)[rows], _LEAST)
+    return rows[(np.where(agree, 1.0, -1.0) * nats[near]).sum(axis=1) < 0.0]
+
+
+def heaviest_clique(agree: Mask, weights: Array) -> Rows:
     """Members of a heavy clique, found greedily: always the vertex whose remaining neighbours weigh most.
 
     Args:
@@ -61,22 +75,31 @@ def heaviest_clique(agree: Mask, weights: Array) -> NDArray[np.int64]:
     return np.sort(np.array(members, dtype=np.int64))
 
 
-def pair_chi2(posterior: Posterior, ones: Edges, others: Edges, scale: float) -> Array:
-    """(A, B) chi-squares of the cycles through every two loops, covariances multiplied by a scale.
+def agreement(found: Evidence, ones: Rows, others: Rows, scale: float) -> Mask:
+    """(A, B) whether every two loops agree."""
+    a, b = np.repeat(ones, len(others)), np.tile(others, len(ones))
+    return _agree(found, a, b, scale).reshape(len(ones), len(others))
+
+
+def _agree(found: Evidence, a: Rows, b: Rows, scale: float) -> Mask:
+    """(P,) whether loops of P pairs agree, covariances multiplied by a scale.
+
+    Each of two that have nothing to do with one another adds what it misses the map by itself to their cycle:
+    that is no disagreement.
+    """
+    loops, parts = found.loops, range(0, len(a), _CHUNK)
+    cycles = [_cycle_chi2(found.posterior, loops[a[k : k + _CHUNK]], loops[b[k : k + _CHUNK]]) for k in parts]
+    bound = np.maximum(_TAIL * limit(found.dof) * scale, found.chi2[a] + found.chi2[b])
+    agree: Mask = np.concatenate([*cycles, np.zeros(0)]) <= bound
+    return agree
+
+
+def _cycle_chi2(posterior: Posterior, one: Edges, other: Edges) -> Array:
+    """(P,) chi-squares of the cycles through P pairs of loops.
 
     A cycle runs from the first loop's end back to it: first loop backwards, poses
     between the two starts, second loop, poses between the two ends.
     """
-    count = len(ones) * len(others)
-    a, b = np.divmod(np.arange(count), max(len(others), 1))
-    parts = [
-        _cycle_chi2(posterior, ones[a[at : at + _CHUNK]], others[b[at : at + _CHUNK]]) for at in range(0, count, _CHUNK)
-    ]
-    return np.concatenate([*parts, np.zeros(0)]).reshape(len(ones), len(others)) / scale
-
-
-def _cycle_chi2(posterior: Posterior, one: Edges, other: Edges) -> Array:
-    """(P,) chi-squares of the cycles through P pairs of loops."""
     poses, samples, adjoint = posterior.poses, posterior.samples, one.group.adjoint
     T_start_start = inverse(poses[one.first]) @ poses[other.first]
     T_end_end = inverse(poses[other.second]) @ poses[one.second]
