@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 
 _ROUNDS = 50
-_FEW = 0.03  # of the kept loops: so few more are no reason to wait with those less sure
+_FEW = 0.1  # of the kept loops: so few more are no reason to wait with those less sure
 _STILL = 0.002  # of the kept loops: so few that move are no reason to go on
 _FITS = 4
 _SCALE_STEPS = 10
@@ -88,7 +88,7 @@ def _converged(problem: LoopProblem, state: Consensus, screening: Screening) -> 
         if moving:
             state = replace(state, doubts=state.doubts + doubted)
             state = _changed(problem, state, screening, (state.kept & ~doubted) | offered)
-        if moving <= _STILL * state.kept.sum():
+        if moving <= _STILL * state.kept.sum() and not doubted.any():
             break
     return state
 

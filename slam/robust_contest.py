@@ -15,11 +15,13 @@ from slam.robust_problem import LoopProblem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MOST = 100  # contenders that are looked at
+MOST = 50  # contenders that are looked at
 
 
 def opponents(problem: LoopProblem, poses: Array, kept: Mask, contenders: NDArray[np.int64], bound: float) -> Mask:
     """(L,) kept loops that do not fit the map bent after one contender or another.
+
+    Not those of a contender that more loops stand against than all contenders are: no vote would go its way.
 
     Args:
         problem: the graph.
@@ -34,8 +36,9 @@ def opponents(problem: LoopProblem, poses: Array, kept: Mask, contenders: NDArra
     bends = _bends(problem.using(kept), poses, loops[contenders[:MOST]])
     moved = jacobian_of_errors(poses, loops[rows])[:, dof:] @ bends
     errors = loops[rows].errors(poses)[:, :, None] + moved.reshape(len(rows), dof, -1)
-    chi2 = np.square(loops[rows].root @ errors).sum(axis=1)
-    against[rows] = (chi2 > bound).any(axis=1)
+    unfit = np.square(loops[rows].root @ errors).sum(axis=1) > bound
+    outnumbered = unfit.sum(axis=0) > len(contenders)
+    against[rows] = unfit[:, ~outnumbered].any(axis=1)
     return against
 
 
