@@ -15,7 +15,7 @@ from slam.robust_problem import LoopProblem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MOST = 50  # contenders that are looked at
+MOST = 30  # contenders that are looked at
 
 
 def opponents(problem: LoopProblem, poses: Array, kept: Mask, contenders: NDArray[np.int64], bound: float) -> Mask:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
-FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
+FREEDOM = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
 _HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
