@@ -9,7 +9,7 @@ from slam.robust_chance import SECOND_RATE, chances, expected, false_ones, lucky
 from slam.robust_contest import opponents
 from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, evidence, limit
 from slam.robust_gnc import fitted_poses, graduated
-from slam.robust_pcm import agreeing, outvoted
+from slam.robust_pcm import SEEDS, agreeing, in_company, outvoted
 from slam.robust_problem import LoopProblem
 from slam.robust_screening import Screening
 
@@ -118,9 +118,11 @@ def _offered(state: Consensus) -> Mask:
     """Loops that are next, of one mind: loops left out next to them do not speak against them."""
     offered, scale = state.thrown < _CHANCES, state.predicting
     offered &= ~state.kept
-    able = np.flatnonzero(offered & (state.found.at(scale) > LEAST_EVIDENCE))
+    able = np.flatnonzero(offered & (state.found.at(scale) > 0.0))
     offered[outvoted(state.found, able, scale)] = False
     rows = np.flatnonzero(_surest(state, offered))
+    if not len(rows):
+        rows = _in_company(state, able)
     offered[:] = False
     offered[agreeing(state.found, rows, scale)] = True
     return offered
@@ -137,6 +139,13 @@ def _surest(state: Consensus, able: Mask) -> Mask:
         if surest.sum() > _FEW * state.kept.sum():
             return surest
     return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not surest.any() else surest
+
+
+def _in_company(state: Consensus, able: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Loops of which each by itself could be luck, but not two at once."""
+    nats = state.found.at(state.predicting)[able]
+    able = able[np.argsort(-nats, kind="stable")[:SEEDS]]
+    return able[in_company(state.found, able, state.predicting) > LEAST_EVIDENCE]
 
 
 def _doubted(state: Consensus, allowed: Mask) -> Mask:

@@ -59,11 +59,11 @@ class Evidence:
 
     def at(self, scale: float) -> Array:
         """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
-        return self._nats(self.chi2, _log_det(self.spread + self.loops.covariance), scale)
+        return self.nats(self.chi2, _log_det(self.spread + self.loops.covariance), scale)
 
     def alone(self, scale: float) -> Array:
         """(L,) nats where the prediction is taken for the truth, so that only the loop's own error is left."""
-        return self._nats(_squared(self.loops.covariance, self.errors), _log_det(self.loops.covariance), scale)
+        return self.nats(_squared(self.loops.covariance, self.errors), _log_det(self.loops.covariance), scale)
 
     def without_itself(self, scale: float) -> Array:
         """(L,) nats in favour of each loop that the graph leans on, by the graph without that loop.
@@ -72,7 +72,7 @@ class Evidence:
         R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
         """
         log_det = _log_det(self.loops.covariance) - np.log(self._left).sum(axis=1)
-        return self._nats(self.chi2_without_itself, log_det, scale)
+        return self.nats(self.chi2_without_itself, log_det, scale)
 
     @cached_property
     def chi2_without_itself(self) -> Array:
@@ -117,7 +117,8 @@ class Evidence:
         values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
         return values / self.posterior.inflation, vectors
 
-    def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
+    def nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
+        """(M,) nats in favour of errors with these chi-squares and log-determinants, covariances times a scale."""
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
         nats = self.log_volume - spread + log_density(chi2 / scale, self.dof)
         return np.where(chi2 <= scale * farthest(self.dof), nats, -np.inf)

@@ -21,6 +21,7 @@ SEEDS = 150  # loops of which every pair is looked at; the others must agree wit
 _TAIL = 2.0  # on the limit: covariances are not quite known
 _SHARE = 0.8  # of the good seeds that another loop must agree with
 _NEAR = 8  # loops next to each other, itself included, that have a say on it
+_RUN = 100  # poses between two loops, at both ends, that cannot be of one run of false ones
 _LEAST = 1e-3  # nats, of a weight
 _CHUNK = 3000  # pairs at a time: memory
 
@@ -87,15 +88,35 @@ def _agree(found: Evidence, a: Rows, b: Rows, scale: float) -> Mask:
     Each of two that have nothing to do with one another adds what it misses the map by itself to their cycle:
     that is no disagreement.
     """
-    loops, parts = found.loops, range(0, len(a), _CHUNK)
-    cycles = [_cycle_chi2(found.posterior, loops[a[k : k + _CHUNK]], loops[b[k : k + _CHUNK]]) for k in parts]
     bound = np.maximum(_TAIL * limit(found.dof) * scale, found.chi2[a] + found.chi2[b])
-    agree: Mask = np.concatenate([*cycles, np.zeros(0)]) <= bound
+    agree: Mask = _cycles(found, a, b)[0] <= bound
     return agree
 
 
-def _cycle_chi2(posterior: Posterior, one: Edges, other: Edges) -> Array:
-    """(P,) chi-squares of the cycles through P pairs of loops.
+def in_company(found: Evidence, rows: Rows, scale: float) -> Array:
+    """(M,) nats in favour of each loop (M rows) together with one other, the best of all that lie well apart.
+
+    False loops come in runs that agree with one another, so a neighbour proves nothing.
+    """
+    nats, grid = found.at(scale)[rows], (len(rows), len(rows))
+    ends = np.column_stack([found.loops.first[rows], found.loops.second[rows]])
+    apart = np.abs(ends[:, None] - ends).min(axis=2) > _RUN
+    a, b = np.nonzero(apart)
+    given = np.full(grid, -np.inf)
+    given[a, b] = found.nats(*_cycles(found, rows[a], rows[b]), scale)
+    return np.asarray(nats + given.max(axis=1, initial=-np.inf) - np.log(max(len(rows), 1)))
+
+
+def _cycles(found: Evidence, a: Rows, b: Rows) -> tuple[Array, Array]:
+    """Chi-squares (P,) of the cycles through P pairs of loops, and log-determinants of their covariances."""
+    loops, parts = found.loops, range(0, len(a), _CHUNK)
+    pairs = [_cycle(found.posterior, loops[a[k : k + _CHUNK]], loops[b[k : k + _CHUNK]]) for k in parts]
+    none = np.zeros(0)
+    return np.concatenate([*(pair[0] for pair in pairs), none]), np.concatenate([*(pair[1] for pair in pairs), none])
+
+
+def _cycle(posterior: Posterior, one: Edges, other: Edges) -> tuple[Array, Array]:
+    """Chi-squares (P,) of the cycles through P pairs of loops, and log-determinants of their covariances.
 
     A cycle runs from the first loop's end back to it: first loop backwards, poses
     between the two starts, second loop, poses between the two ends.
@@ -117,4 +138,4 @@ def _cycle_chi2(posterior: Posterior, one: Edges, other: Edges) -> Array:
     covariance = moved @ np.swapaxes(moved, 1, 2) / (count - dof - 1) + measured
     error = one.group.log(inverse(one.motions) @ T_start_start @ other_then_end)
     solved: Array = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return (error * solved).sum(axis=1)
+    return (error * solved).sum(axis=1), np.linalg.slogdet(covariance)[1]
