@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from slam.robust_chance import SECOND_RATE, chances, expected, false_ones, lucky
 from slam.robust_contest import opponents
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, evidence, limit
+from slam.robust_evidence import LEAST_EVIDENCE, Evidence, evidence, freedom_of, limit
 from slam.robust_gnc import fitted_poses, graduated
 from slam.robust_pcm import SEEDS, agreeing, in_company, outvoted
 from slam.robust_problem import LoopProblem
@@ -99,7 +99,9 @@ def _changed(problem: LoopProblem, state: Consensus, screening: Screening, use: 
     after = replace(after, thrown=state.thrown + (use & ~after.kept))
     if not after.kept.any():
         return replace(_empty(problem, screening), thrown=after.thrown, doubts=after.doubts)
-    return replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
+    found = evidence(after.poses, problem.using(after.kept), problem.loops)
+    freedom = freedom_of(found.chi2_without_itself[after.kept], found.dof)
+    return replace(after, found=replace(found, freedom=freedom))
 
 
 def _by_luck(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
@@ -168,7 +170,7 @@ def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
     """Fit to the loops in use, throw out what does not fit, and learn the scale of what does."""
     poses, kept = fitted_poses(problem, use, state.poses), use
     for _ in range(_FITS):
-        fitted = _fitted(problem, poses, kept, state.scale)
+        fitted = _fitted(problem, state, poses, kept)
         fits = kept & _fits(problem, poses, state.found, fitted)
         if np.array_equal(fits, kept):
             break
@@ -185,18 +187,19 @@ def _fits(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> 
     return at_fit.alone(scale) > LEAST_EVIDENCE
 
 
-def _fitted(problem: LoopProblem, poses: Array, kept: Mask, first: float) -> float:
+def _fitted(problem: LoopProblem, state: Consensus, poses: Array, kept: Mask) -> float:
     """Variance factor of the fit, drawn to a first guess while loops are few.
 
     Chi-square over redundancy, where loops in the tail count less (Student's distribution; Lange et al., 1989).
     """
+    first, freedom = state.scale, state.found.freedom
     chi2, dof = problem.loops.chi2(poses)[kept], problem.loops.group.dof
     if not len(chi2):
         return first
     factor = max(float(np.median(chi2)) / dof, 1e-9 * first)
     trusted = float(problem.trusted.chi2(poses).sum())
     for _ in range(_SCALE_STEPS):
-        loops = float(((FREEDOM + dof) / (FREEDOM + chi2 / factor) * chi2).sum())
+        loops = float(((freedom + dof) / (freedom + chi2 / factor) * chi2).sum())
         factor = max((loops + min(trusted, _MOST_BENT * loops)) / (dof * len(chi2)), 1e-9 * first)
     share = len(chi2) / (_PRIOR_LOOPS + len(chi2))
     return float(factor**share * first ** (1.0 - share))

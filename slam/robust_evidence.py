@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
 FREEDOM = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
+_FREEDOMS = FREEDOM * 2.0 ** np.arange(0.0, 5.0)  # that the loops in use may turn out to have
+_SCALE_STEPS = 10
 _NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
 _HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
@@ -39,6 +41,7 @@ class Evidence:
         spread: (L, dof, dof) covariance of what the graph predicts, at scale one.
         log_volume: of all relative poses that the map allows.
         posterior: of the poses, by the graph.
+        freedom: of the tails of true loops' errors.
     """
 
     loops: Edges
@@ -46,6 +49,7 @@ class Evidence:
     spread: Array
     log_volume: float
     posterior: Posterior
+    freedom: float = FREEDOM
 
     @property
     def dof(self) -> int:
@@ -120,15 +124,33 @@ class Evidence:
     def nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
         """(M,) nats in favour of errors with these chi-squares and log-determinants, covariances times a scale."""
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
-        nats = self.log_volume - spread + log_density(chi2 / scale, self.dof)
-        return np.where(chi2 <= scale * farthest(self.dof), nats, -np.inf)
+        nats = self.log_volume - spread + log_density(chi2 / scale, self.dof, self.freedom)
+        return np.where(chi2 <= scale * farthest(self.dof, self.freedom), nats, -np.inf)
 
 
-def log_density(chi2: Array, dof: int) -> Array:
+def log_density(chi2: Array, dof: int, freedom: float) -> Array:
     """Logarithm of Student's density of errors with these chi-squares, less that of a Gaussian at its centre."""
-    half = 0.5 * (FREEDOM + dof)
-    peak = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dof * np.log(0.5 * FREEDOM)
-    return np.asarray(peak - half * np.log1p(chi2 / FREEDOM))
+    half = 0.5 * (freedom + dof)
+    peak = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * dof * np.log(0.5 * freedom)
+    return np.asarray(peak - half * np.log1p(chi2 / freedom))
+
+
+def student_scale(chi2: Array, dof: int, freedom: float) -> float:
+    """Variance factor under which chi-squares are likeliest Student's (Lange et al., JASA 1989)."""
+    factor = max(float(np.median(chi2)) / dof, np.finfo(float).tiny)
+    for _ in range(_SCALE_STEPS):
+        factor = float(((freedom + dof) / (freedom + chi2 / factor) * chi2).mean()) / dof
+    return max(factor, np.finfo(float).tiny)
+
+
+def freedom_of(chi2: Array, dof: int) -> float:
+    """How light the tails of errors are that have these chi-squares (M,), the heaviest if all are alike."""
+
+    def score(freedom: float) -> float:
+        scale = student_scale(chi2, dof, freedom)
+        return float((log_density(chi2 / scale, dof, freedom) - 0.5 * dof * np.log(scale)).sum())
+
+    return float(max(_FREEDOMS, key=score))
 
 
 def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
@@ -152,9 +174,9 @@ def limit(dof: int) -> float:
     return float(chi2_distribution.ppf(CONFIDENCE, dof))
 
 
-def farthest(dof: int) -> float:
+def farthest(dof: int, freedom: float) -> float:
     """Chi-square beyond which no volume is large enough to make a loop true: Student's tail ends here."""
-    return float(dof * f_distribution.isf(_NEVER, dof, FREEDOM))
+    return float(dof * f_distribution.isf(_NEVER, dof, freedom))
 
 
 def log_volume(poses: Array) -> float:
