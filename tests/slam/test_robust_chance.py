@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.robust_chance import discoveries, expected
+from slam.robust_chance import discoveries, expected, false_ones
 
 
 def test_false_loops_fill_the_space_of_errors_evenly() -> None:
@@ -11,19 +11,25 @@ def test_false_loops_fill_the_space_of_errors_evenly() -> None:
     found = []
     for _ in range(200):
         errors = rng.uniform(-20.0, 20.0, size=(300, 3))
-        chi2 = np.square(errors).sum(axis=1)
-        found.append(expected(np.array([16.0]), chi2, 3)[0])
+        volume = np.linalg.norm(errors, axis=1) ** 3
+        found.append(expected(np.array([4.0**3]), volume)[0])
     inside = 300 * 4.0 / 3.0 * np.pi * 4.0**3 / 40.0**3
     assert np.median(found) == pytest.approx(inside, rel=0.25)
 
 
 def test_without_a_loop_left_out_nothing_is_luck() -> None:
-    np.testing.assert_array_equal(expected(np.array([1.0, 50.0]), np.zeros(0), 3), 0.0)
+    np.testing.assert_array_equal(expected(np.array([1.0, 50.0]), np.zeros(0)), 0.0)
 
 
 def test_the_chance_of_all_errors_grows_alike_with_their_scale() -> None:
-    chi2, false = np.array([1.0, 7.0]), np.array([30.0, 90.0, 40.0, 55.0])
-    np.testing.assert_allclose(expected(16 * chi2, 16 * false, 6), expected(chi2, false, 6))
+    volume, false = np.array([1.0, 7.0]), np.array([30.0, 90.0, 40.0, 55.0])
+    np.testing.assert_allclose(expected(16 * volume, 16 * false), expected(volume, false))
+
+
+def test_where_many_are_kept_the_nearest_left_out_may_be_true() -> None:
+    volume, kept = np.arange(120.0), np.arange(120) < 100
+    np.testing.assert_array_equal(false_ones(volume, kept), np.arange(102.0, 120.0))
+    np.testing.assert_array_equal(false_ones(volume, ~kept), np.arange(100.0))
 
 
 def test_a_doubtful_loop_passes_in_good_company_only() -> None:
