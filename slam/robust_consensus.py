@@ -120,11 +120,12 @@ def _offered(state: Consensus) -> Mask:
     """Loops that are next, of one mind: loops left out next to them do not speak against them."""
     offered, scale = state.thrown < _CHANCES, state.predicting
     offered &= ~state.kept
-    able = np.flatnonzero(offered & (state.found.at(scale) > 0.0))
-    offered[outvoted(state.found, able, scale)] = False
+    able = np.flatnonzero(offered & (state.found.at(scale) > -LEAST_EVIDENCE))
+    against = outvoted(state.found, able, scale)
+    offered[against] = False
     rows = np.flatnonzero(_surest(state, offered))
     if not len(rows):
-        rows = _in_company(state, able)
+        rows = _in_company(state, np.setdiff1d(able, against))
     offered[:] = False
     offered[agreeing(state.found, rows, scale)] = True
     return offered
@@ -144,10 +145,11 @@ def _surest(state: Consensus, able: Mask) -> Mask:
 
 
 def _in_company(state: Consensus, able: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Loops of which each by itself could be luck, but not two at once."""
+    """Loops of which each by itself could be luck, but not the best of all pairs."""
     nats = state.found.at(state.predicting)[able]
+    pairs = 2.0 * np.log(max(len(able), 1)) - np.log(2.0)
     able = able[np.argsort(-nats, kind="stable")[:SEEDS]]
-    return able[in_company(state.found, able, state.predicting) > LEAST_EVIDENCE]
+    return able[in_company(state.found, able, state.predicting) > LEAST_EVIDENCE + pairs]
 
 
 def _doubted(state: Consensus, allowed: Mask) -> Mask:
@@ -161,7 +163,7 @@ def _challenged(problem: LoopProblem, state: Consensus, screening: Screening) ->
     """Kept loops that shut out others for which odometry alone speaks: put aside, they must compete with them."""
     nats = np.where(state.kept, -np.inf, screening.found.at(screening.scale))
     contenders = np.argsort(-nats, kind="stable")[: int((nats > LEAST_EVIDENCE).sum())]
-    if not len(contenders):
+    if not len(contenders) or not state.kept.any():
         return np.zeros_like(state.kept)
     return opponents(problem, state.poses, state.kept, contenders, limit(state.found.dof) * state.fitted)
 

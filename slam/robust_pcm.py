@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import inverse
 from slam.pose_graph_posterior import Posterior
-from slam.robust_evidence import Evidence, limit
+from slam.robust_evidence import LEAST_EVIDENCE, Evidence, limit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -54,8 +54,8 @@ def outvoted(found: Evidence, rows: Rows, scale: float) -> Rows:
     _, near = cKDTree(ends).query(ends, k=min(_NEAR, len(rows)))
     one, other = np.repeat(np.arange(len(rows)), near.shape[1]), near.ravel()
     agree = (_agree(found, rows[one], rows[other], scale) | (one == other)).reshape(near.shape)
-    nats = np.maximum(found.at(scale)[rows], _LEAST)
-    return rows[(np.where(agree, 1.0, -1.0) * nats[near]).sum(axis=1) < 0.0]
+    say = found.at(scale)[rows] + LEAST_EVIDENCE  # none for a loop that is as good as excluded
+    return rows[(np.where(agree, 1.0, -1.0) * say[near]).sum(axis=1) < 0.0]
 
 
 def heaviest_clique(agree: Mask, weights: Array) -> Rows:
@@ -104,7 +104,7 @@ def in_company(found: Evidence, rows: Rows, scale: float) -> Array:
     a, b = np.nonzero(apart)
     given = np.full(grid, -np.inf)
     given[a, b] = found.nats(*_cycles(found, rows[a], rows[b]), scale)
-    return np.asarray(nats + given.max(axis=1, initial=-np.inf) - np.log(max(len(rows), 1)))
+    return np.asarray(nats + given.max(axis=1, initial=-np.inf))
 
 
 def _cycles(found: Evidence, a: Rows, b: Rows) -> tuple[Array, Array]:
