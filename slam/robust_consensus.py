@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_chance import SECOND_RATE, chances, expected, false_ones, lucky
+from slam.robust_chance import SECOND_RATE, expected, lucky
 from slam.robust_contest import opponents
 from slam.robust_evidence import LEAST_EVIDENCE, Evidence, evidence, freedom_of, limit
 from slam.robust_gnc import fitted_poses, graduated
-from slam.robust_pcm import SEEDS, agreeing, in_company, outvoted
+from slam.robust_pcm import SEEDS, agreeing, fitting, in_company, outvoted
 from slam.robust_problem import LoopProblem
 from slam.robust_screening import Screening
 
@@ -105,15 +105,17 @@ def _changed(problem: LoopProblem, state: Consensus, screening: Screening, use: 
 
 
 def _by_luck(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
-    """Kept loops that may be in by luck, if the map without them speaks for them no better."""
-    kept, chance = state.kept, chances(state.kept, screening.found, state.found)
+    """Kept loops that may be in by luck, by all that speaks for them: odometry, others, the map without them."""
+    kept, scale = state.kept, state.predicting
+    chance = expected(screening.found.at(screening.scale), kept)
+    by_others = expected(np.where(kept, state.found.without_itself(scale), state.found.at(scale)), kept)
+    chance = np.where(kept & state.found.supported, np.minimum(chance, by_others), chance)
     luck = lucky(kept, chance)
     if not luck.any():
         return luck
-    without = _settled(problem, state, kept & ~luck)
-    found = evidence(without.poses, problem.using(without.kept), problem.loops)
-    chance[luck] = np.minimum(chance, expected(found.volume, false_ones(found.volume, kept)))[luck]
-    return lucky(kept, chance, SECOND_RATE)
+    without = _changed(problem, state, screening, kept & ~luck)
+    left = expected(without.found.at(without.predicting), kept)
+    return lucky(kept, np.where(luck, np.minimum(chance, left), chance), SECOND_RATE)
 
 
 def _offered(state: Consensus) -> Mask:
@@ -121,11 +123,10 @@ def _offered(state: Consensus) -> Mask:
     offered, scale = state.thrown < _CHANCES, state.predicting
     offered &= ~state.kept
     able = np.flatnonzero(offered & (state.found.at(scale) > -LEAST_EVIDENCE))
-    against = outvoted(state.found, able, scale)
-    offered[against] = False
+    offered[outvoted(state.found, able, scale)] = False
     rows = np.flatnonzero(_surest(state, offered))
     if not len(rows):
-        rows = _in_company(state, np.setdiff1d(able, against))
+        rows = _in_company(state, np.flatnonzero(offered & fitting(state.found, scale)))
     offered[:] = False
     offered[agreeing(state.found, rows, scale)] = True
     return offered

@@ -85,20 +85,6 @@ class Evidence:
         return np.asarray((np.square(errors) / self._left).sum(axis=1))
 
     @property
-    def volume(self) -> Array:
-        """(L,) of the errors that are no larger than each loop's, up to a constant that all share."""
-        return self._volume(self.chi2, _log_det(self.spread + self.loops.covariance))
-
-    @property
-    def volume_without_itself(self) -> Array:
-        """(L,) the same for loops that the graph leans on, by the graph without that loop."""
-        log_det = _log_det(self.loops.covariance) - np.log(self._left).sum(axis=1)
-        return self._volume(self.chi2_without_itself, log_det)
-
-    def _volume(self, chi2: Array, log_det: Array) -> Array:
-        return np.asarray(np.exp(0.5 * log_det) * chi2 ** (0.5 * self.dof))
-
-    @property
     def supported(self) -> NDArray[np.bool_]:
         """(L,) loops in use of which others say as much, in some direction, as the loops themselves."""
         enough: NDArray[np.bool_] = self.reliance < _HALF

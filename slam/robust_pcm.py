@@ -93,6 +93,12 @@ def _agree(found: Evidence, a: Rows, b: Rows, scale: float) -> Mask:
     return agree
 
 
+def fitting(found: Evidence, scale: float) -> Mask:
+    """(L,) loops that the rest of the graph does not contradict, be it for want of knowledge."""
+    fits: Mask = found.chi2 <= _TAIL * limit(found.dof) * scale
+    return fits
+
+
 def in_company(found: Evidence, rows: Rows, scale: float) -> Array:
     """(M,) nats in favour of each loop (M rows) together with one other, the best of all that lie well apart.
 
