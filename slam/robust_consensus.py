@@ -20,6 +20,7 @@ Counts = NDArray[np.int64]
 _ROUNDS = 50
 _FEW = 0.1  # of the kept loops: so few more are no reason to wait with those less sure
 _STILL = 0.002  # of the kept loops: so few that move are no reason to go on
+_MANY = 100  # loops, of which one in a hundred can be told
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
@@ -100,8 +101,9 @@ def _changed(problem: LoopProblem, state: Consensus, screening: Screening, use: 
     if not after.kept.any():
         return replace(_empty(problem, screening), thrown=after.thrown, doubts=after.doubts)
     found = evidence(after.poses, problem.using(after.kept), problem.loops)
-    freedom = freedom_of(found.chi2_without_itself[after.kept], found.dof)
-    return replace(after, found=replace(found, freedom=freedom))
+    chi2 = found.chi2_without_itself[after.kept]
+    rare = float(np.quantile(chi2, 0.99)) / after.fitted if len(chi2) >= _MANY else 0.0
+    return replace(after, found=replace(found, freedom=freedom_of(chi2, found.dof), rare=rare))
 
 
 def _by_luck(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:

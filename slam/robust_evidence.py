@@ -24,8 +24,10 @@ CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
 FREEDOM = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _FREEDOMS = FREEDOM * 2.0 ** np.arange(0.0, 5.0)  # that the loops in use may turn out to have
+_ORDINARY = 10.0  # degrees of freedom of ordinary errors
+_TWICE_AS_FAR = 4.0  # in chi-square
 _SCALE_STEPS = 10
-_NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
+_NEVER = 1e-4  # share of true loops that lie beyond the farthest that is believed
 _HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
@@ -42,6 +44,7 @@ class Evidence:
         log_volume: of all relative poses that the map allows.
         posterior: of the poses, by the graph.
         freedom: of the tails of true loops' errors.
+        rare: chi-square that one in a hundred of the loops in use exceeds, in units of the scale.
     """
 
     loops: Edges
@@ -50,6 +53,7 @@ class Evidence:
     log_volume: float
     posterior: Posterior
     freedom: float = FREEDOM
+    rare: float = 0.0
 
     @property
     def dof(self) -> int:
@@ -111,7 +115,8 @@ class Evidence:
         """(M,) nats in favour of errors with these chi-squares and log-determinants, covariances times a scale."""
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
         nats = self.log_volume - spread + log_density(chi2 / scale, self.dof, self.freedom)
-        return np.where(chi2 <= scale * farthest(self.dof, self.freedom), nats, -np.inf)
+        bound = max(farthest(self.dof), _TWICE_AS_FAR * self.rare)
+        return np.where(chi2 <= scale * bound, nats, -np.inf)
 
 
 def log_density(chi2: Array, dof: int, freedom: float) -> Array:
@@ -160,9 +165,9 @@ def limit(dof: int) -> float:
     return float(chi2_distribution.ppf(CONFIDENCE, dof))
 
 
-def farthest(dof: int, freedom: float) -> float:
-    """Chi-square beyond which no volume is large enough to make a loop true: Student's tail ends here."""
-    return float(dof * f_distribution.isf(_NEVER, dof, freedom))
+def farthest(dof: int) -> float:
+    """Chi-square beyond which no volume is large enough to make a loop true, unless those in use go as far."""
+    return float(dof * f_distribution.isf(_NEVER, dof, _ORDINARY))
 
 
 def log_volume(poses: Array) -> float:
