@@ -84,7 +84,7 @@ def _converged(problem: LoopProblem, state: Consensus, screening: Screening) -> 
     """Let loops in and put doubted ones aside until hardly any is left to move."""
     for left in reversed(range(_ROUNDS)):
         offered = _offered(state)
-        doubted = _doubted(state, state.doubts < _CHANCES) if left else state.kept & False
+        doubted = _doubted(state, state.doubts < _CHANCES) if left else np.zeros_like(state.kept)
         moving = int((offered | doubted).sum())
         if moving:
             state = replace(state, doubts=state.doubts + doubted)
