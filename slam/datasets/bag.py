@@ -1,0 +1,187 @@
+"""Drives in ROS bags: which topics are the cameras, and what is known of them."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.camera import StereoCamera
+from slam.datasets.assembly import Eye, Recording, assemble
+from slam.datasets.bag_file import Bag, open_topic, read_bag
+from slam.datasets.camera_drive import CameraDrive
+from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
+from slam.datasets.left_images import ImageRecording, RawImages, left_images
+from slam.datasets.rectification import (
+    NOMINAL_BASELINE,
+    AsItIs,
+    Rectification,
+    Size,
+    Straightened,
+    View,
+    rectify_alike,
+)
+from slam.datasets.ros_messages import Calibration
+from slam.datasets.source import Source
+from slam.datasets.stamped import check_increasing
+from slam.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Which topics are the cameras.
+
+    Attributes:
+        left: images of the left camera, or of the only one.
+        right: of the right one, or None.
+    """
+
+    left: str
+    right: str | None = None
+
+
+def open_bag(source: Source) -> CameraDrive:
+    """Open a bag and check everything but the images themselves.
+
+    Calibration comes from a `camera.toml` beside the bag where there is one, else from the bag's CameraInfo.
+
+    Raises:
+        DataError: one line that names the file, what was expected and found, and the remedy.
+    """
+    bag, file = read_bag(source.path), source.path.parent / NAME
+    settings = read_camera_file(file) if file.is_file() else None
+    topics = choose_topics(bag, wanted(source, settings))
+    left = open_eye(bag.path, topics.left)
+    right = None if topics.right is None else open_eye(bag.path, topics.right)
+    remarks: tuple[str, ...] = ()
+    if right is not None and not _is_pair(bag, topics, settings):
+        right, remarks = None, ("neither CameraInfo nor camera.toml has a baseline: the left camera alone is used",)
+    recording = Recording(source.path.stem, left, right, remarks=remarks)
+    if settings is not None:
+        return assemble(recording, settings.rectification)
+    return assemble(recording, lambda size: _rectify(bag, topics, size))
+
+
+def left_of_bag(source: Source) -> ImageRecording:
+    """What the left camera saw, straightened where the bag or a `camera.toml` says how.
+
+    Raises:
+        DataError: there are no images, or the bag is damaged.
+    """
+    bag, file = read_bag(source.path), source.path.parent / NAME
+    settings = read_camera_file(file) if file.is_file() else None
+    topics = choose_topics(bag, wanted(source, settings))
+    if settings is not None or _info(bag, topics.left) is not None:
+        return left_images(open_bag(replace(source, topics=(topics.left,))))
+    eye = open_eye(bag.path, topics.left)
+    return RawImages(source.path.stem, eye.images, eye.times)
+
+
+def wanted(source: Source, settings: CameraFile | None) -> tuple[str, ...]:
+    """Topics that somebody has named."""
+    if source.topics or settings is None:
+        return source.topics
+    return tuple(topic for topic in (settings.left, settings.right) if topic)
+
+
+def open_eye(path: Path, topic: str) -> Eye:
+    """Open the images of a topic.
+
+    Raises:
+        DataError: they cannot be read, or their times do not increase.
+    """
+    images = open_topic(path, topic)
+    check_increasing(Path(f"{path}, {topic}"), images.timestamps)
+    return Eye(images, images.timestamps)
+
+
+def choose_topics(bag: Bag, named: tuple[str, ...]) -> Topics:
+    """The cameras that were named, else the only one, else the pair that names or calibration make plain.
+
+    Raises:
+        DataError: there are no images, or nothing says which topics to take.
+    """
+    if named:
+        return Topics(*named)
+    topics = tuple(bag.images)
+    if len(topics) == 1:
+        return Topics(topics[0])
+    rectified = tuple(topic for topic in topics if "rect" in topic)
+    for some in (rectified, topics):
+        pairs = [pair for left in some if (pair := _pair_of(left, some)) is not None]
+        if len(pairs) == 1:
+            return pairs[0]
+    found = ", ".join(f"{topic} ({count})" for topic, count in bag.images.items()) or "no images"
+    raise DataError(f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --topic")
+
+
+def _pair_of(left: str, topics: tuple[str, ...]) -> Topics | None:
+    """The pair whose names differ in nothing but left and right, or 0 and 1."""
+    for one, other in (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1")):
+        right = left.replace(one, other)
+        if right != left and right in topics:
+            return Topics(left, right)
+    return None
+
+
+def _info(bag: Bag, topic: str) -> Calibration | None:
+    """Calibration in the image topic's own namespace: /left/image_raw and /left/camera_info."""
+    namespace = topic.rsplit("/", 1)[0]
+    while namespace:
+        if f"{namespace}/camera_info" in bag.calibrations:
+            return bag.calibrations[f"{namespace}/camera_info"]
+        namespace = namespace.rsplit("/", 1)[0]
+    only = list(bag.calibrations.values())
+    return only[0] if len(only) == 1 else bag.calibrations.get("/camera_info")
+
+
+def _is_pair(bag: Bag, topics: Topics, settings: CameraFile | None) -> bool:
+    if settings is not None:
+        return settings.is_pair
+    right = None if topics.right is None else _info(bag, topics.right)
+    return right is not None and right.to_right != 0
+
+
+def _rectify(bag: Bag, topics: Topics, size: Size) -> Rectification:
+    left, right = _calibration(bag, topics.left), None if topics.right is None else _info(bag, topics.right)
+    try:
+        _check_size(left, size)
+        if not left.rectified:
+            return rectify_alike(left.lens, size)
+        paired = right is not None and right.to_right != 0
+        baseline = right.to_right - left.to_right if right is not None and paired else NOMINAL_BASELINE
+        P = left.P
+        camera = StereoCamera(P[0, 0], P[1, 1], P[0, 2], P[1, 2], baseline, *size)
+    except ValueError as error:
+        raise DataError(f"{bag.path}: CameraInfo of {topics.left}: {error}; are left and right swapped?") from None
+    view = _view(topics.left, left, camera)
+    other = _view(topics.right, right, camera) if topics.right and right is not None else view
+    R_camera_view = np.eye(3) if isinstance(view, AsItIs) else left.R_view_camera.T
+    return Rectification(camera, view, other, se3.pose(R_camera_view, np.zeros(3)))
+
+
+def _view(topic: str, info: Calibration, camera: StereoCamera) -> View:
+    """What becomes of the images of a topic: nothing where its name says that it was done already."""
+    turned = not np.allclose(info.R_view_camera, np.eye(3), atol=1e-6)
+    changed = not info.lens.straight or turned or not np.allclose(info.lens.K, camera.K, atol=1e-3)
+    if "rect" in topic or not changed:
+        return AsItIs()
+    return Straightened(info.lens.maps(info.R_view_camera, camera.K, (camera.width, camera.height)))
+
+
+def _check_size(info: Calibration, size: Size) -> None:
+    if info.size != size and info.size != (0, 0):
+        raise ValueError(f"expected images of {info.size[0]} x {info.size[1]}, found {size[0]} x {size[1]}")
+
+
+def _calibration(bag: Bag, topic: str) -> Calibration:
+    info = _info(bag, topic)
+    if info is None:
+        raise DataError(
+            f"{bag.path}: expected a CameraInfo for {topic}, found {', '.join(bag.calibrations) or 'none'}; write"
+            f" {NAME} beside the bag"
+        )
+    return info

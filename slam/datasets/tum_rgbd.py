@@ -1,0 +1,68 @@
+"""Drives in the layout of TUM RGB-D (Sturm et al., IROS 2012), of which the colour images are read.
+
+`[NAME/]{rgb.txt, rgb/<seconds>.png, groundtruth.txt}`. The layout has no place for the calibration: it is taken from a
+`camera.toml` beside `rgb.txt`, else from the name of the sequence.
+"""
+
+import re
+from pathlib import Path
+
+from slam.datasets.assembly import Eye, Recording, TrueWay, assemble
+from slam.datasets.camera_drive import CameraDrive
+from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
+from slam.datasets.folders import find_drive
+from slam.datasets.lens import Lens
+from slam.datasets.source import Source
+from slam.datasets.stamped import BLANKS_SECONDS, check_increasing, read_image_list
+from slam.errors import DataError
+from slam.storage.trajectory import read_tum
+
+# Colour cameras of the benchmark by the number of the place (its page "Intrinsic Camera Calibration of the Kinect").
+FREIBURG = {
+    "1": Lens(517.306, 516.469, 318.643, 255.314, "radtan", (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)),
+    "2": Lens(520.909, 521.007, 325.141, 249.702, "radtan", (0.231222, -0.784899, -0.003257, -0.000105, 0.917205)),
+    "3": Lens(535.4, 539.2, 320.1, 247.6),
+}
+
+
+def is_tum_rgbd(folder: Path) -> bool:
+    """Whether a folder is one drive in this layout."""
+    return (folder / "rgb.txt").is_file()
+
+
+def open_tum_rgbd(source: Source) -> CameraDrive:
+    """Open a drive and check everything but the images themselves.
+
+    Raises:
+        DataError: one line that names the file, what was expected and found, and the remedy.
+    """
+    folder = find_drive(source.path, source.sequence, is_tum_rgbd, "rgb.txt")
+    images = read_image_list(folder / "rgb.txt", folder, BLANKS_SECONDS)
+    assert images.timestamps is not None
+    recording = Recording(
+        name=folder.absolute().name,
+        left=Eye(images, images.timestamps),
+        truth=_true_way(folder / "groundtruth.txt"),
+    )
+    return assemble(recording, _camera(folder).rectification)
+
+
+def _camera(folder: Path) -> CameraFile:
+    path = folder / NAME
+    place = re.search(r"freiburg([123])", folder.absolute().name)
+    if path.is_file() or place is None:
+        if not path.is_file():
+            raise DataError(
+                f"{path}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found none;"
+                " write one with fx, fy, cx and cy"
+            )
+        return read_camera_file(path)
+    return CameraFile(path, FREIBURG[place.group(1)])
+
+
+def _true_way(path: Path) -> TrueWay | None:
+    if not path.is_file():
+        return None
+    times, poses = read_tum(path)
+    check_increasing(path, times)
+    return TrueWay(times, poses)
