@@ -297,6 +297,30 @@ def explain(
 
 
 @app.command()
+def check(
+    source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
+    sequence: Annotated[
+        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    ] = None,
+    kind: Kind = None,
+    fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
+    topic: Topic = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Look at a recording before a run: what will and what will not work with it, and why.
+
+    Example: revisit check data/kitti --sequence 05
+    """
+    from slam.datasets.source import Source
+    from slam.inspection.command import as_json, as_table, check_recording
+
+    inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
+    shown = as_json(inspection) if json else as_table(inspection)
+    Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
+    raise typer.Exit(0 if inspection.serves else EXIT_FAILED)
+
+
+@app.command()
 def doctor() -> None:
     """Check Python, the wheels and the system libraries; say what is missing and what to type."""
     from slam.doctor import check_machine

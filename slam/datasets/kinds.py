@@ -19,7 +19,7 @@ from slam.datasets.kitti_files import sequence_names
 from slam.datasets.left_images import ImageRecording, left_images
 from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
-from slam.datasets.own_camera import is_own_camera, left_of_own_camera, open_own_camera
+from slam.datasets.own_camera import is_described, is_own_camera, left_of_own_camera, open_own_camera
 from slam.datasets.source import Source
 from slam.datasets.tum_rgbd import is_tum_rgbd, open_tum_rgbd
 from slam.errors import ConfigError, DataError
