@@ -321,8 +321,13 @@ def check(
 
 
 @app.command()
-def doctor() -> None:
+def doctor(
+    licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
+) -> None:
     """Check Python, the wheels and the system libraries; say what is missing and what to type."""
+    if licences:
+        _print_licences()
+        return
     from slam.doctor import check_machine
 
     checks = check_machine()
@@ -332,6 +337,17 @@ def doctor() -> None:
         if check.remedy:
             Console().print(f"          type: {check.remedy}", markup=False, highlight=False)
     raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
+
+
+def _print_licences() -> None:
+    from rich.table import Table
+
+    from slam.licences import licences
+
+    table = Table("package", "version", "licence", "needed by", title="What Revisit is installed with", box=None)
+    for one in licences():
+        table.add_row(one.package, one.version, one.licence, "Revisit" if one.direct else "another package")
+    Console().print(table)
 
 
 def main() -> None:
