@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SIZE = (320, 240)
-TEXEL = 0.03  # m
+TEXEL = 0.06  # m
 
 
 @dataclass(frozen=True)
