@@ -141,7 +141,12 @@ def _info(bag: Bag, topic: str) -> Calibration | None:
 def _is_pair(bag: Bag, topics: Topics, settings: CameraFile | None) -> bool:
     if settings is not None:
         return settings.is_pair
-    right = None if topics.right is None else _info(bag, topics.right)
+    left, right = _info(bag, topics.left), None if topics.right is None else _info(bag, topics.right)
+    if right is not None and left is not None and left.to_right > right.to_right:
+        raise DataError(
+            f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
+            f" {topics.right} by CameraInfo; swap them with --topic"
+        )
     return right is not None and right.to_right != 0
 
 

@@ -85,13 +85,22 @@ def _recording(source: Source, settings: CameraFile) -> Recording:
         remarks = (f"{settings.path.name} describes two cameras, there are images of one",)
     rate = source.fps or settings.fps
     eye = open_eye(left, rate)
+    other = None if right is None else open_eye(right, rate)
+    if right is not None and other is not None and right.is_dir() and not (right / "times.txt").is_file():
+        _check_count(right, len(other.times), left, len(eye.times))
     return Recording(
         name=source.path.absolute().name,
         left=eye,
-        right=None if right is None else open_eye(right, rate),
+        right=other,
         truth=_true_way(settings, eye),
         remarks=remarks,
     )
+
+
+def _check_count(right: Path, found: int, left: Path, expected: int) -> None:
+    # without times of its own, one image too few would put all later ones to the wrong partner
+    if found != expected:
+        raise DataError(f"{right}: expected {expected} images as in {left.name}, found {found}; copy it again")
 
 
 def _cameras(path: Path, settings: CameraFile) -> tuple[Path, Path | None]:
