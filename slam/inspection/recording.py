@@ -1,6 +1,6 @@
 """Looks through a recording: opens it, reads some of its images, and judges what it finds."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
-_MOMENTS = 60  # at which two successive images are looked at
+_MOMENTS, _RUN = 40, 3  # at which successive images are looked at; three show every second one to be a copy
 _PAIRS = 12  # of left and right, in which rows are compared
 
 
@@ -84,11 +84,11 @@ def _drive(drive: Dataset, progress: Progress) -> list[Finding]:
 
 def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Seen:
     """Look at successive images at moments spread over the recording, up to the first that cannot be read."""
-    seen, moments = _Seen(), list(_moments(count))
+    seen, moments = _Seen(), _moments(count)
     compared = set(np.linspace(0, len(moments) - 1, min(_PAIRS, len(moments))).astype(int).tolist())
     for done, first in enumerate(moments):
         before = None
-        for index in range(first, min(first + 2, count)):
+        for index in range(first, min(first + _RUN, count)):
             try:
                 left, right = read(index)
             except DataError as error:
@@ -105,10 +105,10 @@ def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]],
     return seen
 
 
-def _moments(count: int) -> Iterator[int]:
+def _moments(count: int) -> list[int]:
     """First images of the moments: all that do not overlap, or so many of them."""
-    last = max(count - 2, 0)
-    return iter(sorted(set(np.linspace(0, last, min(_MOMENTS, last // 2 + 1)).astype(int).tolist())))
+    last = max(count - _RUN, 0)
+    return [int(first) for first in np.linspace(0, last, min(_MOMENTS, last // _RUN + 1))]
 
 
 def _judge(seen: _Seen) -> list[Finding]:
