@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
-_MOMENTS, _RUN = 40, 3  # at which successive images are looked at; three show every second one to be a copy
-_PAIRS = 12  # of left and right, in which rows are compared
+_MOMENTS, _RUN = 40, 3  # places where successive images are looked at; three tell where each is there twice
+_PAIRS = 8  # of left and right, in which rows are compared
 
 
 @dataclass
@@ -83,32 +83,33 @@ def _drive(drive: Dataset, progress: Progress) -> list[Finding]:
 
 
 def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Seen:
-    """Look at successive images at moments spread over the recording, up to the first that cannot be read."""
-    seen, moments = _Seen(), _moments(count)
-    compared = set(np.linspace(0, len(moments) - 1, min(_PAIRS, len(moments))).astype(int).tolist())
-    for done, first in enumerate(moments):
-        before = None
-        for index in range(first, min(first + _RUN, count)):
-            try:
-                left, right = read(index)
-            except DataError as error:
-                seen.fault = str(error)
-                return seen
-            looks = look(left, before)
-            seen.looks.append(looks)
-            if before is not None:
-                seen.successors.append(looks)
-            if right is not None and done in compared and before is None:
-                seen.pairs.append((left, right))
-            before = left
-        progress(done + 1, len(moments))
+    """Look at images all over the recording, up to the first that cannot be read."""
+    seen, indices = _Seen(), _spread(count)
+    compared = set(np.linspace(0, len(indices) - 1, _PAIRS).astype(int).tolist())
+    last, before = -1, None
+    for done, index in enumerate(indices):
+        try:
+            left, right = read(index)
+        except DataError as error:
+            seen.fault = str(error)
+            return seen
+        follows = before is not None and index == last + 1
+        seen.looks.append(look(left, before if follows else None))
+        if follows:
+            seen.successors.append(seen.looks[-1])
+        if right is not None and done in compared:
+            seen.pairs.append((left, right))
+        last, before = index, left
+        progress(done + 1, len(indices))
     return seen
 
 
-def _moments(count: int) -> list[int]:
-    """First images of the moments: all that do not overlap, or so many of them."""
-    last = max(count - _RUN, 0)
-    return [int(first) for first in np.linspace(0, last, min(_MOMENTS, last // _RUN + 1))]
+def _spread(count: int) -> list[int]:
+    """All images, or the runs of successive ones."""
+    if count <= _MOMENTS * _RUN:
+        return list(range(count))
+    first = np.linspace(0, count - _RUN, _MOMENTS).astype(int)
+    return [int(index) for index in (first[:, None] + np.arange(_RUN)).ravel()]
 
 
 def _judge(seen: _Seen) -> list[Finding]:
