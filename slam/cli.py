@@ -321,6 +321,27 @@ def check(
 
 
 @app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    format: Annotated[str, typer.Option(help="tum or kitti (trajectories), g2o (pose graph), ply (landmarks).")],
+    state: Annotated[
+        str, typer.Option(help="odometry, online (trajectories only: as known at each moment) or corrected.")
+    ] = "corrected",
+    out: Annotated[Path | None, typer.Option(help="File to write; without it one beside the run.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+) -> None:
+    """Write one result of a run in the format that another program reads.
+
+    Example: revisit export runs/kitti05 --format tum --out kitti05.tum
+    """
+    from slam.export import ExportOptions
+    from slam.export import export as write
+
+    written = write(ExportOptions(run, format, state, out, overwrite))
+    Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
 def doctor(
     licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
 ) -> None:

@@ -54,14 +54,17 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
-def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
-    """All parts for one camera, of a configuration whose names have been checked."""
+def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
+    """All parts for one camera, of a configuration whose names have been checked.
+
+    The rows of the recogniser's matrix go to `rows`, where there is one.
+    """
     features = SharedFeatures(local_features(config.places))
     odometry = StereoOdometry(camera, config.odometry)
     return Parts(
         odometry=odometry,
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, config.places),
+        recognizer=build_recognizer(config.paradigm, features, config.places, rows),
         loop_closer=LoopCloser(camera, features, config.loop_closing, odometry.disparity),
         graph=PoseGraph(config.pose_graph),
         key_frames=KeyFrameSelector(config.key_frames),
