@@ -158,8 +158,8 @@ def _rectify(bag: Bag, topics: Topics, size: Size) -> Rectification:
             return rectify_alike(left.lens, size)
         paired = right is not None and right.to_right != 0
         baseline = right.to_right - left.to_right if right is not None and paired else NOMINAL_BASELINE
-        P = left.P
-        camera = StereoCamera(P[0, 0], P[1, 1], P[0, 2], P[1, 2], baseline, *size)
+        fx, fy, cx, cy = map(float, left.P[[0, 1, 0, 1], [0, 1, 2, 2]])
+        camera = StereoCamera(fx, fy, cx, cy, baseline, *size)
     except ValueError as error:
         raise DataError(f"{bag.path}: CameraInfo of {topics.left}: {error}; are left and right swapped?") from None
     view = _view(topics.left, left, camera)

@@ -112,7 +112,7 @@ def read_camera_file(path: Path) -> CameraFile:
     try:
         return _camera_file(path, table)
     except ValueError as error:
-        raise DataError(f"{path}: {error}; mend it, see docs/own_camera.md") from None
+        raise DataError(f"{path}: {error}; mend it, see docs/drives.md") from None
 
 
 def _camera_file(path: Path, table: dict[str, Any]) -> CameraFile:

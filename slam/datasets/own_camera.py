@@ -52,7 +52,7 @@ def open_own_camera(source: Source) -> CameraDrive:
     if not path.is_file():
         raise DataError(
             f"{path}: expected the calibration of the camera, found none; write it: fx, fy, cx, cy, and baseline for a"
-            " pair (docs/own_camera.md)"
+            " pair (docs/drives.md)"
         )
     settings = read_camera_file(path)
     return assemble(_recording(source, settings), settings.rectification)
