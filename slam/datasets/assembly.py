@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from slam.datasets.camera_drive import CameraDrive, Images, Picked
 from slam.datasets.moments import SYNCHRONOUS, pair_times, way_at
 from slam.datasets.rectification import Rectification, Size
+from slam.datasets.stamped import Table, read_image_list
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
@@ -29,6 +31,17 @@ class Eye:
     def only(self, indices: NDArray[np.int64]) -> "Eye":
         """Some of the images."""
         return self if len(indices) == len(self.times) else Eye(Picked(self.images, indices), self.times[indices])
+
+
+def read_eye(path: Path, folder: Path, table: Table) -> Eye:
+    """A camera whose images and times stand in a table (see `read_image_list`).
+
+    Raises:
+        DataError: the table is damaged, or an image is missing.
+    """
+    images = read_image_list(path, folder, table)
+    assert images.timestamps is not None
+    return Eye(images, images.timestamps)
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.datasets.assembly import Eye, Recording, TrueWay, assemble
+from slam.datasets.assembly import Eye, Recording, TrueWay, assemble, read_eye
 from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.camera_file import check_pose
 from slam.datasets.folders import find_drive
-from slam.datasets.images import ImageSequence
+from slam.datasets.left_images import ImageRecording, RawImages, left_images
 from slam.datasets.lens import Lens
 from slam.datasets.rectification import Rectification, Size, rectify_alike, rectify_pair
 from slam.datasets.source import Source
-from slam.datasets.stamped import CSV_NANOSECONDS, read_image_list, read_stamped
+from slam.datasets.stamped import CSV_NANOSECONDS, read_stamped
 from slam.errors import DataError
 from slam.storage.text import read_lines
 
@@ -56,7 +56,7 @@ def open_euroc(source: Source) -> CameraDrive:
     Raises:
         DataError: one line that names the file, what was expected and found, and the remedy.
     """
-    folder = find_drive(source.path, source.sequence, is_euroc, "mav0/cam0/data.csv")
+    folder = _folder(source)
     cameras = _cameras(folder)
     left = read_sensor(cameras / "cam0" / "sensor.yaml")
     right = read_sensor(cameras / "cam1" / "sensor.yaml") if (cameras / "cam1" / "data.csv").is_file() else None
@@ -69,14 +69,29 @@ def open_euroc(source: Source) -> CameraDrive:
     return assemble(recording, lambda size: _rectify(left, right, size))
 
 
+def left_of_euroc(source: Source) -> ImageRecording:
+    """What the left camera saw, straightened where a `sensor.yaml` says how.
+
+    Raises:
+        DataError: one line that names the file, what was expected and found, and the remedy.
+    """
+    folder = _folder(source)
+    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file():
+        return left_images(open_euroc(source))
+    eye = _eye(_cameras(folder) / "cam0")
+    return RawImages(folder.absolute().name, eye.images, eye.times)
+
+
+def _folder(source: Source) -> Path:
+    return find_drive(source.path, source.sequence, is_euroc, "mav0/cam0/data.csv")
+
+
 def _cameras(folder: Path) -> Path:
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
 def _eye(folder: Path) -> Eye:
-    images: ImageSequence = read_image_list(folder / "data.csv", folder / "data", CSV_NANOSECONDS)
-    assert images.timestamps is not None
-    return Eye(images, images.timestamps)
+    return read_eye(folder / "data.csv", folder / "data", CSV_NANOSECONDS)
 
 
 def _rectify(left: Sensor, right: Sensor | None, size: Size) -> Rectification:

@@ -8,20 +8,19 @@ from pathlib import Path
 
 from slam.datasets.bag import left_of_bag, open_bag
 from slam.datasets.bag_file import is_bag
-from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.city_centre import open_city_centre
 from slam.datasets.dataset import Dataset
-from slam.datasets.euroc import is_euroc, open_euroc
+from slam.datasets.euroc import is_euroc, left_of_euroc, open_euroc
 from slam.datasets.folders import holds_drives, subfolders
 from slam.datasets.images import ImageSequence, open_images
 from slam.datasets.kitti import open_kitti
 from slam.datasets.kitti_files import sequence_names
-from slam.datasets.left_images import ImageRecording, left_images
+from slam.datasets.left_images import ImageRecording
 from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
 from slam.datasets.own_camera import is_described, is_own_camera, left_of_own_camera, open_own_camera
 from slam.datasets.source import Source
-from slam.datasets.tum_rgbd import is_tum_rgbd, open_tum_rgbd
+from slam.datasets.tum_rgbd import is_tum_rgbd, left_of_tum_rgbd, open_tum_rgbd
 from slam.errors import ConfigError, DataError
 
 _CITY_CENTRE_IMAGES = 2474
@@ -40,11 +39,6 @@ class Kind:
     recognises: Callable[[Path], bool]
     drive: Callable[[Source], Dataset]
     images: Callable[[Source], ImageRecording]
-
-
-def _with_calibration(recognises: Callable[[Path], bool], drive: Callable[[Source], CameraDrive]) -> Kind:
-    """A layout that always brings a calibration along."""
-    return Kind(recognises, drive, lambda source: left_images(drive(source)))
 
 
 def _for_places(recognises: Callable[[Path], bool], images: Callable[[Path], ImageSequence]) -> Kind:
@@ -82,9 +76,9 @@ def _is_kitti(root: Path) -> bool:
 # In this order: what says most about itself comes first, and a folder of images last.
 KINDS = {
     "bag": Kind(is_bag, open_bag, left_of_bag),
-    "euroc": _with_calibration(lambda root: holds_drives(root, is_euroc), open_euroc),
-    "tum-rgbd": _with_calibration(lambda root: holds_drives(root, is_tum_rgbd), open_tum_rgbd),
-    "own-camera": _with_calibration(is_described, open_own_camera),
+    "euroc": Kind(lambda root: holds_drives(root, is_euroc), open_euroc, left_of_euroc),
+    "tum-rgbd": Kind(lambda root: holds_drives(root, is_tum_rgbd), open_tum_rgbd, left_of_tum_rgbd),
+    "own-camera": Kind(is_described, open_own_camera, left_of_own_camera),
     "kitti": Kind(
         _is_kitti,
         lambda source: open_kitti(source.path, source.sequence),

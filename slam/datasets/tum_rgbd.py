@@ -7,13 +7,14 @@
 import re
 from pathlib import Path
 
-from slam.datasets.assembly import Eye, Recording, TrueWay, assemble
+from slam.datasets.assembly import Recording, TrueWay, assemble, read_eye
 from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
 from slam.datasets.folders import find_drive
+from slam.datasets.left_images import ImageRecording, RawImages, left_images
 from slam.datasets.lens import Lens
 from slam.datasets.source import Source
-from slam.datasets.stamped import BLANKS_SECONDS, check_increasing, read_image_list
+from slam.datasets.stamped import BLANKS_SECONDS, check_increasing
 from slam.errors import DataError
 from slam.storage.trajectory import read_tum
 
@@ -36,28 +37,44 @@ def open_tum_rgbd(source: Source) -> CameraDrive:
     Raises:
         DataError: one line that names the file, what was expected and found, and the remedy.
     """
-    folder = find_drive(source.path, source.sequence, is_tum_rgbd, "rgb.txt")
-    images = read_image_list(folder / "rgb.txt", folder, BLANKS_SECONDS)
-    assert images.timestamps is not None
+    folder = _folder(source)
+    camera = _camera(folder)
+    if camera is None:
+        raise DataError(
+            f"{folder / NAME}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found none;"
+            " write one with fx, fy, cx and cy"
+        )
     recording = Recording(
         name=folder.absolute().name,
-        left=Eye(images, images.timestamps),
+        left=read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS),
         truth=_true_way(folder / "groundtruth.txt"),
     )
-    return assemble(recording, _camera(folder).rectification)
+    return assemble(recording, camera.rectification)
 
 
-def _camera(folder: Path) -> CameraFile:
+def left_of_tum_rgbd(source: Source) -> ImageRecording:
+    """The colour images, straightened where the camera is known.
+
+    Raises:
+        DataError: one line that names the file, what was expected and found, and the remedy.
+    """
+    folder = _folder(source)
+    if _camera(folder) is not None:
+        return left_images(open_tum_rgbd(source))
+    eye = read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS)
+    return RawImages(folder.absolute().name, eye.images, eye.times)
+
+
+def _folder(source: Source) -> Path:
+    return find_drive(source.path, source.sequence, is_tum_rgbd, "rgb.txt")
+
+
+def _camera(folder: Path) -> CameraFile | None:
     path = folder / NAME
-    place = re.search(r"freiburg([123])", folder.absolute().name)
-    if path.is_file() or place is None:
-        if not path.is_file():
-            raise DataError(
-                f"{path}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found none;"
-                " write one with fx, fy, cx and cy"
-            )
+    if path.is_file():
         return read_camera_file(path)
-    return CameraFile(path, FREIBURG[place.group(1)])
+    place = re.search(r"freiburg([123])", folder.absolute().name)
+    return None if place is None else CameraFile(path, FREIBURG[place.group(1)])
 
 
 def _true_way(path: Path) -> TrueWay | None:

@@ -50,20 +50,23 @@ def inspect(source: Source, progress: Progress) -> Inspection:
     try:
         drive = KINDS[kind].drive(source)
     except DataError as error:
-        findings = [bad("calibration", str(error), DRIVING), *_images_alone(source, kind, progress)]
+        findings = _images_alone(source, kind, str(error), progress)
     else:
         findings = _drive(drive, progress)
     return Inspection(str(source.path), kind, tuple(findings))
 
 
-def _images_alone(source: Source, kind: str, progress: Progress) -> list[Finding]:
+def _images_alone(source: Source, kind: str, trouble: str, progress: Progress) -> list[Finding]:
+    """Judge what is left where a trouble keeps the recording from being opened as a drive."""
     try:
         images = KINDS[kind].images(source)
     except DataError as error:
-        return [bad("images", str(error), EVERYTHING)]
+        if str(error) == trouble:
+            return [bad("opening", trouble, EVERYTHING)]
+        return [bad("opening", trouble, DRIVING), bad("images", str(error), (Use.PLACES,))]
     seen = _look_through(len(images), lambda index: (images[index], None), progress)
     times = [] if images.timestamps is None else judge_times(images.timestamps)
-    return [_count(len(images), "images"), *_judge(seen), *times, _truth(images)]
+    return [bad("opening", trouble, DRIVING), _count(len(images), "images"), *_judge(seen), *times, _truth(images)]
 
 
 def _drive(drive: Dataset, progress: Progress) -> list[Finding]:

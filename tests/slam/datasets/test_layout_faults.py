@@ -189,6 +189,15 @@ def test_images_without_calibration_serve_for_places_alone(tmp_path: Path, rough
 def test_a_tum_folder_of_no_known_camera_asks_for_it(tmp_path: Path, rough: Taken) -> None:
     with pytest.raises(DataError, match=r"camera.toml: expected the calibration, as the folder's name has no freiburg"):
         open_drive(write_tum_rgbd(tmp_path / "room", rough))
+    images = open_left_images(Source(tmp_path / "room"))  # for places it need not be known
+    np.testing.assert_array_equal(images[2], rough.pairs[2][0])
+
+
+def test_euroc_without_a_calibration_serves_for_places(tmp_path: Path, rough: Taken) -> None:
+    (write_euroc(tmp_path / "MH_01", rough) / CAM0 / "sensor.yaml").unlink()
+    with pytest.raises(DataError, match=r"sensor.yaml: expected this file, found none"):
+        open_drive(tmp_path / "MH_01")
+    np.testing.assert_array_equal(open_left_images(Source(tmp_path / "MH_01"))[2], rough.pairs[2][0])
 
 
 @pytest.mark.parametrize("data", [b"", b"no video" * 100, b"RIFF\xff\xff\xff\xffAVI LIST"])
