@@ -21,7 +21,7 @@ Image = np.ndarray
 
 @pytest.fixture(scope="module")
 def ideal() -> Taken:
-    return taken("ideal", 8)
+    return taken("ideal", 6)
 
 
 def checked(path: Path) -> Inspection:
@@ -53,7 +53,7 @@ def test_a_good_pair_serves_for_everything(tmp_path: Path, ideal: Taken) -> None
 
 
 def test_a_distorted_pair_is_good_once_it_is_described(tmp_path: Path) -> None:
-    bent = taken("radtan", 4)
+    bent = taken("radtan", 3)
     assert checked(write_folders(tmp_path / "described", bent, fps=RATE)).serves == tuple(Use)
     # the same images, said to be ideal by someone who has measured nothing but the baseline
     folder = write_folders(tmp_path / "guessed", bent)
@@ -80,9 +80,9 @@ def test_bad_light_is_seen(tmp_path: Path, ideal: Taken, trouble: str) -> None:
 
 
 def test_repeated_images_are_seen(tmp_path: Path, ideal: Taken) -> None:
-    often = replace(ideal, pairs=[ideal.pairs[k // 2] for k in range(8)])
+    often = replace(ideal, pairs=[ideal.pairs[k // 2] for k in range(6)])
     doubtful = found(checked(write_folders(tmp_path, often, fps=RATE)), Status.DOUBTFUL)
-    assert doubtful["repetitions"].figures["share"] == pytest.approx(4 / 7)
+    assert doubtful["repetitions"].figures["share"] == pytest.approx(3 / 5)
 
 
 NUMBERS: dict[str, tuple[dict[str, float], str, Status]] = {
@@ -117,9 +117,9 @@ def test_cameras_that_are_swapped_are_seen_in_the_images(tmp_path: Path, ideal: 
 
 def test_a_pause_and_a_slow_camera_are_seen(tmp_path: Path, ideal: Taken) -> None:
     folder = write_folders(tmp_path, ideal)
-    (folder / "times.txt").write_text("".join(f"{k / 2 + (k > 4) * 9}\n" for k in range(8)))
+    (folder / "times.txt").write_text("".join(f"{k / 2 + (k > 3) * 9}\n" for k in range(6)))
     doubtful = found(checked(folder), Status.DOUBTFUL)
-    assert "1, the longest of 9.50 s after image 4" in doubtful["pauses"].text
+    assert "1, the longest of 9.50 s after image 3" in doubtful["pauses"].text
     assert doubtful["rate"].figures["rate_hz"] == 2.0
 
 
