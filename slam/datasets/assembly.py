@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from slam.datasets.camera_drive import CameraDrive, Images, Picked
 from slam.datasets.moments import SYNCHRONOUS, pair_times, way_at
 from slam.datasets.rectification import Rectification, Size
-from slam.datasets.stamped import Table, read_image_list
+from slam.datasets.stamped import Table, check_increasing, read_image_list
 from slam.errors import DataError
+from slam.storage.trajectory import read_trajectory
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,23 @@ class TrueWay:
 
     times: Array
     poses: Array
+
+
+def read_true_way(path: Path, left: Eye) -> TrueWay:
+    """Poses of the left camera from a file, TUM with times, or KITTI with one for each image.
+
+    Raises:
+        DataError: the file is missing or damaged, or has another number of poses.
+    """
+    times, poses = read_trajectory(path)
+    if times is None and len(poses) != len(left.times):
+        raise DataError(
+            f"{path}: expected {len(left.times)} poses, one for each image, or poses with times (TUM), found"
+            f" {len(poses)}; export it again"
+        )
+    times = left.times if times is None else times
+    check_increasing(path, times)
+    return TrueWay(times, poses)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Drives in ROS bags: which topics are the cameras, and what is known of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.datasets.assembly import Eye, Recording, assemble
+from slam.datasets.assembly import Eye, Recording, assemble, read_true_way
 from slam.datasets.bag_file import Bag, open_topic, read_bag
+from slam.datasets.bag_topics import Topics, choose_topics, info_of
 from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
 from slam.datasets.left_images import ImageRecording, RawImages, left_images
@@ -30,19 +31,6 @@ from slam.errors import DataError
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Which topics are the cameras.
-
-    Attributes:
-        left: images of the left camera, or of the only one.
-        right: of the right one, or None.
-    """
-
-    left: str
-    right: str | None = None
-
-
 def open_bag(source: Source) -> CameraDrive:
     """Open a bag and check everything but the images themselves.
 
@@ -51,18 +39,19 @@ def open_bag(source: Source) -> CameraDrive:
     Raises:
         DataError: one line that names the file, what was expected and found, and the remedy.
     """
-    bag, file = read_bag(source.path), source.path.parent / NAME
-    settings = read_camera_file(file) if file.is_file() else None
+    bag, settings = read_bag(source.path), _settings(source.path)
     topics = choose_topics(bag, wanted(source, settings))
     left = open_eye(bag.path, topics.left)
     right = None if topics.right is None else open_eye(bag.path, topics.right)
     remarks: tuple[str, ...] = ()
     if right is not None and not _is_pair(bag, topics, settings):
         right, remarks = None, ("neither CameraInfo nor camera.toml has a baseline: the left camera alone is used",)
-    recording = Recording(source.path.stem, left, right, remarks=remarks)
-    if settings is not None:
-        return assemble(recording, settings.rectification)
-    return assemble(recording, lambda size: _rectify(bag, topics, size))
+    if settings is None:
+        return assemble(
+            Recording(source.path.stem, left, right, None, remarks), lambda size: _rectify(bag, topics, size)
+        )
+    truth = None if settings.ground_truth is None else read_true_way(settings.ground_truth, left)
+    return assemble(Recording(source.path.stem, left, right, truth, remarks), settings.rectification)
 
 
 def left_of_bag(source: Source) -> ImageRecording:
@@ -71,13 +60,18 @@ def left_of_bag(source: Source) -> ImageRecording:
     Raises:
         DataError: there are no images, or the bag is damaged.
     """
-    bag, file = read_bag(source.path), source.path.parent / NAME
-    settings = read_camera_file(file) if file.is_file() else None
+    bag, settings = read_bag(source.path), _settings(source.path)
     topics = choose_topics(bag, wanted(source, settings))
-    if settings is not None or _info(bag, topics.left) is not None:
+    if settings is not None or info_of(bag, topics.left) is not None:
         return left_images(open_bag(replace(source, topics=(topics.left,))))
     eye = open_eye(bag.path, topics.left)
     return RawImages(source.path.stem, eye.images, eye.times)
+
+
+def _settings(path: Path) -> CameraFile | None:
+    """What stands in a `camera.toml` in the folder of a bag or beside it."""
+    file = next((file for file in (path / NAME, path.parent / NAME) if file.is_file()), None)
+    return None if file is None else read_camera_file(file)
 
 
 def wanted(source: Source, settings: CameraFile | None) -> tuple[str, ...]:
@@ -98,50 +92,10 @@ def open_eye(path: Path, topic: str) -> Eye:
     return Eye(images, images.timestamps)
 
 
-def choose_topics(bag: Bag, named: tuple[str, ...]) -> Topics:
-    """The cameras that were named, else the only one, else the pair that names or calibration make plain.
-
-    Raises:
-        DataError: there are no images, or nothing says which topics to take.
-    """
-    if named:
-        return Topics(*named)
-    topics = tuple(bag.images)
-    if len(topics) == 1:
-        return Topics(topics[0])
-    rectified = tuple(topic for topic in topics if "rect" in topic)
-    for some in (rectified, topics):
-        pairs = [pair for left in some if (pair := _pair_of(left, some)) is not None]
-        if len(pairs) == 1:
-            return pairs[0]
-    found = ", ".join(f"{topic} ({count})" for topic, count in bag.images.items()) or "no images"
-    raise DataError(f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --topic")
-
-
-def _pair_of(left: str, topics: tuple[str, ...]) -> Topics | None:
-    """The pair whose names differ in nothing but left and right, or 0 and 1."""
-    for one, other in (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1")):
-        right = left.replace(one, other)
-        if right != left and right in topics:
-            return Topics(left, right)
-    return None
-
-
-def _info(bag: Bag, topic: str) -> Calibration | None:
-    """Calibration in the image topic's own namespace: /left/image_raw and /left/camera_info."""
-    namespace = topic.rsplit("/", 1)[0]
-    while namespace:
-        if f"{namespace}/camera_info" in bag.calibrations:
-            return bag.calibrations[f"{namespace}/camera_info"]
-        namespace = namespace.rsplit("/", 1)[0]
-    only = list(bag.calibrations.values())
-    return only[0] if len(only) == 1 else bag.calibrations.get("/camera_info")
-
-
 def _is_pair(bag: Bag, topics: Topics, settings: CameraFile | None) -> bool:
     if settings is not None:
         return settings.is_pair
-    left, right = _info(bag, topics.left), None if topics.right is None else _info(bag, topics.right)
+    left, right = info_of(bag, topics.left), None if topics.right is None else info_of(bag, topics.right)
     if right is not None and left is not None and left.to_right > right.to_right:
         raise DataError(
             f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
@@ -151,7 +105,7 @@ def _is_pair(bag: Bag, topics: Topics, settings: CameraFile | None) -> bool:
 
 
 def _rectify(bag: Bag, topics: Topics, size: Size) -> Rectification:
-    left, right = _calibration(bag, topics.left), None if topics.right is None else _info(bag, topics.right)
+    left, right = _calibration(bag, topics.left), None if topics.right is None else info_of(bag, topics.right)
     try:
         _check_size(left, size)
         if not left.rectified:
@@ -183,10 +137,8 @@ def _check_size(info: Calibration, size: Size) -> None:
 
 
 def _calibration(bag: Bag, topic: str) -> Calibration:
-    info = _info(bag, topic)
+    info = info_of(bag, topic)
     if info is None:
-        raise DataError(
-            f"{bag.path}: expected a CameraInfo for {topic}, found {', '.join(bag.calibrations) or 'none'}; write"
-            f" {NAME} beside the bag"
-        )
+        found = ", ".join([*bag.calibrations, *bag.refused]) or "none"
+        raise DataError(f"{bag.path}: expected a CameraInfo for {topic}, found {found}; write {NAME} beside the bag")
     return info

@@ -22,7 +22,7 @@ SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file by its name, or the folder of a ROS 2 bag."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() and any(item.suffix in SUFFIXES for item in path.iterdir())
+        return (path / "metadata.yaml").is_file() and any(SUFFIXES & set(item.suffixes) for item in path.iterdir())
     return path.suffix in SUFFIXES and path.is_file()
 
 
@@ -34,11 +34,13 @@ class Bag:
         path: of the file or folder.
         images: topics of images, and how many messages each has.
         calibrations: by topic.
+        refused: what is wrong with other calibrations, each with its topic.
     """
 
     path: Path
     images: dict[str, int]
     calibrations: dict[str, Calibration]
+    refused: tuple[str, ...] = ()
 
 
 def read_bag(path: Path) -> Bag:
@@ -50,8 +52,14 @@ def read_bag(path: Path) -> Bag:
     with _reading(path) as reader:
         images = {c.topic: c.msgcount for c in reader.connections if c.msgtype in IMAGE_TYPES and c.msgcount}
         infos = [c for c in reader.connections if c.msgtype == CALIBRATION_TYPE and c.msgcount]
-        calibrations = {c.topic: calibration(_first(reader, c)) for c in infos}
-    return Bag(path, dict(sorted(images.items())), calibrations)
+        messages = {connection.topic: _first(reader, connection) for connection in infos}
+    calibrations, refused = {}, []
+    for topic, message in messages.items():
+        try:
+            calibrations[topic] = calibration(message)
+        except ValueError as error:
+            refused.append(f"{topic} ({error})")
+    return Bag(path, dict(sorted(images.items())), calibrations, tuple(refused))
 
 
 @dataclass(frozen=True)

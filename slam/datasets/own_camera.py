@@ -10,16 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.assembly import Eye, Recording, TrueWay, assemble
+from slam.datasets.assembly import Eye, Recording, assemble, read_true_way
 from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
 from slam.datasets.images import ImageSequence, images_in, open_images, read_times
 from slam.datasets.left_images import ImageRecording, RawImages, left_images
 from slam.datasets.source import Source
-from slam.datasets.stamped import check_increasing
 from slam.datasets.video import SUFFIXES, Video, is_video, open_video
 from slam.errors import DataError
-from slam.storage.trajectory import read_trajectory
 
 Array = NDArray[np.float64]
 
@@ -92,7 +90,7 @@ def _recording(source: Source, settings: CameraFile) -> Recording:
         name=source.path.absolute().name,
         left=eye,
         right=other,
-        truth=_true_way(settings, eye),
+        truth=None if settings.ground_truth is None else read_true_way(settings.ground_truth, eye),
         remarks=remarks,
     )
 
@@ -173,18 +171,3 @@ def _known_times(path: Path, images: ImageSequence | Video, rate: float | None) 
     if rate is not None:
         return np.arange(len(images)) / rate
     return images.timestamps
-
-
-def _true_way(settings: CameraFile, left: Eye) -> TrueWay | None:
-    path = settings.ground_truth
-    if path is None:
-        return None
-    times, poses = read_trajectory(path)
-    if times is None and len(poses) != len(left.times):
-        raise DataError(
-            f"{path}: expected {len(left.times)} poses, one for each image, or poses with times (TUM), found"
-            f" {len(poses)}; export it again"
-        )
-    times = left.times if times is None else times
-    check_increasing(path, times)
-    return TrueWay(times, poses)

@@ -49,11 +49,20 @@ def grey(message: Any) -> Image:
     Raises:
         ValueError: an encoding that is not known, or other data than it needs.
     """
-    if not hasattr(message, "encoding"):
-        image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
-        if image is None:
-            raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
-        return np.asarray(image, np.uint8)
+    try:
+        return _image(message) if hasattr(message, "encoding") else _compressed(message)
+    except cv2.error as error:  # sizes that a conversion cannot work on
+        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
+
+
+def _compressed(message: Any) -> Image:
+    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
+    if image is None:
+        raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
+    return np.asarray(image, np.uint8)
+
+
+def _image(message: Any) -> Image:
     if message.encoding not in ENCODINGS:
         raise ValueError(f"expected one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
     kind, channels, conversion = ENCODINGS[message.encoding]

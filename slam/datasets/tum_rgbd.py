@@ -7,16 +7,15 @@
 import re
 from pathlib import Path
 
-from slam.datasets.assembly import Recording, TrueWay, assemble, read_eye
+from slam.datasets.assembly import Recording, assemble, read_eye, read_true_way
 from slam.datasets.camera_drive import CameraDrive
 from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
 from slam.datasets.folders import find_drive
 from slam.datasets.left_images import ImageRecording, RawImages, left_images
 from slam.datasets.lens import Lens
 from slam.datasets.source import Source
-from slam.datasets.stamped import BLANKS_SECONDS, check_increasing
+from slam.datasets.stamped import BLANKS_SECONDS
 from slam.errors import DataError
-from slam.storage.trajectory import read_tum
 
 # Colour cameras of the benchmark by the number of the place (its page "Intrinsic Camera Calibration of the Kinect").
 FREIBURG = {
@@ -44,12 +43,9 @@ def open_tum_rgbd(source: Source) -> CameraDrive:
             f"{folder / NAME}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found none;"
             " write one with fx, fy, cx and cy"
         )
-    recording = Recording(
-        name=folder.absolute().name,
-        left=read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS),
-        truth=_true_way(folder / "groundtruth.txt"),
-    )
-    return assemble(recording, camera.rectification)
+    left, truth = read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS), folder / "groundtruth.txt"
+    way = read_true_way(truth, left) if truth.is_file() else None
+    return assemble(Recording(folder.absolute().name, left, truth=way), camera.rectification)
 
 
 def left_of_tum_rgbd(source: Source) -> ImageRecording:
@@ -75,11 +71,3 @@ def _camera(folder: Path) -> CameraFile | None:
         return read_camera_file(path)
     place = re.search(r"freiburg([123])", folder.absolute().name)
     return None if place is None else CameraFile(path, FREIBURG[place.group(1)])
-
-
-def _true_way(path: Path) -> TrueWay | None:
-    if not path.is_file():
-        return None
-    times, poses = read_tum(path)
-    check_increasing(path, times)
-    return TrueWay(times, poses)

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import tomli_w
 import yaml
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from slam.datasets.camera_file import read_camera_file
 from slam.datasets.euroc import read_sensor
+from slam.datasets.ros_messages import ENCODINGS, grey
 from slam.datasets.stamped import BLANKS_SECONDS, CSV_NANOSECONDS, read_image_list, read_stamped
 from slam.errors import DataError
 
@@ -80,6 +83,32 @@ def test_yaml_that_unfolds_into_a_million_is_refused_at_once(tmp_path: Path) -> 
     path.write_text("\n".join([*lines, "intrinsics: *a8", "T_BS: *a8"]))
     with pytest.raises(DataError, match=r"sensor.yaml: expected"):
         read_sensor(path)
+
+
+SMALL = st.integers(0, 6)
+
+
+@quick
+@given(
+    encoding=st.sampled_from([*ENCODINGS, "", "32FC1"]), height=SMALL, width=SMALL, step=st.integers(0, 30),
+    data=st.binary(max_size=150), is_bigendian=st.booleans(),
+)  # fmt: skip
+def test_any_message_is_an_image_or_is_refused(height: int, width: int, **message: object) -> None:
+    try:
+        image = grey(SimpleNamespace(height=height, width=width, **message))
+    except ValueError:
+        return
+    assert (image.shape, image.dtype) == ((height, width), np.uint8)
+
+
+@quick
+@given(data=st.binary(max_size=100), start=st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"BM"]))
+def test_any_compressed_message_is_an_image_or_is_refused(data: bytes, start: bytes) -> None:
+    try:
+        image = grey(SimpleNamespace(format="png", data=start + data))
+    except ValueError:
+        return
+    assert (image.ndim, image.dtype) == (2, np.uint8)
 
 
 def assert_read_or_refused(path: Path, read: Callable[[], object]) -> None:

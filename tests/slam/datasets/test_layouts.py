@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slam.datasets.bag_file import Bag
+from slam.datasets.bag_topics import choose_topics
 from slam.datasets.dataset import Dataset
 from slam.datasets.kinds import kind_of
 from slam.datasets.open import open_drive, open_left_images, open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
-from slam.storage.trajectory import write_kitti
+from slam.storage.trajectory import write_kitti, write_tum
 
 from .layouts import (
     ENCODED,
@@ -20,6 +22,7 @@ from .layouts import (
     BagStyle,
     Taken,
     camera_toml,
+    finely,
     taken,
     write_bag,
     write_euroc,
@@ -187,6 +190,35 @@ def test_topics_are_chosen_and_calibrated_by_hand(tmp_path: Path, rough: Taken) 
     assert_frames(open_source(Source(path, topics=("/a/image", "/b/image"))), rough)
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig, left="/a/image", right="/b/image"))
     assert_frames(open_drive(path), rough)
+
+
+def test_a_bag_has_its_truth_in_a_file_beside(tmp_path: Path, rough: Taken) -> None:
+    path = write_bag(tmp_path, rough, BagStyle("sqlite3"))
+    (path / "camera.toml").write_text(camera_toml(rough.rig, ground_truth="way.txt"))
+    write_tum(path / "way.txt", *finely(rough))
+    truth = open_drive(path).ground_truth
+    assert truth is not None
+    np.testing.assert_allclose(truth, rough.truth, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("topics", "named", "chosen"),
+    [
+        (("/cam0/image_raw", "/cam1/image_raw"), (), ("/cam0/image_raw", "/cam1/image_raw")),
+        (("/camera/color/image_raw", "/camera/depth/image_rect_raw"), (), ("/camera/color/image_raw", None)),
+        (("/l/image", "/l/image/compressed"), (), ("/l/image", None)),
+        (("/left/image_raw", "/left/image_rect", "/right/image_raw", "/right/image_rect"), (),
+         ("/left/image_rect", "/right/image_rect")),
+        (("/camera/infra1/image", "/camera/infra2/image", "/camera/color/image"), (),
+         ("/camera/infra1/image", "/camera/infra2/image")),
+        (("/a", "/b", "/c"), ("/c", "/a"), ("/c", "/a")),
+    ],
+)  # fmt: skip
+def test_topics_are_found_by_their_names(
+    topics: tuple[str, ...], named: tuple[str, ...], chosen: tuple[str, str | None]
+) -> None:
+    found = choose_topics(Bag(Path("x.bag"), dict.fromkeys(topics, 9), {}), named)
+    assert (found.left, found.right) == chosen
 
 
 Write = Callable[[Path, Taken], Path]
