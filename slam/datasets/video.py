@@ -16,6 +16,8 @@ Image = NDArray[np.uint8]
 
 SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
 
+_USUAL_RATE = 30.0  # images a second, where a video does not even say that
+
 
 @dataclass(frozen=True)
 class Video:
@@ -72,10 +74,10 @@ def open_video(path: Path) -> Video:
     capture.release()
     if not moments:
         raise DataError(f"{path}: expected a video, found no image that can be decoded; copy it again or convert it")
-    times = np.array(moments)
-    if not (np.diff(times) > 0).all():  # containers without times of their own
-        times = np.arange(len(moments)) / (rate if 0 < rate < np.inf else 30.0)
-    return Video(path, times, Cursors(lambda index: _images(path, index)))
+    stamps = np.array(moments)
+    timed = bool((np.diff(stamps) > 0).all())  # some containers have no times of their own
+    times = stamps if timed else np.arange(len(stamps)) / (rate if 0 < rate < np.inf else _USUAL_RATE)
+    return Video(path, times, Cursors(lambda index: _images(path, stamps if timed else None, index)))
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
@@ -85,23 +87,26 @@ def _opened(path: Path) -> cv2.VideoCapture:
     return capture
 
 
-def _images(path: Path, start: int) -> Iterator[Image]:
+def _images(path: Path, stamps: Array | None, start: int) -> Iterator[Image]:
     """Images from one on. Those before it are decoded too where the file cannot be entered exactly there."""
     capture = _opened(path)
     try:
-        if start and not (capture.set(cv2.CAP_PROP_POS_FRAMES, start) and _stands_at(capture, start)):
+        there = start > 0 and _enter(capture, stamps, start)
+        if not there:
             capture.release()
             capture = _opened(path)
-            for _ in range(start):
-                capture.grab()
-        while True:
-            read, image = capture.read()
-            if not read:
-                return
+            there = all(capture.grab() for _ in range(start + 1))
+        while there:
+            _, image = capture.retrieve()
             yield np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            there = capture.grab()
     finally:
         capture.release()
 
 
-def _stands_at(capture: cv2.VideoCapture, index: int) -> bool:
-    return round(capture.get(cv2.CAP_PROP_POS_FRAMES)) == index
+def _enter(capture: cv2.VideoCapture, stamps: Array | None, index: int) -> bool:
+    """Go to an image and tell by its time whether it is that one: where steps vary, a decoder may only guess."""
+    if stamps is None or not (capture.set(cv2.CAP_PROP_POS_FRAMES, index) and capture.grab()):
+        return False
+    nearest = np.argmin(np.abs(stamps - capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0))
+    return bool(nearest == index)
