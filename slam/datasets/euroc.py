@@ -111,7 +111,7 @@ def _true_way(path: Path, left: Sensor) -> TrueWay | None:
     if (np.linalg.norm(rows[:, 4:], axis=1) < 1e-6).any():
         raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found zeros; copy the file again")
     T_world_body = np.repeat(np.eye(4)[None], len(rows), axis=0)
-    T_world_body[:, :3, :3] = Rotation.from_quat(rows[:, 4:], scalar_first=True).as_matrix()
+    T_world_body[:, :3, :3] = Rotation.from_quat(rows[:, [5, 6, 7, 4]]).as_matrix()
     T_world_body[:, :3, 3] = rows[:, 1:4]
     return TrueWay(rows[:, 0], T_world_body @ left.T_body_camera)
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slam import cli
 from slam.datasets.bag_file import Bag
 from slam.datasets.bag_topics import choose_topics
 from slam.datasets.dataset import Dataset
-from slam.datasets.kinds import kind_of
+from slam.datasets.kinds import KINDS, kind_of
 from slam.datasets.open import open_drive, open_left_images, open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
@@ -219,6 +220,10 @@ def test_topics_are_found_by_their_names(
 ) -> None:
     found = choose_topics(Bag(Path("x.bag"), dict.fromkeys(topics, 9), {}), named)
     assert (found.left, found.right) == chosen
+
+
+def test_the_command_line_names_every_kind() -> None:
+    assert sorted(cli.KIND_NAMES.split(", ")) == sorted(KINDS)
 
 
 Write = Callable[[Path, Taken], Path]

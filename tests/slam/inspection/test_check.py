@@ -13,7 +13,7 @@ from slam.datasets.source import Source
 from slam.inspection.finding import Finding, Inspection, Status, Use
 from slam.inspection.recording import inspect
 
-from ..datasets.layouts import RATE, Taken, taken, write_folders
+from ..datasets.layouts import RATE, BagStyle, Taken, taken, write_bag, write_folders
 from ..datasets.rig import Rig
 
 Image = np.ndarray
@@ -166,6 +166,18 @@ def test_the_command_answers_people_and_scripts(
     assert "will not work: " in capsys.readouterr().out
     assert revisit("check", tmp_path / "nowhere") == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_topics_of_a_bag_are_chosen_on_the_command_line(
+    tmp_path: Path, ideal: Taken, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_bag(tmp_path, ideal, BagStyle("mcap", topics=("/a/image", "/b/image")))
+    assert revisit("check", bag) == 1
+    assert "choose with --topic" in capsys.readouterr().out.replace("\n", " ")
+    assert revisit("check", bag, "--topic", "/a/image", "--topic", "/b/image", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["works"]["stereo"]
+    assert revisit("check", bag, "--kind", "mcap") == 2
+    assert "--kind: expected one of bag, " in capsys.readouterr().err
 
 
 def test_a_real_drive_is_good(test_data: Path) -> None:
