@@ -199,6 +199,28 @@ def optimize(
     optimize_graphs(options, Console(stderr=True), Console())
 
 
+@app.command()
+def benchmark(
+    config: Annotated[Path, typer.Argument(help="TOML file: sources, paradigms, robust, seeds.")],
+    out: Out,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine, 0 for this one alone; else one for each core.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Of dask, instead: tcp://HOST:PORT; same files there.")] = None,
+) -> None:
+    """Run every source with every paradigm, back end and seed; figures of all runs side by side.
+
+    What an earlier command has finished in the output folder is kept, so the same command goes on where it stopped.
+    Several processes need: pip install 'revisit-slam[cluster]'
+
+    Example: revisit benchmark town.toml --out runs/town
+    """
+    from slam.benchmark.command import BenchmarkOptions, run_benchmark
+
+    succeeded = run_benchmark(BenchmarkOptions(config, out, workers, scheduler), Console(stderr=True), Console())
+    raise typer.Exit(0 if succeeded else EXIT_FAILED)
+
+
 @evaluate_app.command("trajectory")
 def evaluate_trajectory(
     estimate: Annotated[Path, typer.Argument(help="Estimated poses, KITTI (12 numbers a line) or TUM.")],

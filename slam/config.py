@@ -57,20 +57,32 @@ def read_config(path: Path) -> RunConfig:
     Raises:
         ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
     """
+    return from_values(RunConfig, read_toml(path), str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Values of a TOML file.
+
+    Raises:
+        ConfigError: the file is missing or damaged.
+    """
     try:
-        values = tomllib.loads(path.read_text())
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: expected a TOML file, {error}") from error
-    return _from_values(RunConfig, values, str(path))
 
 
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
-    return value
+def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
+    """An object of a frozen dataclass, nested ones too, from the values of a TOML table.
 
+    Args:
+        kind: the dataclass; fields that are not named keep their defaults.
+        values: by the names of its fields.
+        where: what the table is, for messages.
 
-def _from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
+    Raises:
+        ConfigError: an unknown name, or a value of the wrong type.
+    """
     hints = get_type_hints(kind)
     unknown = sorted(set(values) - set(hints))
     if unknown:
@@ -82,9 +94,15 @@ def _from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
         raise ConfigError(f"{where}: {error}") from error
 
 
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value
+
+
 def _checked(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
-        return _from_values(kind, value, where)  # type: ignore[arg-type]
+        return from_values(kind, value, where)  # type: ignore[arg-type]
     if get_origin(kind) is tuple and isinstance(value, list):
         return _as_tuple(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):

@@ -4,19 +4,23 @@ import platform
 import resource
 import shlex
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
 _LIBRARIES = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
 
 
-def provenance(source: Path, sequence: str) -> dict[str, object]:
-    """Source, sequence, command and versions, as they stand in metrics.json."""
+def provenance(source: Path, sequence: str, command: Sequence[str] = ()) -> dict[str, object]:
+    """Source, sequence, command and versions, as they stand in metrics.json.
+
+    The command is what was typed, unless another one that does the same is given, without its `revisit`.
+    """
     versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in _LIBRARIES}
     return {
         "source": str(source),
         "sequence": sequence,
-        "command": shlex.join(["revisit", *sys.argv[1:]]),
+        "command": shlex.join(["revisit", *(command or sys.argv[1:])]),
         "versions": versions,
     }
 

@@ -51,6 +51,7 @@ class RunOptions:
         kind: of the source; None to recognise it.
         fps: images a second, where no file says when they were taken.
         topics: of a bag, left and right; empty to find them.
+        command: that makes this run, where it is not what was typed.
     """
 
     source: Path
@@ -62,6 +63,7 @@ class RunOptions:
     kind: str | None = None
     fps: float | None = None
     topics: tuple[str, ...] = ()
+    command: tuple[str, ...] = ()
 
     @property
     def recording(self) -> Source:
@@ -92,7 +94,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         viewer = open_viewer(options, config, drive, folder.path)
         try:
             finished = drive_through(drive, config, viewer, messages)
-            record = make_record(finished, provenance(options.source, drive.name))
+            record = make_record(finished, provenance(options.source, drive.name, options.command))
             viewer.finish(record)
         finally:
             viewer.close()

@@ -1,6 +1,7 @@
 """Stopping at the keyboard without losing what has been found."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -21,8 +22,14 @@ class StopRequest:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C within the block into a request that the loop can honour between two frames."""
+    """Turn the first Ctrl-C within the block into a request that the loop can honour between two frames.
+
+    Signals reach the main thread alone; in another one nothing is ever requested.
+    """
     request = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield request
+        return
     before = signal.signal(signal.SIGINT, request.make)
     try:
         yield request

@@ -20,6 +20,8 @@ QUARANTINE = {
     "yaml": ("slam/datasets/euroc",),
     "faiss": ("place_recognition/",),
     "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
+    "distributed": ("slam/benchmark/cluster",),
+    "dask": ("slam/benchmark/cluster",),
     "evo": (),
 }
 
@@ -56,10 +58,10 @@ def test_odometry_and_place_recognition_know_neither_each_other_nor_slam():
         assert not {name.split(".")[0] for name in imports(path)} & forbidden, path
 
 
-def test_only_the_command_line_and_the_demo_know_the_run():
+def test_only_the_command_line_the_demo_and_the_benchmark_know_the_run():
     for path in sources():
         if imports(path) & {"slam.run", "slam.cli"}:
-            assert module_name(path) in {"slam.cli", "slam.demo"}, path
+            assert module_name(path) in {"slam.cli", "slam.demo", "slam.benchmark.job"}, path
 
 
 @pytest.mark.parametrize("library", QUARANTINE)

@@ -45,33 +45,42 @@ def _no_image(_frame: int) -> None:
     """Have no image at hand (an ImageSource)."""
 
 
-def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str, object]) -> str:
-    """Return the page as text; everything that is not ours is escaped by the template engine."""
-    source = images or _no_image
-    environment = Environment(
+def environment() -> Environment:
+    """Where our pages come from; what is not ours is escaped in them."""
+    found = Environment(
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "ensure_ascii": False}
-    return environment.get_template("report.html.jinja").render(
-        record=record,
-        verdict=_verdict(record),
-        facts=_facts(record),
-        headings=list(ERRORS.values()),
-        estimates=[estimate(record, name) for name in ESTIMATES],
-        notes=_notes(record),
-        funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
-        recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
-        maps=maps(record),
-        places=places(record),
-        charts=charts(record),
-        stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
-        pairs=some_pairs(kept(record), source),
-        counts={"kept": len(kept(record)), "rejected": len(rejected(record))},
-        ledger=[(row, verdict(row), ledger_cells(row)) for row in record.loops],
-        evidence=evidence(record, source),
-        settings=flat(config),
-        origin=origin(record),
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "ensure_ascii": False}
+    return found
+
+
+def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str, object]) -> str:
+    """Return the page as text; everything that is not ours is escaped by the template engine."""
+    source = images or _no_image
+    return (
+        environment()
+        .get_template("report.html.jinja")
+        .render(
+            record=record,
+            verdict=_verdict(record),
+            facts=_facts(record),
+            headings=list(ERRORS.values()),
+            estimates=[estimate(record, name) for name in ESTIMATES],
+            notes=_notes(record),
+            funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
+            recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
+            maps=maps(record),
+            places=places(record),
+            charts=charts(record),
+            stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
+            pairs=some_pairs(kept(record), source),
+            counts={"kept": len(kept(record)), "rejected": len(rejected(record))},
+            ledger=[(row, verdict(row), ledger_cells(row)) for row in record.loops],
+            evidence=evidence(record, source),
+            settings=flat(config),
+            origin=origin(record),
+        )
     )
 
 

@@ -1,0 +1,104 @@
+"""Jobs on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any, Self
+from uuid import uuid4
+
+from slam.benchmark.engine import Work
+from slam.benchmark.job import Job, Outcome
+from slam.errors import ConfigError
+
+_LOOPBACK = "127.0.0.1"
+_PATIENCE_S = 20  # until a scheduler that does not answer is given up
+
+
+class Cluster:
+    """Does each job in the next process that is free (an Engine).
+
+    A job whose process dies is given to another one, four times at most: then the job is what kills them.
+    Processes of our own listen on the loopback device only.
+    """
+
+    def __init__(self, workers: int, scheduler: str | None) -> None:
+        """Start nothing yet.
+
+        Args:
+            workers: processes to start on this machine; of no meaning where there is a scheduler.
+            scheduler: address of an existing one; its workers must see the same files.
+
+        Raises:
+            ConfigError: dask.distributed is not installed.
+        """
+        self._workers, self._scheduler = workers, scheduler
+        self._distributed = _library()
+        self._client: Any = None
+        self._open = ExitStack()
+
+    def run(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Do the work for every job; each outcome as it comes."""
+        mark = uuid4().hex[:8]  # of this command: a scheduler would take an equal name for a job that it has done
+        futures = {self._client.submit(work, job, key=f"{job.name}-{mark}", pure=False): job for job in jobs}
+        try:
+            for future in self._distributed.as_completed(list(futures)):
+                yield _outcome(futures.pop(future), future)
+        finally:
+            self._client.cancel(list(futures))
+
+    def __enter__(self) -> Self:
+        """Start the processes, or reach the scheduler.
+
+        Raises:
+            ConfigError: it does not answer.
+        """
+        address = self._scheduler
+        try:
+            where = self._open.enter_context(self._own()) if address is None else address
+            self._client = self._open.enter_context(self._distributed.Client(where, timeout=_PATIENCE_S))
+        except (OSError, ValueError) as error:
+            self._open.close()
+            reason = " ".join(str(error).split())
+            raise ConfigError(
+                f"--scheduler {address}: expected a dask scheduler, {reason}; check it, or leave it out"
+            ) from None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the processes, or leave the scheduler."""
+        self._open.close()
+
+    def _own(self) -> Any:
+        """Processes with one thread each. Their memory is what runs need, not what dask would have them share."""
+        quiet = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0"}
+        return self._distributed.LocalCluster(
+            n_workers=self._workers,
+            threads_per_worker=1,
+            processes=True,
+            host=_LOOPBACK,
+            dashboard_address=None,
+            scheduler_kwargs=quiet,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+
+
+def _outcome(job: Job, future: Any) -> Outcome:
+    if future.status == "finished":
+        return future.result()
+    reason = " ".join(str(future.exception()).split()) if future.status == "error" else future.status
+    return Outcome(job.name, {}, f"the worker failed: {reason}")
+
+
+def _library() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigError(
+            "a benchmark on several processes needs dask.distributed, which is not installed; type: "
+            "pip install 'revisit-slam[cluster]', or give --workers 0"
+        ) from None
+    return distributed

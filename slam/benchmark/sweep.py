@@ -1,0 +1,160 @@
+"""What a benchmark runs: sources, paradigms, back ends and seeds, read from a TOML file.
+
+A list for each; every combination is a run. Paths are relative to the file:
+
+    paradigms = ["tracked-words", "dynamic-sequences"]
+    robust = ["pcm+gnc"]
+    seeds = [0, 1]
+    config = "settings.toml"
+
+    [[sources]]
+    path = "data/kitti"
+    sequence = "05"
+
+    [[sources]]
+    simulate = "blocks"
+    laps = 2
+    length = 300
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.config import RunConfig, from_values, read_toml
+from slam.datasets.source import Source
+from slam.errors import ConfigError
+from slam.simulation.spec import SHAPES, DriveSpec
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A source that is there.
+
+    Attributes:
+        name: of its runs.
+        source: what to read.
+    """
+
+    name: str
+    source: Source
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A source that is rendered first.
+
+    Attributes:
+        name: of its folder and of its runs.
+        spec: what to drive.
+    """
+
+    name: str
+    spec: DriveSpec
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Every source with every paradigm, back end and seed.
+
+    Attributes:
+        sources: no two of the same name.
+        paradigms: of place recognition, by name.
+        robust: back ends, by name.
+        seeds: of every random generator of a run.
+        config: settings file of all runs; None for the defaults.
+        record: write `recording.rrd` for each.
+    """
+
+    sources: tuple[Recorded | Simulated, ...]
+    paradigms: tuple[str, ...]
+    robust: tuple[str, ...]
+    seeds: tuple[int, ...]
+    config: Path | None
+    record: bool
+
+
+@dataclass(frozen=True)
+class _Written:
+    """A sweep as it stands in the file."""
+
+    sources: tuple[Any, ...] = ()
+    paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
+    robust: tuple[Any, ...] = (RunConfig.robust,)
+    seeds: tuple[Any, ...] = (RunConfig.seed,)
+    config: str = ""
+    record: bool = False
+
+
+@dataclass(frozen=True)
+class _WrittenSource:
+    path: str
+    sequence: str = ""
+    kind: str = ""
+
+
+def read_sweep(path: Path) -> Sweep:
+    """Read the TOML file of a benchmark.
+
+    Raises:
+        ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
+    """
+    written = from_values(_Written, read_toml(path), str(path))
+    sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
+    _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
+    _check_list(written.paradigms, str, f"{path}: paradigms")
+    _check_list(written.robust, str, f"{path}: robust")
+    _check_list(written.seeds, int, f"{path}: seeds")
+    config = _path(written.config, path.parent) if written.config else None
+    return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
+
+
+def _check_list(values: object, kind: type, where: str) -> None:
+    """Raise ConfigError unless these are one or more different values of a kind."""
+    wanted = f"{where}: expected a list of one or more different {'numbers' if kind is int else 'names'}"
+    if not isinstance(values, Sequence) or isinstance(values, str) or not values:
+        raise ConfigError(f"{wanted}, found {values!r}")
+    wrong = [value for value in values if type(value) is not kind or (isinstance(value, int) and value < 0)]
+    twice = [value for n, value in enumerate(values) if value in values[:n]]
+    if wrong or twice:
+        raise ConfigError(f"{wanted}, found {(wrong or twice)[0]!r}{'' if wrong else ' twice'}")
+
+
+def _source(entry: object, where: str, folder: Path) -> Recorded | Simulated:
+    if not isinstance(entry, dict) or ("path" in entry) == ("simulate" in entry):
+        raise ConfigError(f"{where}: expected a table with path = ... or with simulate = ..., found {entry!r}")
+    settings = {key: value for key, value in entry.items() if key != "name"}
+    given = entry.get("name", "")
+    if not isinstance(given, str):
+        raise ConfigError(f"{where}: name: expected str, found {given!r}")
+    if "path" in entry:
+        return _recorded(given, settings, where, folder)
+    return _simulated(given, settings, where, folder)
+
+
+def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> Recorded:
+    written = from_values(_WrittenSource, settings, where)
+    path = _path(written.path, folder)
+    own = "-".join(part for part in (path.name, written.sequence) if part)
+    return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.kind or None))
+
+
+def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> Simulated:
+    shape = settings.pop("simulate")
+    if not isinstance(shape, str):
+        raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
+    path = shape if shape in SHAPES else str(_path(shape, folder))
+    spec = from_values(DriveSpec, {"shape": path, **settings}, where)
+    own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
+    return Simulated(_file_name(name or own), spec)
+
+
+def _path(written: str, folder: Path) -> Path:
+    return (folder / Path(written).expanduser()).resolve()
+
+
+def _file_name(name: str) -> str:
+    """A name that can be part of a file's: letters of any script, digits and - . + _, no dot in front."""
+    return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "_"
