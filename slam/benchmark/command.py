@@ -73,8 +73,13 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
         _render(source, out, messages)
     for job in jobs:
         check_same(job)
-    with engine:
-        rows = carry_out(jobs, engine, run_job, out, results)
+    try:
+        with engine:
+            rows = carry_out(jobs, engine, run_job, out, results)
+    except KeyboardInterrupt:
+        messages.print("Interrupted: what is finished stays; the same command goes on.")
+        raise
+    _clear(out)
     write_json(out, rows, ("benchmark", str(options.config), "--out", str(options.out)))
     write_latex(out, rows)
     write_report(out, options.config.stem, rows)
@@ -111,13 +116,17 @@ def _render(source: Recorded | Simulated, out: Path, messages: Console) -> None:
 
 
 def _prepare(out: Path) -> None:
-    """Make the folder of the runs; unfinished ones of a command that was killed go."""
     jobs = out / "jobs"
     try:
         jobs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be written, {error.strerror}; choose another folder with --out") from None
-    for left in jobs.glob(".*"):
+    _clear(out)
+
+
+def _clear(out: Path) -> None:
+    """Remove what killed processes have left unfinished."""
+    for left in (out / "jobs").glob(".*"):
         shutil.rmtree(left, ignore_errors=True)
 
 

@@ -5,6 +5,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -73,8 +74,7 @@ _KEYS = {
 
 # What people read of a row: the field, its heading, digits after the point.
 SHOWN = (
-    ("frames", "frames", 0),
-    ("odometry_ate_m", "ATE by odometry [m]", 2),
+    ("odometry_ate_m", "odometry ATE [m]", 2),
     ("ate_m", "ATE [m]", 2),
     ("t_rel_percent", "t_rel [%]", 2),
     ("loops_kept", "loops", 0),
@@ -82,6 +82,8 @@ SHOWN = (
     ("recall_at_100_precision", "R@P100", 3),
     ("frames_per_second", "frames/s", 1),
 )
+
+_WIDE = ("t_rel_percent", "frames_per_second")  # not in a terminal, where the names need the room
 
 
 def make_row(job: Job, outcome: Outcome) -> Row:
@@ -131,7 +133,8 @@ def medians(rows: Sequence[Row]) -> list[tuple[Row, int]]:
 
 
 def _median(group: Sequence[Row]) -> Row:
-    return replace(group[0], **{name: _middle([getattr(row, name) for row in group]) for name in _KEYS})
+    found: dict[str, Any] = {name: _middle([getattr(row, name) for row in group]) for name in _KEYS}
+    return replace(group[0], **found)
 
 
 def _middle(values: Sequence[object]) -> object:
@@ -141,15 +144,13 @@ def _middle(values: Sequence[object]) -> object:
 
 def summary(rows: Sequence[Row]) -> Table:
     """The rows as a table for the terminal. What is not known is a dash."""
-    table = Table(caption="ATE after alignment of all poses", caption_justify="left")
-    for heading in ("source", "paradigm", "back end", "seed"):
-        table.add_column(heading)
-    for _, heading, _ in SHOWN:
+    table = Table(caption="ATE after alignment of all poses", caption_justify="left", box=None)
+    table.add_column("run", overflow="fold")
+    columns = [column for column in SHOWN if column[0] not in _WIDE]
+    for _, heading, _ in columns:
         table.add_column(escape(heading), justify="right")
     for row in rows:
-        names = (row.source, row.paradigm, row.robust, str(row.seed))
-        cells = ["failed" if row.error and n == 0 else cell for n, cell in enumerate(shown(row))]
-        table.add_row(*map(escape, names), *cells)
+        table.add_row(escape(row.run), *(text(getattr(row, name), digits) for name, _, digits in columns))
     return table
 
 

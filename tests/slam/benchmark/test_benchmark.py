@@ -1,0 +1,201 @@
+"""Many runs, by one process and by several: the same results, whatever dies meanwhile."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from rich.console import Console
+
+from slam import cli
+from slam.benchmark.cluster import Cluster
+from slam.benchmark.command import BenchmarkOptions, carry_out, make_jobs, run_benchmark
+from slam.benchmark.engine import OneProcess
+from slam.benchmark.job import Job, Outcome, run_job
+from slam.benchmark.sweep import read_sweep
+from slam.datasets.source import Source
+from slam.errors import OutputError
+
+QUIET = Console(quiet=True)
+SWEEP = """
+paradigms = ["pixel-sequences", "global-descriptor"]
+
+[[sources]]
+name = "street"
+simulate = "circle"
+length = 150
+width = 310
+height = 94
+max_frames = 8
+"""
+# What differs from one run of the same to the next: times, memory, and the pictures of them.
+TIMED = {"frames.csv", "metrics.json", "report.html", "run.log"}
+TIMES = {"timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "command"}
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sweep") / "sweep.toml"
+    path.write_text(SWEEP)
+    return path
+
+
+@pytest.fixture(scope="module")
+def alone(sweep: Path) -> Path:
+    """The benchmark by one process."""
+    out = sweep.parent / "alone"
+    assert run_benchmark(BenchmarkOptions(sweep, out, workers=0), QUIET, QUIET)
+    return out
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with Cluster(2, None) as started:
+        yield started
+
+
+def some_jobs(folder: Path, count: int) -> list[Job]:
+    return [Job("s", Source(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
+
+
+def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Cluster):
+    out = sweep.parent / "several"
+    jobs = make_jobs(read_sweep(sweep), out)
+    (out / "sources").mkdir(parents=True)
+    (out / "jobs").mkdir()
+    (out / "sources" / "street").symlink_to(alone / "sources" / "street")
+    rows = carry_out(jobs, cluster, run_job, out, QUIET)
+    assert [row.error for row in rows] == ["", ""]
+    for job in jobs:
+        other = alone / "jobs" / job.name
+        names = {path.name for path in job.folder.iterdir()}
+        assert names == {path.name for path in other.iterdir()}
+        assert all((job.folder / name).read_bytes() == (other / name).read_bytes() for name in names - TIMED)
+        assert figures(job.folder) == figures(other)
+
+
+def figures(folder: Path) -> dict:
+    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics["source"] = Path(metrics["source"]).name
+    return {key: value for key, value in metrics.items() if key not in TIMES}
+
+
+def test_a_job_whose_process_dies_is_done_by_another(tmp_path: Path, cluster: Cluster):
+    def dies_once(job: Job) -> Outcome:
+        mark = job.folder.with_suffix(".died")
+        if job.seed == 1 and not mark.exists():
+            mark.touch()
+            os._exit(1)
+        return Outcome(job.name, {"frames": job.seed})
+
+    outcomes = {done.name: done for done in cluster.run(dies_once, some_jobs(tmp_path, 4))}
+    assert (tmp_path / "job1.died").exists()
+    assert {name: done.metrics["frames"] for name, done in outcomes.items()} == {f"job{n}": n for n in range(4)}
+
+
+def test_results_come_as_they_are_ready_and_an_error_of_one_job_is_its_own(tmp_path: Path, cluster: Cluster):
+    def waits(job: Job) -> Outcome:
+        if job.seed == 1:
+            raise RuntimeError("out\nof luck")
+        while job.seed == 0 and not (tmp_path / "go").exists():
+            time.sleep(0.01)
+        return Outcome(job.name, {})
+
+    done = cluster.run(waits, some_jobs(tmp_path, 3))
+    early = [next(done), next(done)]
+    assert {outcome.name for outcome in early} == {"job1", "job2"}  # the first waits until these have been seen
+    assert [outcome.error for outcome in early if outcome.error] == ["the worker failed: out of luck"]
+    (tmp_path / "go").touch()
+    assert next(done).name == "job0"
+
+
+def test_nothing_listens_beyond_this_machine(cluster: Cluster):
+    ours = psutil.Process()
+    listening = [
+        connection.laddr.ip
+        for process in (ours, *ours.children(recursive=True))
+        for connection in process.net_connections(kind="inet")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert len(listening) >= 3  # a scheduler and two workers
+    assert set(listening) == {"127.0.0.1"}
+
+
+def test_a_benchmark_leaves_its_figures_and_each_run_whole(alone: Path):
+    assert {path.name for path in alone.iterdir()} == {
+        "jobs", "sources", "results.csv", "results.json", "tables.tex", "report.html"
+    }  # fmt: skip
+    runs = json.loads((alone / "results.json").read_text())["runs"]
+    assert [run["run"] for run in runs] == ["street.pixel-sequences.pcm+gnc.0", "street.global-descriptor.pcm+gnc.0"]
+    assert sorted(path.name for path in (alone / "jobs").iterdir()) == sorted(run["run"] for run in runs)
+    for run in runs:
+        metrics = json.loads((alone / "jobs" / run["run"] / "metrics.json").read_text())
+        assert (run["frames"], run["ate_m"]) == (8, metrics["corrected"]["ate_m"])
+        assert metrics["command"].startswith("revisit run ")
+
+
+def test_what_is_finished_is_not_done_again(sweep: Path, alone: Path):
+    done = {path: path.stat().st_mtime_ns for path in (alone / "jobs").rglob("*")}
+    left = alone / "jobs" / ".street.killed"
+    left.mkdir()
+    more = sweep.with_name("more.toml")
+    more.write_text(SWEEP.replace('"pixel-sequences", ', '"pixel-sequences", "no-such", '))
+    with pytest.raises(Exception, match="no-such"):
+        run_benchmark(BenchmarkOptions(more, alone, workers=0), QUIET, QUIET)
+    assert left.exists()  # refused before anything was touched
+    assert run_benchmark(BenchmarkOptions(sweep, alone, workers=0), QUIET, QUIET)
+    assert {path: path.stat().st_mtime_ns for path in (alone / "jobs").rglob("*")} == done
+
+
+def test_finished_runs_of_other_settings_are_refused(sweep: Path, alone: Path):
+    (sweep.parent / "own.toml").write_text("[landmarks]\n" + f"{landmark_setting()} = 77\n")
+    other = sweep.with_name("other.toml")
+    other.write_text('config = "own.toml"\n' + SWEEP)
+    with pytest.raises(OutputError, match="found another settings"):
+        run_benchmark(BenchmarkOptions(other, alone, workers=0), QUIET, QUIET)
+
+
+def landmark_setting() -> str:
+    from slam.config import RunConfig
+
+    return next(name for name, value in vars(RunConfig().landmarks).items() if isinstance(value, int | float))
+
+
+def test_a_run_that_fails_costs_no_other_and_is_tried_again(alone: Path, sweep: Path, tmp_path: Path):
+    good = make_jobs(read_sweep(sweep), alone)[0]
+    bad = Job("gone", Source(tmp_path / "gone"), tmp_path / "bad", None, good.paradigm, good.robust, 0, False)
+    rows = carry_out([bad, good], OneProcess(), run_job, tmp_path, QUIET)
+    assert str(tmp_path / "gone") in rows[0].error
+    assert rows[1].error == ""
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == 3
+    assert not bad.folder.exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_bug_in_a_run_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def breaks(*_: object) -> bool:
+        raise ZeroDivisionError("no wheels")
+
+    monkeypatch.setattr("slam.benchmark.job.run_recorded", breaks)
+    (job,) = some_jobs(tmp_path, 1)
+    assert "ZeroDivisionError: no wheels" in run_job(job).error
+    assert "in breaks" in job.trace.read_text()
+
+
+def test_a_run_that_is_stopped_leaves_nothing_and_stops_the_benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("slam.benchmark.job.run_recorded", lambda *_: True)
+    with pytest.raises(KeyboardInterrupt):
+        run_job(some_jobs(tmp_path, 1)[0])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_dask_the_line_to_type_is_told(sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    arguments = ["benchmark", str(sweep), "--out", str(sweep.parent / "none"), "--workers", "2"]
+    assert cli._exit_code(lambda: cli.app(arguments)) == cli.EXIT_USAGE
+    told = capsys.readouterr().err
+    assert "pip install 'revisit-slam[cluster]'" in told
+    assert told.count("\n") == 1
+    assert not (sweep.parent / "none").exists()

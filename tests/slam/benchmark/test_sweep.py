@@ -1,0 +1,110 @@
+"""The file of a benchmark: what it makes, and one line for whatever is wrong with it."""
+
+from pathlib import Path
+
+import pytest
+
+from slam.benchmark.command import BenchmarkOptions, make_jobs
+from slam.benchmark.sweep import read_sweep
+from slam.config import RunConfig
+from slam.datasets.source import Source
+from slam.errors import ConfigError
+
+SOURCE = '[[sources]]\npath = "drive"\n'
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "sweep.toml").write_text(text, encoding="utf-8")
+    return folder / "sweep.toml"
+
+
+def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
+    lists = 'paradigms = ["tracked-words", "pixel-sequences"]\nrobust = ["gnc", "pcm+gnc"]\nseeds = [0, 7]\n'
+    two = '[[sources]]\npath = "kitti"\nsequence = "05"\n[[sources]]\nsimulate = "blocks"\nlaps = 2\nlength = 300\n'
+    sweep = read_sweep(written(tmp_path, lists + two))
+    jobs = make_jobs(sweep, tmp_path / "out")
+    assert len({job.name for job in jobs}) == len(jobs) == 2 * 2 * 2 * 2
+    assert jobs == make_jobs(sweep, tmp_path / "out")
+    first, last = jobs[0], jobs[-1]
+    assert first.name == "kitti-05.tracked-words.gnc.0"
+    assert first.source == Source(tmp_path / "kitti", "05")
+    assert last.name == "blocks-laps-2-length-300.pixel-sequences.pcm+gnc.7"
+    assert (last.config.paradigm, last.config.robust, last.config.seed) == ("pixel-sequences", "pcm+gnc", 7)
+
+
+def test_what_is_not_named_is_as_in_a_single_run(tmp_path: Path):
+    (job,) = make_jobs(read_sweep(written(tmp_path, SOURCE)), tmp_path)
+    assert job.config == RunConfig(record=False)
+
+
+def test_the_settings_file_lies_beside_the_benchmark(tmp_path: Path):
+    (tmp_path / "own.toml").write_text("[key_frames]\ntravelled = 3.0\n".replace("travelled", key_frame_setting()))
+    (job,) = make_jobs(read_sweep(written(tmp_path, 'config = "own.toml"\nseeds = [4]\n' + SOURCE)), tmp_path)
+    assert getattr(job.config.key_frames, key_frame_setting()) == 3.0
+    assert job.config.seed == 4
+
+
+def key_frame_setting() -> str:
+    return next(name for name, value in vars(RunConfig().key_frames).items() if isinstance(value, float))
+
+
+def test_the_command_of_a_job_makes_the_same_run(tmp_path: Path):
+    (job,) = make_jobs(
+        read_sweep(written(tmp_path, 'seeds = [3]\n[[sources]]\npath = "a b"\nkind = "kitti"\n')), tmp_path
+    )
+    words = list(job.command)
+    assert words[:2] == ["run", str(tmp_path / "a b")]
+    assert {"--no-record", "--kind"} <= set(words)
+    assert words[words.index("--seed") + 1] == "3"
+    assert words[words.index("--out") + 1] == str(job.folder)
+
+
+def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
+    (job,) = make_jobs(read_sweep(written(tmp_path, SOURCE + 'name = "../<b>\\"улица"\n')), tmp_path / "out")
+    assert job.folder.resolve().parent == tmp_path / "out" / "jobs"
+    assert "улица" in job.name
+    assert not job.name.startswith(".")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("sources = 3", "sources"),
+        ("", "sources"),
+        ("[[sources]]", "path = ... or with simulate"),
+        ('[[sources]]\npath = "a"\nsimulate = "circle"', "path = ... or with simulate"),
+        ("[[sources]]\npath = 3", "path: expected str, found 3"),
+        ('[[sources]]\npath = "a"\nsequence = 5', "sequence: expected str, found 5"),
+        ('[[sources]]\npath = "a"\ncolour = "red"', "unknown setting 'colour'"),
+        ('[[sources]]\npath = "a"\nname = 1', "name: expected str, found 1"),
+        ('[[sources]]\nsimulate = "spiral"', "spiral"),
+        ("[[sources]]\nsimulate = 3", "found 3"),
+        ('[[sources]]\nsimulate = "circle"\nlaps = 0', "laps"),
+        ('[[sources]]\nsimulate = "circle"\nlaps = "two"', "laps: expected int, found 'two'"),
+        (SOURCE + SOURCE, "found 'drive' twice"),
+        ("paradigms = []\n" + SOURCE, "paradigms: expected a list of one or more"),
+        ('paradigms = "tracked-words"\n' + SOURCE, "paradigms: expected a list of one or more"),
+        ('robust = ["gnc", "gnc"]\n' + SOURCE, "found 'gnc' twice"),
+        ('seeds = ["0"]\n' + SOURCE, "found '0'"),
+        ("seeds = [true]\n" + SOURCE, "found True"),
+        ("seeds = [-1]\n" + SOURCE, "found -1"),
+        ("speed = 3\n" + SOURCE, "unknown setting 'speed'"),
+        ("seeds = [", "expected a TOML file"),
+    ],
+)
+def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Path, text: str, told: str):
+    with pytest.raises(ConfigError) as error:
+        read_sweep(written(tmp_path, text))
+    assert told in str(error.value)
+    assert "\n" not in " ".join(str(error.value).splitlines())
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"nowhere\.toml"):
+        read_sweep(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize(("workers", "scheduler"), [(-1, None), (2, "tcp://127.0.0.1:1")])
+def test_an_engine_that_cannot_be_is_refused(tmp_path: Path, workers: int, scheduler: str | None):
+    with pytest.raises(ConfigError, match="--workers"):
+        _ = BenchmarkOptions(tmp_path, tmp_path, workers, scheduler).engine
