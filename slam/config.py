@@ -103,7 +103,9 @@ def _without_none(value: Any) -> Any:
 def _checked(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
         return from_values(kind, value, where)  # type: ignore[arg-type]
-    if get_origin(kind) is tuple and isinstance(value, list):
+    if get_origin(kind) is tuple:
+        if not isinstance(value, list):
+            raise ConfigError(f"{where}: expected a list, found {value!r}")
         return _as_tuple(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)

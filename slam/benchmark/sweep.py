@@ -18,7 +18,6 @@ A list for each; every combination is a run. Paths are relative to the file:
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,11 +110,11 @@ def read_sweep(path: Path) -> Sweep:
     return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
 
 
-def _check_list(values: object, kind: type, where: str) -> None:
+def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
     """Raise ConfigError unless these are one or more different values of a kind."""
-    wanted = f"{where}: expected a list of one or more different {'numbers' if kind is int else 'names'}"
-    if not isinstance(values, Sequence) or isinstance(values, str) or not values:
-        raise ConfigError(f"{wanted}, found {values!r}")
+    wanted = f"{where}: expected one or more different {'numbers from 0 on' if kind is int else 'names'}"
+    if not values:
+        raise ConfigError(f"{wanted}, found none")
     wrong = [value for value in values if type(value) is not kind or (isinstance(value, int) and value < 0)]
     twice = [value for n, value in enumerate(values) if value in values[:n]]
     if wrong or twice:

@@ -38,7 +38,7 @@ def test_what_is_not_named_is_as_in_a_single_run(tmp_path: Path):
 
 
 def test_the_settings_file_lies_beside_the_benchmark(tmp_path: Path):
-    (tmp_path / "own.toml").write_text("[key_frames]\ntravelled = 3.0\n".replace("travelled", key_frame_setting()))
+    (tmp_path / "own.toml").write_text(f"[key_frames]\n{key_frame_setting()} = 3.0\n")
     (job,) = make_jobs(read_sweep(written(tmp_path, 'config = "own.toml"\nseeds = [4]\n' + SOURCE)), tmp_path)
     assert getattr(job.config.key_frames, key_frame_setting()) == 3.0
     assert job.config.seed == 4
@@ -82,8 +82,8 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         ('[[sources]]\nsimulate = "circle"\nlaps = 0', "laps"),
         ('[[sources]]\nsimulate = "circle"\nlaps = "two"', "laps: expected int, found 'two'"),
         (SOURCE + SOURCE, "found 'drive' twice"),
-        ("paradigms = []\n" + SOURCE, "paradigms: expected a list of one or more"),
-        ('paradigms = "tracked-words"\n' + SOURCE, "paradigms: expected a list of one or more"),
+        ("paradigms = []\n" + SOURCE, "paradigms: expected one or more"),
+        ('paradigms = "tracked-words"\n' + SOURCE, "paradigms: expected a list, found 'tracked-words'"),
         ('robust = ["gnc", "gnc"]\n' + SOURCE, "found 'gnc' twice"),
         ('seeds = ["0"]\n' + SOURCE, "found '0'"),
         ("seeds = [true]\n" + SOURCE, "found True"),
