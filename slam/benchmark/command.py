@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from slam.benchmark.engine import Engine, Work, open_engine
+from slam.benchmark.cluster import Cluster
+from slam.benchmark.engine import Engine, OneProcess, Work
 from slam.benchmark.job import Job, Outcome, check_same, finished, run_job
 from slam.benchmark.latex import write_latex
 from slam.benchmark.report import write_report
@@ -42,11 +43,15 @@ class BenchmarkOptions:
         """What does the jobs.
 
         Raises:
-            ConfigError: it cannot, or there are two.
+            ConfigError: there cannot be so many, or both are given, or dask is not installed.
         """
         if self.scheduler is not None and self.workers is not None:
             raise ConfigError("--scheduler: expected no --workers beside it, found both; the scheduler has its own")
-        return open_engine((os.cpu_count() or 1) if self.workers is None else self.workers, self.scheduler)
+        workers = (os.cpu_count() or 1) if self.workers is None else self.workers
+        if workers < 0:
+            raise ConfigError(f"--workers: expected 0 or more, found {workers}")
+        alone = workers == 0 and self.scheduler is None
+        return OneProcess() if alone else Cluster(workers, self.scheduler)
 
 
 def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console) -> bool:

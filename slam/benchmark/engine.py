@@ -5,7 +5,6 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from slam.benchmark.job import Job, Outcome
-from slam.errors import ConfigError
 
 Work = Callable[[Job], Outcome]
 
@@ -22,7 +21,9 @@ class Engine(Protocol):
     def __enter__(self) -> Self:
         """Begin."""
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):  # type: ignore[no-untyped-def]
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """End."""
 
 
@@ -41,18 +42,3 @@ class OneProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End: there is nothing to end."""
-
-
-def open_engine(workers: int, scheduler: str | None) -> Engine:
-    """The engine for so many processes on this machine, 0 for this one; or for those of a dask scheduler.
-
-    Raises:
-        ConfigError: there cannot be so many, or dask is not installed.
-    """
-    if workers < 0:
-        raise ConfigError(f"--workers: expected 0 or more, found {workers}")
-    if scheduler is None and workers == 0:
-        return OneProcess()
-    from slam.benchmark.cluster import Cluster
-
-    return Cluster(workers, scheduler)
