@@ -1,6 +1,7 @@
 """Jobs on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
 
 import logging
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from types import TracebackType
@@ -12,13 +13,14 @@ from slam.benchmark.job import Job, Outcome
 from slam.errors import ConfigError
 
 _LOOPBACK = "127.0.0.1"
+_ALLOWED_DEATHS = 2  # of processes of our own that do the same job
 _PATIENCE_S = 20  # until a scheduler that does not answer is given up
 
 
 class Cluster:
     """Does each job in the next process that is free (an Engine).
 
-    A job whose process dies is given to another one, four times at most: then the job is what kills them.
+    A job whose process dies is given to another one; after some deaths the job is taken for what kills them, and fails.
     Processes of our own listen on the loopback device only.
     """
 
@@ -37,15 +39,32 @@ class Cluster:
         self._client: Any = None
         self._open = ExitStack()
 
+    @property
+    def address(self) -> str:
+        """Of the scheduler, once begun."""
+        return str(self._client.scheduler.address)
+
     def run(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
         """Do the work for every job; each outcome as it comes."""
+        waiting, running, done = deque(jobs), dict[Any, Job](), self._distributed.as_completed()
         mark = uuid4().hex[:8]  # of this command: a scheduler would take an equal name for a job that it has done
-        futures = {self._client.submit(work, job, key=f"{job.name}-{mark}", pure=False): job for job in jobs}
+
+        def fill() -> None:
+            # No more than can be done at once: what waits at a process that dies would be suspected as well.
+            while waiting and len(running) < max(1, sum(self._client.nthreads().values())):
+                job = waiting.popleft()
+                future = self._client.submit(work, job, key=f"{job.name}-{mark}", pure=False)
+                running[future] = job
+                done.add(future)
+
         try:
-            for future in self._distributed.as_completed(list(futures)):
-                yield _outcome(futures.pop(future), future)
+            fill()
+            for future in done:
+                outcome = _outcome(running.pop(future), future)
+                fill()
+                yield outcome
         finally:
-            self._client.cancel(list(futures))
+            self._client.cancel(list(running))
 
     def __enter__(self) -> Self:
         """Start the processes, or reach the scheduler.
@@ -73,14 +92,14 @@ class Cluster:
 
     def _own(self) -> Any:
         """Processes with one thread each. Their memory is what runs need, not what dask would have them share."""
-        quiet = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0"}
+        settings = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0", "allowed_failures": _ALLOWED_DEATHS}
         return self._distributed.LocalCluster(
             n_workers=self._workers,
             threads_per_worker=1,
             processes=True,
             host=_LOOPBACK,
             dashboard_address=None,
-            scheduler_kwargs=quiet,
+            scheduler_kwargs=settings,
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         )

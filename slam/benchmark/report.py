@@ -23,6 +23,8 @@ _MARKS = (
     ("P", colours.GROUND_TRUTH),
 )
 
+_SMALLEST_M = 0.01  # of the scale of errors, for runs without any
+
 
 def write_report(folder: Path, name: str, rows: Sequence[Row]) -> None:
     """Write the page.
@@ -77,7 +79,7 @@ def places_and_errors(rows: Sequence[Row]) -> Figure | None:
         mark, colour = _MARKS[n % len(_MARKS)]
         ax.plot(*zip(*points, strict=True), mark, color=colour, ms=7, label=paradigm)
     ax.set(xlabel="ATE, corrected [m]", ylabel="R@P100", ylim=(0.0, 1.05))
-    ax.set_xlim(left=0.0)
+    ax.set_xlim(0.0, 1.08 * max(ax.dataLim.x1, _SMALLEST_M))
     style(ax)
     figure.legend(loc="outside upper center", ncols=3, frameon=False, labelcolor=INK, columnspacing=1.0)
     return figure

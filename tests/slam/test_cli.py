@@ -15,7 +15,7 @@ def exit_code(arguments: list[str]) -> int:
     return cli._exit_code(lambda: cli.app(arguments))
 
 
-@pytest.mark.parametrize("command", ["demo", "simulate", "run", "doctor", "evaluate", "optimize"])
+@pytest.mark.parametrize("command", ["demo", "simulate", "run", "doctor", "evaluate", "optimize", "benchmark"])
 def test_help_names_every_command(command: str):
     assert command in runner.invoke(cli.app, ["--help"]).output
 

@@ -18,7 +18,7 @@ from slam.benchmark.job import Job, Outcome, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
-from slam.errors import OutputError
+from slam.errors import ConfigError, OutputError
 
 QUIET = Console(quiet=True)
 SWEEP = """
@@ -96,6 +96,34 @@ def test_a_job_whose_process_dies_is_done_by_another(tmp_path: Path, cluster: Cl
     outcomes = {done.name: done for done in cluster.run(dies_once, some_jobs(tmp_path, 4))}
     assert (tmp_path / "job1.died").exists()
     assert {name: done.metrics["frames"] for name, done in outcomes.items()} == {f"job{n}": n for n in range(4)}
+
+
+def test_a_job_that_kills_whatever_does_it_is_given_up(tmp_path: Path, cluster: Cluster):
+    def dies(job: Job) -> Outcome:
+        if job.seed == 0:
+            os._exit(1)
+        return Outcome(job.name, {})
+
+    outcomes = {done.name: done.error for done in cluster.run(dies, some_jobs(tmp_path, 2))}
+    assert "the worker failed" in outcomes["job0"]
+    assert "\n" not in outcomes["job0"]
+    assert outcomes["job1"] == ""
+
+
+def test_an_existing_scheduler_is_used_and_left_running(tmp_path: Path, cluster: Cluster):
+    def tells_its_process(job: Job) -> Outcome:
+        return Outcome(job.name, {"process": os.getpid()})
+
+    for _ in range(2):
+        with Cluster(0, cluster.address) as guest:
+            (done,) = guest.run(tells_its_process, some_jobs(tmp_path, 1))
+        assert done.metrics["process"] in {child.pid for child in psutil.Process().children(recursive=True)}
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("slam.benchmark.cluster._PATIENCE_S", 0.2)
+    with pytest.raises(ConfigError, match="--scheduler tcp://127"), Cluster(0, "tcp://127.0.0.1:1"):
+        pass
 
 
 def test_results_come_as_they_are_ready_and_an_error_of_one_job_is_its_own(tmp_path: Path, cluster: Cluster):
