@@ -10,21 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from odometry.bundle_equations import accumulate
 from odometry.camera import within_sight
 from odometry.lens import COEFFICIENTS, Lens, LensConfig
+from odometry.points import Points, Seen, Sightings
+from odometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _LIMIT = 9.21  # chi squared, 99 %, two residuals of a sighting
-_MEDIAN = 1.386  # its median
+_TAIL = 2.0  # tracks err more often by much than Gauss allows: so many times the limit is what an outlier exceeds
+_MEDIAN = 1.386  # of chi squared
 _NOISE_AT_FIRST = 0.5  # pixels; the largest that is assumed as well
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
+_STEPS_AT_FIRST = 10
+_FIXED = -1
+_SEEN = 1e-8  # squared shift by parallax, squared slope of a ray, below which nothing is seen of a depth
 
 
 @dataclass(frozen=True)
@@ -35,9 +40,9 @@ class BundleConfig:
         frames: key frames in the window.
         free: of them, the newest that are adjusted; the older ones stay where they are.
         iterations: steps for each new key frame, which start from the window before.
-        locating: most steps for the pose of one frame with all depths known.
         floor_px: smallest noise level of a measurement that is believed, pixels.
         memory: share of a track's error that it still has in the next key frame.
+        carried: share of what is known of a depth that outlives the frames that told it.
         repeats: windows in which one track is seen, so that it does not teach the lens anew in each.
 
     """
@@ -45,250 +50,154 @@ class BundleConfig:
     frames: int = 12
     free: int = 6
     iterations: int = 2
-    locating: int = 8
     floor_px: float = 0.05
     memory: float = 0.5
+    carried: float = 0.0
     repeats: float = 10.0
 
 
-@dataclass(frozen=True)
-class Seen:
-    """The points that one key frame shows.
-
-    Attributes:
-        ids: (N,) growing names of the tracks.
-        pixels: (N, 2).
-
-    """
-
-    ids: Indices
-    pixels: Array
-
-
-@dataclass(frozen=True)
-class Points:
-    """What is known of the points of a window, in the order of their names.
-
-    Attributes:
-        ids: (N,) names, growing.
-        frame: (N,) which frame of the window saw each first.
-        place: (N, 2) where, pixels.
-        depth: (N,) inverse depth there.
-        trust: (N,) its information, pixels squared over unit squared; 0 where nothing is known.
-
-    """
-
-    ids: Indices
-    frame: Indices
-    place: Array
-    depth: Array
-    trust: Array
-
-    def find(self, ids: Indices) -> tuple[Indices, Mask]:
-        """Where points are in here (M,), and which are (M,)."""
-        at = np.searchsorted(self.ids, ids).clip(0, max(len(self.ids) - 1, 0))
-        return at, (self.ids[at] == ids) if len(self.ids) else np.zeros(len(ids), bool)
-
-
-@dataclass(frozen=True)
-class Placed:
-    """Where a frame was taken, with all points known.
-
-    Attributes:
-        T_window_frame: (4, 4).
-        covariance: (6, 6) of the right perturbation, rotation first.
-        inliers: (N,) bool.
-        noise_px: standard deviation of a measurement, pixels.
-        residual_px: root mean square of the inliers' residuals.
-
-    """
-
-    T_window_frame: Array
-    covariance: Array
-    inliers: Mask
-    noise_px: float
-    residual_px: float
-
-
 class Bundle:
-    """Keeps the last key frames and adjusts them."""
+    """Keeps the last key frames and adjusts them.
 
-    def __init__(self, lens: Lens, config: BundleConfig | None = None, lens_config: LensConfig | None = None) -> None:
-        self._config, self._lens_config = config or BundleConfig(), lens_config or LensConfig()
-        self.lens = lens
+    Attributes:
+        lens: as learned so far.
+        poses: (K, 4, 4) T_map_frame; the map is where the first two frames put it.
+        points: what is known of the points.
+        noise_px: standard deviation of a measurement, pixels.
+
+    """
+
+    def __init__(self, lens: Lens, config: BundleConfig, lens_config: LensConfig) -> None:
+        self._config, self._lens_config = config, lens_config
         self._frames: list[Seen] = []
-        self.poses = np.zeros((0, 4, 4))  # T_oldest_frame
+        self.lens, self.poses, self.points = lens, np.zeros((0, 4, 4)), Points.none()
         self.noise_px = _NOISE_AT_FIRST
-        self.points = Points(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
-    def __len__(self) -> int:
-        return len(self._frames)
+    def begin(self, first: Seen, second: Seen, T_map_first: Array, T_first_second: Array) -> Mask:
+        """Forget everything but two frames, poses (4, 4); which of the second's points agree (N,)."""
+        self._frames, self.points = [first, second], Points.none()
+        self.poses = np.stack([T_map_first, T_map_first @ T_first_second])
+        return self._adjust(1, _STEPS_AT_FIRST)
 
-    def begin(self, frames: list[Seen], T_first_second: Array, iterations: int = 10) -> Mask:
-        """Forget everything but two frames, the second at (4, 4) in the first; which of its points agree."""
-        self._frames, self.poses = list(frames), np.stack([np.eye(4), T_first_second])
-        self.points = Points(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-        return self._adjust(1, iterations)
-
-    def add(self, seen: Seen, T_window_frame: Array) -> Mask:
+    def add(self, seen: Seen, T_map_frame: Array) -> Mask:
         """Add a key frame about where it is said to be, (4, 4), and adjust; which of its points agree (N,)."""
         if len(self._frames) >= self._config.frames:
-            self._drop_oldest()
-            T_window_frame = self._shifted @ T_window_frame
+            self._frames = self._frames[1:]
+            self.points = self.points.anchored(Sightings.of(self._frames), self.poses, self.lens)
+            self.poses = self.poses[1:]
         self._frames.append(seen)
-        self.poses = np.concatenate([self.poses, T_window_frame[None]])
-        return self._adjust(self._config.free, self._config.iterations)
+        self.poses = np.concatenate([self.poses, T_map_frame[None]])
+        return self._adjust(min(self._config.free, len(self.poses) - 2), self._config.iterations)
+
+    def show(self, seen: Seen) -> None:
+        """Change what the newest frame shows: without points that do not agree, with new ones."""
+        self._frames[-1] = seen
+        known = self.points.ids
+        new = seen.ids > (known[-1] if len(known) else -1)
+        count, nothing = int(new.sum()), np.zeros(int(new.sum()))
+        frame = np.full(count, len(self._frames) - 1)
+        fresh = Points(seen.ids[new], frame, seen.pixels[new], nothing + self.points.usual, nothing, nothing)
+        self.points = self.points.joined(fresh)
 
     def rescale(self, factor: float) -> None:
-        """Make everything larger by a factor; no image contradicts that."""
+        """Make everything larger by a factor, the newest frame staying where it is: no image contradicts that."""
+        newest = self.poses[-1, :3, 3]
         self.poses = self.poses.copy()
-        self.poses[:, :3, 3] *= factor
-        p = self.points
-        self.points = Points(p.ids, p.frame, p.place, p.depth / factor, p.trust * factor**2)
+        self.poses[:, :3, 3] = newest + factor * (self.poses[:, :3, 3] - newest)
+        self.points = self.points.scaled(factor)
 
-    def in_frame(self, ids: Indices, T_window_frame: Array) -> tuple[Array, Array]:
-        """Points (N, 4) of tracks in a frame at (4, 4), each times its inverse depth where it was first seen:
-        finite at infinity; unknown ones at the depth of most. And their trust (N,), 0 for unknown ones."""
-        at, known = self.points.find(ids)
-        p = self.points
-        rays = self.lens.rays(p.place[at])
-        T = se3.inverse(T_window_frame) @ self.poses[p.frame[at]]
-        out = np.einsum("nij,nj->ni", T[:, :3, :3], rays) + T[:, :3, 3] * p.depth[at, None]
-        return np.concatenate([out, p.depth[at, None]], axis=1), np.where(known, p.trust[at], 0.0)
+    def predict(self, ids: Indices, T_map_camera: Array) -> Array:
+        """Where a camera at (4, 4) sees tracks, pixels (N, 2), NaN behind it; the depth of new ones is guessed."""
+        return self.lens.pixels(self.in_camera(ids, T_map_camera)[:, :3])
 
-    def locate(self, ids: Indices, pixels: Array, T_guess: Array) -> Placed:
-        """Find the pose of a frame that shows known points at pixels (N, 2), near a guess (4, 4) of T_window_frame."""
-        p, config = self.points, self._config
-        at, _ = p.find(ids)
-        k = len(self._frames)
-        first = 2 * np.arange(len(ids) + 1)
-        frame = np.stack([p.frame[at], np.full(len(ids), k)], axis=1).ravel()
-        places = np.stack([p.place[at], pixels], axis=1).reshape(-1, 2)
-        states = np.full(k + 1, -9, np.int64)
-        states[k] = 0
-        T, depth, sigma, start = T_guess, p.depth[at].copy(), 2.0, 2.0
-        for i in range(config.locating):
-            start = max(2.0 * 0.5**i, sigma)
-            H, b, chi2, rows, offset, _ = accumulate(
-                _intrinsics(self.lens), (first, frame, places), (depth, p.depth[at], p.trust[at]),
-                np.concatenate([self.poses, T[None]]), states, self.lens.coefficients, _LIMIT * start**2, 0.0,
-            )
-            change = np.zeros(6 + COEFFICIENTS)
-            change[:6] = np.linalg.solve(H[:6, :6] / start**2 + _DAMPING * np.eye(6), -b[:6] / start**2)
-            depth = within_sight(depth - offset - rows @ change)
-            T = T @ se3.exp(change[:6])
-            known = chi2[1::2][p.trust[at] > 0]
-            if len(known):
-                sigma = float(np.clip(np.sqrt(np.quantile(known, 0.3) / 0.713), config.floor_px, 2.0))
-            if i > 2 and np.abs(change).max() < 1e-4:
-                break
-        inliers = chi2[1::2] < 2 * _LIMIT * sigma**2
-        covariance = np.linalg.inv(H[:6, :6] / sigma**2 + _DAMPING * np.eye(6))
-        residual = float(np.sqrt(chi2[1::2][inliers].mean() / 2)) if inliers.any() else float("nan")
-        return Placed(T, covariance, inliers, sigma, residual)
+    def in_camera(self, ids: Indices, T_map_camera: Array) -> Array:
+        """Tracks as seen by a camera at (4, 4): homogeneous points (N, 4), finite at infinity."""
+        points = self.points.at(ids)
+        T = se3.inverse(T_map_camera) @ self.poses[points.frame]
+        turned = np.einsum("nij,nj->ni", T[:, :3, :3], self.lens.rays(points.place))
+        return np.concatenate([turned + T[:, :3, 3] * points.depth[:, None], points.depth[:, None]], axis=1)
 
     def _adjust(self, free: int, iterations: int) -> Mask:
-        """Gauss-Newton; changes nothing if it does not converge."""
-        config, lens = self._config, self.lens
-        sightings, counts, ids = _gather(self._frames)
-        first, frame, places = sightings
-        depth, expected, trust = self._depths(ids, sightings)
-        free = min(free, len(self.poses) - 1)
-        states = np.full(len(self.poses), -9, np.int64)
-        states[-free:] = 6 * np.arange(free)
-        poses, coefficients = self.poses, lens.coefficients
-        prior = np.linalg.inv(lens.covariance)
-        for i in range(iterations):
-            sigma = self.noise_px
-            H, b, chi2, rows, offset, curvature = accumulate(
-                _intrinsics(lens), sightings, (depth, expected, trust), poses, states, coefficients,
-                _LIMIT * sigma**2, config.memory,
-            )
-            A, g = H / sigma**2, b / sigma**2
-            A[-3:, -3:] += prior
-            g[-3:] += prior @ (coefficients - lens.coefficients)
-            change = np.linalg.solve(A + _DAMPING * np.eye(len(g)), -g)
-            depth = within_sight(depth - offset - rows @ change)
-            poses = poses.copy()
-            for k in np.flatnonzero(states >= 0):
-                poses[k] = poses[k] @ se3.exp(change[states[k] : states[k] + 6])
-            coefficients = coefficients + change[-3:]
-            follow = np.ones(len(frame), bool)
-            follow[first[:-1]] = False
-            noise = float(np.sqrt(np.median(chi2[follow]) / _MEDIAN))
-            self.noise_px = float(np.clip(noise, config.floor_px, _NOISE_AT_FIRST))
-        if not (np.isfinite(poses).all() and np.isfinite(depth).all() and np.isfinite(coefficients).all()):
-            return np.ones(len(self._frames[-1].ids), bool)
-        x = H[:-3, :-3] / sigma**2 + _DAMPING * np.eye(len(g) - 3)
-        cross = H[:-3, -3:] / sigma**2
-        information = H[-3:, -3:] / sigma**2 - cross.T @ np.linalg.solve(x, cross)
-        self.lens = lens.learned(coefficients, information / config.repeats, self._lens_config)
-        self.poses = poses
-        self.points = Points(ids, frame[first[:-1]], places[first[:-1]], depth, np.where(counts > 1, curvature, 0.0))
-        newest = frame == len(self._frames) - 1
-        names = np.repeat(ids, counts)[newest]
-        good = chi2[newest] < 2 * _LIMIT * self.noise_px**2
-        at = np.searchsorted(names, self._frames[-1].ids)
-        return good[at]
+        """Gauss-Newton on the newest poses, the depths and the lens; which points of the newest frame agree (N,).
 
-    def _depths(self, ids: Indices, sightings: tuple[Indices, Indices, Array]) -> tuple[Array, Array, Array]:
-        first, frame, places = sightings
-        at, known = self.points.find(ids)
-        if len(self.points.ids):
-            known &= self.points.trust[at] > 0
-            start = self.points.depth[at] if len(self.points.ids) else None
-            usual = float(np.median(self.points.depth[self.points.trust > 0])) if known.any() else 0.05
-        else:
-            start, usual = np.full(len(ids), 0.05), 0.05
-        a, z = first[:-1], first[1:] - 1
-        rays, seen = self.lens.rays(places[a]), self.lens.rays(places[z])
-        T = se3.inverse(self.poses[frame[z]]) @ self.poses[frame[a]]
-        d, strength = triangulate(rays, seen, T)
-        new = np.where(strength > 1e-8, within_sight(d), usual)
-        depth = np.where(known, start, new)
-        return depth, depth.copy(), np.zeros(len(ids))
+        Changes nothing if it does not converge.
+        """
+        sightings = Sightings.of(self._frames)
+        problem = _Problem(sightings, self._known(sightings), self.poses, free, self.lens)
+        for _ in range(iterations):
+            problem.step(self.noise_px, self._config.memory)
+            noise = float(np.sqrt(np.median(problem.chi2[sightings.followed()]) / _MEDIAN))
+            self.noise_px = float(np.clip(noise, self._config.floor_px, _NOISE_AT_FIRST))
+        if problem.is_finite():
+            self.poses, self.points = problem.poses, problem.points()
+            information = problem.about_lens() / self._config.repeats
+            self.lens = self.lens.learned(problem.lens, information, self._lens_config)
+        newest = sightings.frame == len(self._frames) - 1
+        names = np.repeat(sightings.ids, sightings.counts)[newest]
+        agree = problem.chi2[newest] < _TAIL * _LIMIT * self.noise_px**2
+        return np.asarray(agree[np.searchsorted(names, self._frames[-1].ids)])
 
-    def _drop_oldest(self) -> None:
-        """Forget the oldest frame: its points move to the next frame that saw them."""
-        self._shifted = se3.inverse(self.poses[1])
-        kept = self._shifted @ self.poses[1:]
-        kept[:, :3, :3] = Rotation.from_matrix(kept[:, :3, :3]).as_matrix()
-        p = self.points
-        sightings, _, ids = _gather(self._frames[1:])
-        first, frame, places = sightings
-        a = first[:-1]
-        at, known = p.find(ids)
-        ray = self.lens.rays(p.place[at])
-        T = se3.inverse(self.poses[frame[a] + 1]) @ self.poses[p.frame[at]]
-        z = np.einsum("nj,nj->n", T[:, 2, :3], ray) + T[:, 2, 3] * p.depth[at]
-        moved = frame[a] + 1 != p.frame[at]
-        depth = np.where(moved, within_sight(p.depth[at] / np.maximum(z, 1e-3)), p.depth[at])
-        trust = np.where(known, p.trust[at], 0.0)
-        self.points = Points(ids, frame[a], places[a], depth, trust)
-        self._frames, self.poses = self._frames[1:], kept
+    def _known(self, sightings: Sightings) -> Points:
+        """Points with the depths that are known, and triangulated ones where they are not."""
+        a, z = sightings.first[:-1], sightings.first[1:] - 1
+        places = sightings.places
+        known = self.points.at(sightings.ids)
+        T_last_first = se3.inverse(self.poses[sightings.frame[z]]) @ self.poses[sightings.frame[a]]
+        depth, strength = triangulate(self.lens.rays(places[a]), self.lens.rays(places[z]), T_last_first)
+        depth = np.where(strength > _SEEN, within_sight(depth), self.points.usual)
+        depth = np.where(known.trust > 0, known.depth, depth)
+        carried = self._config.carried * known.carried
+        return Points(sightings.ids, sightings.anchor, places[a], depth, known.trust, carried)
 
 
-def triangulate(rays: Array, seen: Array, T_second_first: Array) -> tuple[Array, Array]:
-    """Inverse depths (N,) along rays (N, 3) of one frame seen along rays (N, 3), z = 1, of another, and how
-    strongly they are determined (N,): the squared shift that an inverse depth of one makes."""
-    R, t = T_second_first[..., :3, :3], T_second_first[..., :3, 3]
-    turned = np.einsum("...ij,...j->...i", R, rays)
-    a = seen[:, :2] * t[..., 2:] - t[..., :2]
-    b = turned[:, :2] - seen[:, :2] * turned[:, 2:]
-    strength = np.sum(a * a, axis=1)
-    return np.sum(a * b, axis=1) / np.maximum(strength, 1e-12), strength
+class _Problem:
+    """The state of one adjustment and its Gauss-Newton steps."""
+
+    def __init__(self, sightings: Sightings, points: Points, poses: Array, free: int, lens: Lens) -> None:
+        self._sightings, self._points, self._depth = sightings, points, points.depth
+        self.poses, self._prior, self.lens = poses, lens, lens.coefficients
+        self._information = np.linalg.inv(lens.covariance)
+        self._states = np.full(len(poses), _FIXED)
+        self._states[len(poses) - free :] = 6 * np.arange(free)
+
+    def step(self, sigma: float, memory: float) -> None:
+        """One step with the noise level sigma, pixels."""
+        s, points = self._sightings, self._points
+        H, b, self.chi2, rows, offset, self._trust = accumulate(
+            intrinsics(self._prior), (s.first, s.frame, s.places), (self._depth, points.depth, points.carried),
+            self.poses, self._states, self.lens, _LIMIT * sigma**2, memory,
+        )  # fmt: skip
+        self._H = H / sigma**2 + _DAMPING * np.eye(len(b))
+        A, g = self._H.copy(), b / sigma**2
+        A[-COEFFICIENTS:, -COEFFICIENTS:] += self._information
+        g[-COEFFICIENTS:] += self._information @ (self.lens - self._prior.coefficients)
+        change = np.linalg.solve(A, -g)
+        self._depth = within_sight(self._depth - offset - rows @ change)
+        self.lens = self.lens + change[-COEFFICIENTS:]
+        self.poses = self.poses.copy()
+        for k in np.flatnonzero(self._states != _FIXED):
+            self.poses[k] = self.poses[k] @ se3.exp(change[self._states[k] : self._states[k] + 6])
+
+    def is_finite(self) -> bool:
+        """Whether it has come to anything."""
+        return all(np.isfinite(values).all() for values in (self.poses, self._depth, self.lens))
+
+    def points(self) -> Points:
+        """The points with their new depths."""
+        p, several = self._points, self._sightings.counts > 1
+        trust = np.where(several, self._trust, p.carried)
+        return Points(p.ids, p.frame, p.place, self._depth, trust, p.carried)
+
+    def about_lens(self) -> Array:
+        """What the window said about the lens, (3, 3)."""
+        cross = self._H[:-COEFFICIENTS, -COEFFICIENTS:]
+        known = self._H[-COEFFICIENTS:, -COEFFICIENTS:] - cross.T @ np.linalg.solve(
+            self._H[:-COEFFICIENTS, :-COEFFICIENTS], cross
+        )
+        return 0.5 * (known + known.T)
 
 
-def _intrinsics(lens: Lens) -> Array:
+def intrinsics(lens: Lens) -> Array:
+    """(4,) fx, fy, cx, cy, pixels."""
     c = lens.camera
     return np.array([c.fx, c.fy, c.cx, c.cy])
-
-
-def _gather(frames: list[Seen]) -> tuple[tuple[Indices, Indices, Array], Indices, Indices]:
-    """Sort the sightings of all frames by point: sightings, their number and the name of each point."""
-    ids = np.concatenate([seen.ids for seen in frames])
-    frame = np.repeat(np.arange(len(frames)), [len(seen.ids) for seen in frames])
-    order = np.argsort(ids, kind="stable")
-    names, counts = np.unique(ids, return_counts=True)
-    places = np.concatenate([seen.pixels for seen in frames])[order]
-    return (np.concatenate([[0], np.cumsum(counts)]), frame[order], places), counts, names
