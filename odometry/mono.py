@@ -21,6 +21,7 @@ from odometry.camera import PinholeCamera
 from odometry.lens import Lens, LensConfig
 from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
 from odometry.motion import Motion
+from odometry.motion_stereo import Depths, MotionStereoConfig, Shot, earlier, see_depth
 from odometry.placing import Placed, PlacingConfig, place
 from odometry.plausibility import Expectation, PlausibilityConfig, doubt, jump
 from odometry.points import Seen
@@ -45,6 +46,7 @@ class MonoOdometryConfig:
         bundle: how the last key frames are adjusted.
         placing: how the pose of an image is computed.
         lens: what is thought of the lens at first.
+        depths: how the depth of any pixels is found.
         plausibility: when a result is not believed.
         key_px: median flow since the last key frame that makes one, pixels.
         key_share: share of the last key frame's points that must still be followed, or else there is a new one.
@@ -60,6 +62,7 @@ class MonoOdometryConfig:
     bundle: BundleConfig = field(default_factory=BundleConfig)
     placing: PlacingConfig = field(default_factory=PlacingConfig)
     lens: LensConfig = field(default_factory=LensConfig)
+    depths: MotionStereoConfig = field(default_factory=MotionStereoConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
     key_px: float = 4.0
     key_share: float = 0.8
@@ -75,6 +78,7 @@ class MonoOdometry:
         self._camera, self._config = camera, config or MonoOdometryConfig()
         self._front_end = MonoFrontEnd(self._config.tracking)
         self.bundle = Bundle(Lens.unknown(camera, self._config.lens), self._config.bundle, self._config.lens)
+        self._images: deque[Image] = deque(maxlen=self._config.bundle.frames)  # of the bundle's frames
         self._ticks = Ticks()
         self._T_map_reference = np.eye(4)
         self._reference: Reference[Tracks] | None = None  # the last image whose place in the map is known
@@ -105,6 +109,24 @@ class MonoOdometry:
         self._candidate = self._candidate and self._candidate.older(steps)
         return self._measure(image, motion)
 
+    def depths(self, image: Image, pixels: Array) -> Depths:
+        """Depth of pixels (N, 2) of the image that was tracked last, in the unit of the motions.
+
+        For other stages. Nothing is known of an image whose motion was predicted.
+        """
+        if self._reference is None or self._unmeasured or not len(pixels):
+            return Depths.unknown(len(pixels))
+        tracks, points = self._reference.view, self.bundle.points
+        shots = [Shot(image, T) for image, T in zip(self._images, self.bundle.poses, strict=True)]
+        now = Shot(image, self._T_map_reference)
+        then = earlier(shots, now, 1.0 / points.usual, self._config.depths)
+        seen = self.bundle.in_camera(tracks.ids, self._T_map_reference)
+        known = (points.at(tracks.ids).trust > 0) & (seen[:, 2] > 0)
+        if then is None or not known.any():
+            return Depths.unknown(len(pixels))
+        hints = tracks.pixels[known], seen[known, 3] / seen[known, 2]
+        return see_depth(then, now, pixels, hints, self.bundle.lens, self._config.depths)
+
     def _check(self, image: Image) -> None:
         expected = (self._camera.height, self._camera.width)
         if image.shape != expected or image.dtype != np.uint8:
@@ -112,15 +134,13 @@ class MonoOdometry:
 
     def _measure(self, image: Image, motion: Array) -> Motion:
         """Measure from the map, else begin a new one, else go on as before: by motion (4, 4)."""
-        reason = ""
-        if self._reference is not None:
-            reason = self._locate(self._reference, image, motion)
-        if isinstance(reason, Motion):
-            return reason
+        located = "" if self._reference is None else self._locate(self._reference, image, motion)
+        if isinstance(located, Motion):
+            return located
         begun = self._begin(image, motion)
         if isinstance(begun, Motion):
             return begun
-        return self._extrapolate(image, motion, reason or begun)
+        return self._extrapolate(image, motion, located or begun)
 
     def _locate(self, reference: Reference[Tracks], image: Image, motion: Array) -> Motion | str:
         expected = self._expect(reference, image, motion)
@@ -164,6 +184,7 @@ class MonoOdometry:
         tracks = followed.tracks.only(placed.inliers)
         if self._is_key(tracks):
             agree = self.bundle.add(Seen(tracks.ids, tracks.pixels), T_map_camera)
+            self._images.append(tracks.image)
             tracks = self._renew(tracks.only(agree))
             T_map_camera = self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
@@ -221,6 +242,8 @@ class MonoOdometry:
         expected = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
         fresh = self._velocity is None
         agree = self.bundle.begin(first, Seen(tracks.ids, tracks.pixels), np.eye(4), found.T_first_second)
+        self._images.clear()
+        self._images.extend([tracks.key_image, tracks.image])
         way = float(np.linalg.norm(self.bundle.poses[-1, :3, 3] - self.bundle.poses[0, :3, 3]))
         self.bundle.rescale(_MEDIAN_DEPTH * self.bundle.points.usual if fresh else expected / max(way, 1e-9))
         tracks = self._renew(tracks.only(agree))

@@ -23,6 +23,7 @@ class Tracks:
         ids: (N,) names, growing.
         pixels: (N, 2) where they are.
         key_pixels: (N, 2) where they were in the last key frame.
+        key_image: (H, W) uint8 that one's.
 
     """
 
@@ -30,6 +31,7 @@ class Tracks:
     ids: Indices
     pixels: Array
     key_pixels: Array
+    key_image: Image
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -66,7 +68,8 @@ class MonoFrontEnd:
         ids = np.concatenate([ids, self._named + np.arange(len(corners))])
         pixels = np.concatenate([pixels, corners])
         self._named += len(corners)
-        return Tracks(image.copy(), ids, pixels, pixels)  # callers may use one buffer for all images
+        image = image.copy()  # callers may use one buffer for all images
+        return Tracks(image, ids, pixels, pixels, image)
 
     def follow(self, tracks: Tracks, image: Image, ahead: Array, wide: bool = False) -> Followed:
         """Look for points in the next image near where they are expected, pixels (N, 2), NaN where that is unknown."""
@@ -76,5 +79,5 @@ class MonoFrontEnd:
         lit = in_light_of(tracks.image, image) if wide else image
         pixels = follow((tracks.image, lit), tracks.pixels, start, config)
         found = np.isfinite(pixels[:, 0])
-        there = Tracks(image.copy(), tracks.ids[found], pixels[found], tracks.key_pixels[found])
+        there = Tracks(image.copy(), tracks.ids[found], pixels[found], tracks.key_pixels[found], tracks.key_image)
         return Followed(there, tracks.pixels[found])

@@ -108,10 +108,11 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
     view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
+    mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.")] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Run the whole chain on a recorded stereo drive: odometry, places, loops, pose graph, map, report.
+    """Run the whole chain on a recorded drive: odometry, places, loops, pose graph, map, report.
 
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
@@ -125,6 +126,7 @@ def run(
         "robust": robust,
         "seed": seed,
         "record": False if no_record else None,
+        "mono": mono or None,
     }
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_recorded(options, settings, Console(stderr=True), Console())

@@ -16,12 +16,13 @@ from slam import robust as robust_ends
 from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
 from slam.loop_trust import Admission, Change, LoopTrust, TrustConfig
-from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.pose_graph_drift import DriftBudget, OdometryChain, chained
 from slam.pose_graph_edges import stacked
 from slam.pose_graph_keys import KeyChain, KeySpacing
 from slam.pose_graph_marginals import marginal_covariances
 from slam.pose_graph_online import IncrementalConfig, IncrementalMap
 from slam.robust import LoopGate, Optimized
+from slam.scale_levels import unit_logs
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ class PoseGraphConfig:
     """What the graph believes about odometry and loops."""
 
     drift: DriftBudget = field(default_factory=DriftBudget)  # how wrong odometry may be over a distance
+    unit_drift: float = 0.0  # growth of the logarithm of its unit of length, for a square root of a metre
     # Added to every loop: one stated to be exact bends odometry round itself, be it true or false.
     loop_sigma_rad: float = 2e-3  # of rotation, radians
     loop_sigma_m: float = 0.05  # of translation, metres
@@ -147,7 +149,8 @@ class PoseGraph:
             ConfigError: the name is not known.
         """
         start = time.perf_counter()
-        problem = self._problem()
+        units = self._units()
+        problem = self._problem(units)
         outcome = robust_ends.solved(problem, robust)
         return Optimized(
             poses=outcome.poses,
@@ -158,15 +161,31 @@ class PoseGraph:
             error_initial=problem.error(outcome.kept, problem.start),
             error_final=problem.error(outcome.kept, outcome.poses),
             seconds=time.perf_counter() - start,
+            units=units,
         )
 
-    def _problem(self) -> robust_ends.LoopProblem:
-        real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in self._edges]
-        soft = [self.config.softened(loop) for loop in self._loops]
+    def _units(self) -> Array:
+        """Unit of length (N,) of each frame in that of the first, by what the loops tell."""
+        steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
+        return np.exp(unit_logs(steps, self._loops, self.config.unit_drift))
+
+    def levelled(self, units: Array) -> tuple[list[tuple[Array, Array]], list[LoopClosure]]:
+        """Motions with their covariances, and loops, all in the unit of the first frame; units (N,) in that."""
+        edges = [_resized(T, covariance, unit) for (T, covariance), unit in zip(self._edges, units[1:], strict=True)]
+        loops = []
+        for loop in self._loops:
+            T, covariance = _resized(loop.T_match_query, loop.covariance, units[loop.match])
+            loops.append(replace(loop, T_match_query=T, covariance=covariance))
+        return edges, loops
+
+    def _problem(self, units: Array) -> robust_ends.LoopProblem:
+        edges, closures = self.levelled(units)
+        real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in edges]
+        soft = [self.config.softened(loop) for loop in closures]
         before, ends = np.arange(len(real)), [(loop.match, loop.query) for loop in soft]
         chain = stacked(np.column_stack([before, before + 1]), real)
         loops = stacked(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in soft])
-        return robust_ends.LoopProblem(chain, loops, self._chain.poses)
+        return robust_ends.LoopProblem(chain, loops, chained([T for T, _ in edges]))
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):
@@ -189,6 +208,13 @@ class PoseGraph:
             f"{residual:.1f} sigma (limit {np.sqrt(self.config.gate_chi2):.1f})"
         )
         return LoopGate(passed, residual, reason)
+
+
+def _resized(T: Array, covariance: Array, unit: float) -> tuple[Array, Array]:
+    """Express a motion (4, 4) with its covariance (6, 6) in a unit of which its own is so many."""
+    T, rate = T.copy(), np.repeat([1.0, unit], 3)
+    T[:3, 3] *= unit
+    return T, covariance * np.outer(rate, rate)
 
 
 def _checked(covariance: Array, name: str) -> Array:

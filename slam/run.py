@@ -72,8 +72,10 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     """
     config = configure(options, settings)
     drive = open_drive(options.source, options.sequence)
-    if not drive.has_right:
-        raise DataError(f"{options.source}: expected left and right images, found left ones only; stereo is needed")
+    if not drive.has_right and not config.mono:
+        raise DataError(
+            f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
+        )
     with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):
         viewer = open_viewer(options, config, drive, folder.path)
         try:
