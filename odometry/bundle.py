@@ -15,7 +15,7 @@ from odometry import se3
 from odometry.bundle_equations import accumulate
 from odometry.camera import within_sight
 from odometry.lens import COEFFICIENTS, Lens, LensConfig
-from odometry.points import Points, Seen, Sightings
+from odometry.points import Points, Seen, Sightings, settled
 from odometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class BundleConfig:
     floor_px: float = 0.05
     memory: float = 0.5
     carried: float = 0.0
-    repeats: float = 10.0
+    repeats: float = 400.0
 
 
 class Bundle:
@@ -123,7 +123,7 @@ class Bundle:
         Changes nothing if it does not converge.
         """
         sightings = Sightings.of(self._frames)
-        problem = _Problem(sightings, self._known(sightings), self.poses, free, self.lens)
+        problem = _Problem(sightings, self._known(sightings), self.poses, free, self.lens, self._config.repeats)
         for _ in range(iterations):
             problem.step(self.noise_px, self._config.memory)
             noise = float(np.sqrt(np.median(problem.chi2[sightings.followed()]) / _MEDIAN))
@@ -147,16 +147,20 @@ class Bundle:
         depth = np.where(strength > _SEEN, within_sight(depth), self.points.usual)
         depth = np.where(known.trust > 0, known.depth, depth)
         carried = self._config.carried * known.carried
-        return Points(sightings.ids, sightings.anchor, places[a], depth, known.trust, carried)
+        place = np.where(known.trust[:, None] > 0, known.place, places[a])
+        return Points(sightings.ids, sightings.anchor, place, depth, known.trust, carried)
 
 
 class _Problem:
     """The state of one adjustment and its Gauss-Newton steps."""
 
-    def __init__(self, sightings: Sightings, points: Points, poses: Array, free: int, lens: Lens) -> None:
-        self._sightings, self._points, self._depth = sightings, points, points.depth
+    def __init__(self, sightings: Sightings, points: Points, poses: Array, free: int, lens: Lens, repeats: float) -> None:
+        self._sightings, self._points = sightings, points
+        self._measured = sightings.places[sightings.first[:-1]]
+        self._state = np.column_stack([points.place - self._measured, points.depth])
         self.poses, self._prior, self.lens = poses, lens, lens.coefficients
-        self._information = np.linalg.inv(lens.covariance)
+        # What the window says will be said again by the next ones: what is known already counts as often.
+        self._information = repeats * np.linalg.inv(lens.covariance)
         self._states = np.full(len(poses), _FIXED)
         self._states[len(poses) - free :] = 6 * np.arange(free)
 
@@ -164,15 +168,15 @@ class _Problem:
         """One step with the noise level sigma, pixels."""
         s, points = self._sightings, self._points
         H, b, self.chi2, rows, offset, self._trust = accumulate(
-            intrinsics(self._prior), (s.first, s.frame, s.places), (self._depth, points.depth, points.carried),
-            self.poses, self._states, self.lens, _LIMIT * sigma**2, memory,
+            intrinsics(self._prior), (s.first, s.frame, s.places), (self._state, points.depth, points.carried),
+            self.poses, self._states, self.lens, (_LIMIT * sigma**2, memory, 1.0),
         )  # fmt: skip
         self._H = H / sigma**2 + _DAMPING * np.eye(len(b))
         A, g = self._H.copy(), b / sigma**2
         A[-COEFFICIENTS:, -COEFFICIENTS:] += self._information
         g[-COEFFICIENTS:] += self._information @ (self.lens - self._prior.coefficients)
         change = np.linalg.solve(A, -g)
-        self._depth = within_sight(self._depth - offset - rows @ change)
+        self._state = settled(self._state - offset - rows @ change)
         self.lens = self.lens + change[-COEFFICIENTS:]
         self.poses = self.poses.copy()
         for k in np.flatnonzero(self._states != _FIXED):
@@ -180,13 +184,13 @@ class _Problem:
 
     def is_finite(self) -> bool:
         """Whether it has come to anything."""
-        return all(np.isfinite(values).all() for values in (self.poses, self._depth, self.lens))
+        return all(np.isfinite(values).all() for values in (self.poses, self._state, self.lens))
 
     def points(self) -> Points:
         """The points with their new depths."""
         p, several = self._points, self._sightings.counts > 1
         trust = np.where(several, self._trust, p.carried)
-        return Points(p.ids, p.frame, p.place, self._depth, trust, p.carried)
+        return Points(p.ids, p.frame, self._measured + self._state[:, :2], self._state[:, 2], trust, p.carried)
 
     def about_lens(self) -> Array:
         """What the window said about the lens, (3, 3)."""

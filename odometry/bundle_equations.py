@@ -14,10 +14,10 @@ from odometry.window_equations import gradient, relate
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_POSE, _LENS = 6, 3
-# Columns of a sighting: its errors, their derivatives by the anchor's pose, the frame's pose, the inverse depth
-# and the lens.
-_ERROR, _ANCHOR, _FRAME, _DEPTH, _BY_LENS, _COLUMNS = 0, 1, 7, 13, 14, 17
+_POSE, _LENS, _POINT = 6, 3, 3
+# Columns of a sighting: its errors, their derivatives by the anchor's pose, the frame's pose, the point and the lens.
+_ERROR, _ANCHOR, _FRAME, _BY_POINT, _BY_LENS, _COLUMNS = 0, 1, 7, 13, 16, 19
+_STATES = 3 * _POSE + _LENS  # unknowns of one residual beside the point
 _BEHIND = 1e-2  # smallest depth over depth that is divided by
 
 
@@ -25,114 +25,159 @@ _BEHIND = 1e-2  # smallest depth over depth that is divided by
 def accumulate(
     camera: Array,
     sightings: tuple[Indices, Indices, Array],
-    depths: tuple[Array, Array, Array],
+    points: tuple[Array, Array, Array],
     poses: Array,
     states: Indices,
     lens: Array,
-    scale: float,
-    memory: float,
+    noise: tuple[float, float, float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Sum the normal equations of all points, with robust weights, and eliminate the depths.
+    """Sum the normal equations of all points, with robust weights, and eliminate the points.
 
     Args:
         camera: (4,) fx, fy, cx, cy in pixels.
         sightings: first row of each point's sightings and their end (N + 1,); the frame of each sighting (M,),
             growing for each point; its column and row, (M, 2) pixels.
-        depths: inverse depth (N,) in the first frame that saw the point; what it was thought to be (N,), and the
-            weight of that (N,), in pixels squared over its unit squared.
-        poses: (K, 4, 4) T_window_frame.
+        points: (N, 3) how far each is from where its first frame saw it, two pixels, and its inverse depth there;
+            what the inverse depth was thought to be (N,), and the weight of that (N,), pixels squared over its
+            unit squared.
+        poses: (K, 4, 4) T_map_frame.
         states: (K,) first unknown of each pose, negative where the pose is fixed; the last three are the lens.
         lens: (3,) coefficients, see `odometry.lens`.
-        scale: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure).
-        memory: share of a track's error that it still has in the next frame.
+        noise: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure); share of a
+            track's error that it still has in the next frame; weight of a point's first sighting.
 
     Returns:
-        H (S, S) and b (S,), `H @ change = -b`; squared residuals (M,), pixels squared; for the depths
-        `inverse_depth -= offset (N,) + rows (N, S) @ change`, and their curvature (N,), pixels squared over unit squared.
+        H (S, S) and b (S,), `H @ change = -b`; squared residuals (M,), pixels squared; for the points
+        `points -= offset (N, 3) + rows (N, 3, S) @ change`; and the information about each inverse depth (N,),
+        pixels squared over its unit squared.
 
     """
     first, frame, places = sightings
-    inverse_depth, expected, trust = depths
-    size = _LENS
+    n, size = len(first) - 1, _LENS
     for state in states:
         if state >= 0:
             size += _POSE
     H, b, chi2 = np.zeros((size, size)), np.zeros(size), np.zeros(len(frame))
-    n = len(inverse_depth)
-    rows, offset, curvature = np.zeros((n, size)), np.zeros(n), np.zeros(n)
+    rows, offset, known = np.zeros((n, _POINT, size)), np.zeros((n, _POINT)), np.zeros(n)
     now, before, relative = np.zeros((2, _COLUMNS)), np.zeros((2, _COLUMNS)), np.zeros((3, 4))
-    J = np.zeros((2, 3 * _POSE + _LENS))
-    columns = np.zeros(3 * _POSE + _LENS, np.int64)
-    lens_state = size - _LENS
-    for k in range(_LENS):
-        columns[3 * _POSE + k] = lens_state + k
+    J, columns = np.zeros((2, _STATES)), np.full(_STATES, size - _LENS)
+    columns[3 * _POSE :] += np.arange(_LENS)
     for i in range(n):
-        anchor = frame[first[i]]
-        slope = trust[i] * (inverse_depth[i] - expected[i])
-        curvature[i] = trust[i]
+        A, g, W = np.zeros((_POINT, _POINT)), np.zeros(_POINT), np.zeros((_POINT, size))
+        _prior(A, g, points[0][i], points[1][i], points[2][i], noise[2])
+        anchor, previous = frame[first[i]], frame[first[i]]
         before[:] = 0.0
-        previous = anchor
+        before[0, _ERROR], before[1, _ERROR] = -points[0][i, 0], -points[0][i, 1]
+        before[0, _BY_POINT], before[1, _BY_POINT + 1] = -1.0, -1.0
         for m in range(first[i] + 1, first[i + 1]):
             relate(poses[anchor], poses[frame[m]], relative)
-            _see(camera, places[first[i]], places[m], inverse_depth[i], relative, lens, now)
-            r0 = now[0, _ERROR] - memory * before[0, _ERROR]
-            r1 = now[1, _ERROR] - memory * before[1, _ERROR]
-            d0 = now[0, _DEPTH] - memory * before[0, _DEPTH]
-            d1 = now[1, _DEPTH] - memory * before[1, _DEPTH]
-            for r in range(2):
-                for k in range(_POSE):
-                    J[r, k] = now[r, _ANCHOR + k] - memory * before[r, _ANCHOR + k]
-                    J[r, _POSE + k] = -memory * before[r, _FRAME + k]
-                    J[r, 2 * _POSE + k] = now[r, _FRAME + k]
-                for k in range(_LENS):
-                    J[r, 3 * _POSE + k] = now[r, _BY_LENS + k] - memory * before[r, _BY_LENS + k]
-            for k in range(_POSE):
-                columns[k] = states[anchor] + k if states[anchor] >= 0 else -1
-                columns[_POSE + k] = states[previous] + k if states[previous] >= 0 else -1
-                columns[2 * _POSE + k] = states[frame[m]] + k if states[frame[m]] >= 0 else -1
-            chi2[m] = r0 * r0 + r1 * r1
-            weight = 1.0 / (1.0 + chi2[m] / scale) ** 2
-            slope += weight * (d0 * r0 + d1 * r1)
-            curvature[i] += weight * (d0 * d0 + d1 * d1)
-            for j in range(3 * _POSE + _LENS):
-                if columns[j] < 0:
-                    continue
-                w0, w1, cj = weight * J[0, j], weight * J[1, j], columns[j]
-                if w0 == 0.0 and w1 == 0.0:
-                    continue
-                b[cj] += w0 * r0 + w1 * r1
-                rows[i, cj] += w0 * d0 + w1 * d1
-                for k in range(3 * _POSE + _LENS):
-                    if columns[k] >= cj:
-                        H[cj, columns[k]] += w0 * J[0, k] + w1 * J[1, k]
+            _see(camera, places[first[i]], places[m], points[0][i], relative, lens, now)
+            _columns(columns, states, anchor, previous, frame[m])
+            chi2[m] = _differ(now, before, noise[1], J)
+            weight = 1.0 / (1.0 + chi2[m] / noise[0]) ** 2
+            _add(H, b, A, g, W, J, columns, now, before, noise[1], weight)
             before[:] = now
             previous = frame[m]
-        c = curvature[i] + 1e-12
-        offset[i] = slope / c
-        for j in range(size):
-            rows[i, j] /= c
-        for j in range(size):
-            scaled = c * rows[i, j]
-            if scaled != 0.0:
-                b[j] -= scaled * offset[i]
-                for k in range(j, size):
-                    H[j, k] -= scaled * rows[i, k]
+        known[i] = _eliminate(H, b, A, g, W, rows[i], offset[i])
     for j in range(size):
         for k in range(j):
             H[j, k] = H[k, j]
-    return H, b, chi2, rows, offset, curvature
+    return H, b, chi2, rows, offset, known
 
 
 @njit(cache=True)
-def _see(
-    camera: Array, first: Array, place: Array, d: float, T: Array, lens: Array, out: Array
-) -> None:
+def _prior(A: Array, g: Array, point: Array, expected: float, trust: float, weight: float) -> None:
+    """Begin a point's equations with its first sighting and with what was thought of its depth."""
+    A[0, 0] = A[1, 1] = weight
+    g[0], g[1] = weight * point[0], weight * point[1]
+    A[2, 2], g[2] = trust, trust * (point[2] - expected)
+
+
+@njit(cache=True)
+def _columns(columns: Indices, states: Indices, anchor: int, previous: int, frame: int) -> None:
+    """Set the unknowns that a residual's poses belong to, negative ones where they are fixed."""
+    for k in range(_POSE):
+        columns[k] = states[anchor] + k if states[anchor] >= 0 else -1
+        columns[_POSE + k] = states[previous] + k if states[previous] >= 0 else -1
+        columns[2 * _POSE + k] = states[frame] + k if states[frame] >= 0 else -1
+
+
+@njit(cache=True)
+def _differ(now: Array, before: Array, memory: float, J: Array) -> float:
+    """Set the derivatives (2, 21) of what is new in an error since the frame before; its square."""
+    for r in range(2):
+        for k in range(_POSE):
+            J[r, k] = now[r, _ANCHOR + k] - memory * before[r, _ANCHOR + k]
+            J[r, _POSE + k] = -memory * before[r, _FRAME + k]
+            J[r, 2 * _POSE + k] = now[r, _FRAME + k]
+        for k in range(_LENS):
+            J[r, 3 * _POSE + k] = now[r, _BY_LENS + k] - memory * before[r, _BY_LENS + k]
+    u, v = now[0, _ERROR] - memory * before[0, _ERROR], now[1, _ERROR] - memory * before[1, _ERROR]
+    return float(u * u + v * v)
+
+
+@njit(cache=True)
+def _add(
+    H: Array, b: Array, A: Array, g: Array, W: Array, J: Array, columns: Indices,
+    now: Array, before: Array, memory: float, weight: float,
+) -> None:  # fmt: skip
+    """Add one sighting to H above the diagonal and to b, and to its point's A, g and W."""
+    for r in range(2):
+        residual = now[r, _ERROR] - memory * before[r, _ERROR]
+        d0 = weight * (now[r, _BY_POINT] - memory * before[r, _BY_POINT])
+        d1 = weight * (now[r, _BY_POINT + 1] - memory * before[r, _BY_POINT + 1])
+        d2 = weight * (now[r, _BY_POINT + 2] - memory * before[r, _BY_POINT + 2])
+        for k in range(_POINT):
+            d = now[r, _BY_POINT + k] - memory * before[r, _BY_POINT + k]
+            A[0, k] += d0 * d
+            A[1, k] += d1 * d
+            A[2, k] += d2 * d
+        g[0] += d0 * residual
+        g[1] += d1 * residual
+        g[2] += d2 * residual
+        for j in range(_STATES):
+            state, scaled = columns[j], weight * J[r, j]
+            if state < 0 or scaled == 0.0:
+                continue
+            b[state] += scaled * residual
+            W[0, state] += d0 * J[r, j]
+            W[1, state] += d1 * J[r, j]
+            W[2, state] += d2 * J[r, j]
+            for k in range(_STATES):
+                if columns[k] >= state:
+                    H[state, columns[k]] += scaled * J[r, k]
+
+
+@njit(cache=True)
+def _eliminate(H: Array, b: Array, A: Array, g: Array, W: Array, rows: Array, offset: Array) -> float:
+    """Take one point out of the upper half of H and out of b (Schur complement); information about its depth."""
+    A[2, 2] += 1e-12
+    inverse = np.linalg.inv(A)
+    size = len(b)
+    for p in range(_POINT):
+        for q in range(_POINT):
+            offset[p] += inverse[p, q] * g[q]
+            for j in range(size):
+                rows[p, j] += inverse[p, q] * W[q, j]
+    for j in range(size):
+        w0, w1, w2 = W[0, j], W[1, j], W[2, j]
+        if w0 == 0.0 and w1 == 0.0 and w2 == 0.0:
+            continue
+        b[j] -= w0 * offset[0] + w1 * offset[1] + w2 * offset[2]
+        for k in range(j, size):
+            H[j, k] -= w0 * rows[0, k] + w1 * rows[1, k] + w2 * rows[2, k]
+    return float(1.0 / inverse[2, 2])
+
+
+@njit(cache=True)
+def _see(camera: Array, first: Array, place: Array, point: Array, T: Array, lens: Array, out: Array) -> None:
     """Errors of a sighting, measured less predicted, pixels, and their derivatives: a sighting's columns.
 
-    The point was first seen at `first` and is now at `place` (2,); T (3, 4) is its first frame in the present one.
+    The point was first seen at `first`, is `point` (3,) from there, and is now at `place` (2,); T (3, 4) is its
+    first frame in the present one.
     """
     fx, fy, cx, cy = camera
-    rx, ry = (first[0] - cx) / fx, (first[1] - cy) / fy
+    rx, ry, d = (first[0] - cx) / fx, (first[1] - cy) / fy, point[2]
     px, py = (place[0] - cx) / fx, (place[1] - cy) / fy
     rr, pp = rx * rx + ry * ry, px * px + py * py
     first_x = (rr * rx, rr + 2 * rx * rx, 2 * rx * ry)
@@ -140,6 +185,7 @@ def _see(
     place_x = (pp * px, pp + 2 * px * px, 2 * px * py)
     place_y = (pp * py, 2 * px * py, pp + 2 * py * py)
     u, v = place[0], place[1]
+    rx, ry = rx + point[0] / fx, ry + point[1] / fy
     for k in range(_LENS):
         rx += first_x[k] * lens[k] / fx
         ry += first_y[k] * lens[k] / fy
@@ -150,14 +196,13 @@ def _see(
     Z = max(T[2, 0] * rx + T[2, 1] * ry + T[2, 2] + d * T[2, 3], _BEHIND)
     x, y = X / Z, Y / Z
     out[0, _ERROR], out[1, _ERROR] = u - (fx * x + cx), v - (fy * y + cy)
-    point, ray = (X, Y, Z), (rx, ry)
-    gradient(out, 0, (-fx / Z, 0.0, fx * x / Z), T, point, ray, d)
-    gradient(out, 1, (0.0, -fy / Z, fy * y / Z), T, point, ray, d)
-    out[0, _DEPTH] = -fx * (T[0, 3] - x * T[2, 3]) / Z
-    out[1, _DEPTH] = -fy * (T[1, 3] - y * T[2, 3]) / Z
+    gradient(out, 0, (-fx / Z, 0.0, fx * x / Z), T, (X, Y, Z), (rx, ry), d)
+    gradient(out, 1, (0.0, -fy / Z, fy * y / Z), T, (X, Y, Z), (rx, ry), d)
+    for k in range(2):  # by the ray, in pixels of the first frame
+        out[0, _BY_POINT + k] = -fx * (T[0, k] - x * T[2, k]) / (Z * camera[k])
+        out[1, _BY_POINT + k] = -fy * (T[1, k] - y * T[2, k]) / (Z * camera[k])
+    out[0, _BY_POINT + 2] = -fx * (T[0, 3] - x * T[2, 3]) / Z
+    out[1, _BY_POINT + 2] = -fy * (T[1, 3] - y * T[2, 3]) / Z
     for k in range(_LENS):
-        du, dv = first_x[k] / fx, first_y[k] / fy
-        dX, dY = T[0, 0] * du + T[0, 1] * dv, T[1, 0] * du + T[1, 1] * dv
-        dZ = T[2, 0] * du + T[2, 1] * dv
-        out[0, _BY_LENS + k] = place_x[k] - fx * (dX - x * dZ) / Z
-        out[1, _BY_LENS + k] = place_y[k] - fy * (dY - y * dZ) / Z
+        out[0, _BY_LENS + k] = place_x[k] + first_x[k] * out[0, _BY_POINT] + first_y[k] * out[0, _BY_POINT + 1]
+        out[1, _BY_LENS + k] = place_y[k] + first_x[k] * out[1, _BY_POINT] + first_y[k] * out[1, _BY_POINT + 1]

@@ -28,8 +28,8 @@ class LensConfig:
     """
 
     radial_px: float = 10.0
-    decentering_px: float = 1.0
-    drift_px: float = 0.003
+    decentering_px: float = 5.0
+    drift_px: float = 0.001
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.bundle import Bundle, intrinsics
 from odometry.bundle_equations import accumulate
-from odometry.camera import within_sight
 from odometry.mono_tracks import Tracks
-from odometry.points import Points
+from odometry.points import Points, settled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LIMIT = 18.4  # squared residual of an outlier, in variances: see `odometry.bundle`
 _QUANTILE, _AT_QUANTILE = 0.3, 0.713  # of chi squared, two degrees of freedom: most of the view may be another car
+_EXACT = 1e6  # weight of where the map says that a point was first seen
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²
 
 
@@ -89,19 +89,20 @@ class _Problem:
         self._sightings = (2 * np.arange(n + 1), frame, places)
         self._states = np.full(self._new + 1, -1)
         self._states[self._new] = 0
-        self._depth, self._known = self._points.depth, self._points.trust > 0
+        self._state = np.column_stack([np.zeros((n, 2)), self._points.depth])
+        self._known = self._points.trust > 0
         self.chi2 = np.zeros(n)
 
     def step(self, T_map_frame: Array, sigma: float) -> Array:
         """Step (6,) of the pose (4, 4) with the noise level sigma, pixels."""
         poses = np.concatenate([self._poses, T_map_frame[None]])
         H, b, chi2, rows, offset, _ = accumulate(
-            intrinsics(self._lens), self._sightings, (self._depth, self._points.depth, self._points.trust),
-            poses, self._states, self._lens.coefficients, _LIMIT * sigma**2, 0.0,
+            intrinsics(self._lens), self._sightings, (self._state, self._points.depth, self._points.trust),
+            poses, self._states, self._lens.coefficients, (_LIMIT * sigma**2, 0.0, _EXACT),
         )  # fmt: skip
         self._H, self.chi2 = H[:6, :6] / sigma**2 + _DAMPING * np.eye(6), chi2[1::2]
         step = np.linalg.solve(self._H, -b[:6] / sigma**2)
-        self._depth = within_sight(self._depth - offset - rows[:, :6] @ step)
+        self._state = settled(self._state - offset - rows[:, :, :6] @ step)
         return np.asarray(step)
 
     def noise(self) -> float:

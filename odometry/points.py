@@ -81,7 +81,7 @@ class Points:
     Attributes:
         ids: (N,) names, growing.
         frame: (N,) frame of the window that each is anchored in.
-        place: (N, 2) where that frame saw it, pixels.
+        place: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
         depth: (N,) inverse depth there.
         trust: (N,) information about it, pixels squared over its unit squared; 0 where nothing is known.
         carried: (N,) the part of the trust that frames gave which have left the window.
@@ -145,17 +145,24 @@ class Points:
         old, anchor = self.at(sightings.ids), sightings.anchor + 1
         T = se3.inverse(poses[anchor]) @ poses[old.frame]
         ray = lens.rays(old.place)
-        turned = np.einsum("nj,nj->n", T[:, 2, :3], ray)
-        z = np.maximum(turned + T[:, 2, 3] * old.depth, 1e-3)
+        seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.depth[:, None]
+        z = np.maximum(seen[:, 2], 1e-3)
+        turned = z - T[:, 2, 3] * old.depth
         moved = anchor != old.frame
+        place = np.where(moved[:, None], lens.pixels(np.column_stack([seen[:, :2], z])), old.place)
         # What the sighting that leaves, one of several, has told of the depth is carried on.
         lost = (old.trust - old.carried) / np.maximum(sightings.counts, 1)
         steepness = np.where(moved, np.maximum(turned, 1e-3) / z**2, 1.0)  # of the new inverse depth by the old one
         carried = np.where(moved, (old.carried + lost) / steepness**2, old.carried)
         return Points(
-            sightings.ids, sightings.anchor, sightings.places[sightings.first[:-1]],
+            sightings.ids, sightings.anchor, place,
             np.where(moved, within_sight(old.depth / z), old.depth), old.trust / steepness**2, carried,
         )  # fmt: skip
+
+
+def settled(state: Array) -> Array:
+    """Points (N, 3), two pixels and an inverse depth, that a camera can see."""
+    return np.column_stack([state[:, :2], within_sight(state[:, 2])])
 
 
 _FIELDS = ("ids", "frame", "place", "depth", "trust", "carried")
