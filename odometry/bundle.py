@@ -61,7 +61,7 @@ class Bundle:
 
     Attributes:
         lens: as learned so far.
-        poses: (K, 4, 4) T_map_frame; the map is where the first two frames put it.
+        poses: (K, 4, 4) T_map_frame.
         points: what is known of the points.
         noise_px: standard deviation of a measurement, pixels.
 
@@ -73,10 +73,10 @@ class Bundle:
         self.lens, self.poses, self.points = lens, np.zeros((0, 4, 4)), Points.none()
         self.noise_px = _NOISE_AT_FIRST
 
-    def begin(self, first: Seen, second: Seen, T_map_first: Array, T_first_second: Array) -> Mask:
-        """Forget everything but two frames, poses (4, 4); which of the second's points agree (N,)."""
+    def begin(self, first: Seen, second: Seen, T_first_second: Array) -> Mask:
+        """Begin a new map with two frames, the first at its origin; which of the second's points agree (N,)."""
         self._frames, self.points = [first, second], Points.none()
-        self.poses = np.stack([T_map_first, T_map_first @ T_first_second])
+        self.poses = np.stack([np.eye(4), T_first_second])
         return self._adjust(1, _STEPS_AT_FIRST)
 
     def add(self, seen: Seen, T_map_frame: Array) -> Mask:
@@ -154,7 +154,9 @@ class Bundle:
 class _Problem:
     """The state of one adjustment and its Gauss-Newton steps."""
 
-    def __init__(self, sightings: Sightings, points: Points, poses: Array, free: int, lens: Lens, repeats: float) -> None:
+    def __init__(
+        self, sightings: Sightings, points: Points, poses: Array, free: int, lens: Lens, repeats: float
+    ) -> None:
         self._sightings, self._points = sightings, points
         self._measured = sightings.places[sightings.first[:-1]]
         self._state = np.column_stack([points.place - self._measured, points.depth])

@@ -18,6 +18,7 @@ _POSE, _LENS, _POINT = 6, 3, 3
 # Columns of a sighting: its errors, their derivatives by the anchor's pose, the frame's pose, the point and the lens.
 _ERROR, _ANCHOR, _FRAME, _BY_POINT, _BY_LENS, _COLUMNS = 0, 1, 7, 13, 16, 19
 _STATES = 3 * _POSE + _LENS  # unknowns of one residual beside the point
+_SINGULAR = 1e-9  # information about a depth, pixels squared over its unit squared, that is none
 _BEHIND = 1e-2  # smallest depth over depth that is divided by
 
 
@@ -62,8 +63,9 @@ def accumulate(
     now, before, relative = np.zeros((2, _COLUMNS)), np.zeros((2, _COLUMNS)), np.zeros((3, 4))
     J, columns = np.zeros((2, _STATES)), np.full(_STATES, size - _LENS)
     columns[3 * _POSE :] += np.arange(_LENS)
+    A, g, W = np.zeros((_POINT, _POINT)), np.zeros(_POINT), np.zeros((_POINT, size))
     for i in range(n):
-        A, g, W = np.zeros((_POINT, _POINT)), np.zeros(_POINT), np.zeros((_POINT, size))
+        W[:] = 0.0
         _prior(A, g, points[0][i], points[1][i], points[2][i], noise[2])
         anchor, previous = frame[first[i]], frame[first[i]]
         before[:] = 0.0
@@ -88,6 +90,7 @@ def accumulate(
 @njit(cache=True)
 def _prior(A: Array, g: Array, point: Array, expected: float, trust: float, weight: float) -> None:
     """Begin a point's equations with its first sighting and with what was thought of its depth."""
+    A[:] = 0.0
     A[0, 0] = A[1, 1] = weight
     g[0], g[1] = weight * point[0], weight * point[1]
     A[2, 2], g[2] = trust, trust * (point[2] - expected)
@@ -151,14 +154,23 @@ def _add(
 @njit(cache=True)
 def _eliminate(H: Array, b: Array, A: Array, g: Array, W: Array, rows: Array, offset: Array) -> float:
     """Take one point out of the upper half of H and out of b (Schur complement); information about its depth."""
-    A[2, 2] += 1e-12
-    inverse = np.linalg.inv(A)
+    # the inverse of a symmetric matrix by its cofactors
+    c00, c01 = A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
+    c02 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+    c11, c12 = A[0, 0] * A[2, 2] - A[0, 2] ** 2, A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
+    c22 = A[0, 0] * A[1, 1] - A[0, 1] ** 2
+    determinant = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    if determinant <= _SINGULAR * c22:  # nothing is known of the depth: the point pulls at nothing
+        return 0.0
     size = len(b)
-    for p in range(_POINT):
-        for q in range(_POINT):
-            offset[p] += inverse[p, q] * g[q]
-            for j in range(size):
-                rows[p, j] += inverse[p, q] * W[q, j]
+    for j in range(size):
+        w0, w1, w2 = W[0, j] / determinant, W[1, j] / determinant, W[2, j] / determinant
+        rows[0, j] = c00 * w0 + c01 * w1 + c02 * w2
+        rows[1, j] = c01 * w0 + c11 * w1 + c12 * w2
+        rows[2, j] = c02 * w0 + c12 * w1 + c22 * w2
+    offset[0] = (c00 * g[0] + c01 * g[1] + c02 * g[2]) / determinant
+    offset[1] = (c01 * g[0] + c11 * g[1] + c12 * g[2]) / determinant
+    offset[2] = (c02 * g[0] + c12 * g[1] + c22 * g[2]) / determinant
     for j in range(size):
         w0, w1, w2 = W[0, j], W[1, j], W[2, j]
         if w0 == 0.0 and w1 == 0.0 and w2 == 0.0:
@@ -166,7 +178,7 @@ def _eliminate(H: Array, b: Array, A: Array, g: Array, W: Array, rows: Array, of
         b[j] -= w0 * offset[0] + w1 * offset[1] + w2 * offset[2]
         for k in range(j, size):
             H[j, k] -= w0 * rows[0, k] + w1 * rows[1, k] + w2 * rows[2, k]
-    return float(1.0 / inverse[2, 2])
+    return float(determinant / c22)
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ and says so. The unit of length is free at first, and kept from then on: see `Mo
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from odometry.beginning import Beginning, BeginningConfig, begin
 from odometry.bundle import Bundle, BundleConfig
 from odometry.camera import PinholeCamera
 from odometry.lens import Lens, LensConfig
+from odometry.mono_locating import Known, MonoLocator
 from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
 from odometry.motion import Motion
 from odometry.motion_stereo import Depths, MotionStereoConfig, Shot, earlier, see_depth
-from odometry.placing import Placed, PlacingConfig, place
-from odometry.plausibility import Expectation, PlausibilityConfig, doubt, jump
+from odometry.placing import Placed, PlacingConfig
+from odometry.plausibility import Expectation, PlausibilityConfig
 from odometry.points import Seen
 from odometry.reference import Reference
 from odometry.ticks import Ticks
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
-_MEDIAN_DEPTH = 15.0  # of the points of the first map: the unit while nothing tells it, metres on a street, about
+_NEW_MAP = "lost; a new map goes on at the speed before"
 
 
 @dataclass(frozen=True)
@@ -72,13 +73,20 @@ class MonoOdometryConfig:
 
 
 class MonoOdometry:
-    """Measures the motion of one camera, image by image."""
+    """Measures the motion of one camera, image by image.
+
+    Attributes:
+        bundle: the map of the last key frames, and the lens as learned so far.
+
+    """
 
     def __init__(self, camera: PinholeCamera, config: MonoOdometryConfig | None = None) -> None:
         self._camera, self._config = camera, config or MonoOdometryConfig()
-        self._front_end = MonoFrontEnd(self._config.tracking)
-        self.bundle = Bundle(Lens.unknown(camera, self._config.lens), self._config.bundle, self._config.lens)
-        self._images: deque[Image] = deque(maxlen=self._config.bundle.frames)  # of the bundle's frames
+        settings = self._config
+        self._front_end = MonoFrontEnd(settings.tracking)
+        self.bundle = Bundle(Lens.unknown(camera, settings.lens), settings.bundle, settings.lens)
+        self._locator = MonoLocator(self._front_end, self.bundle, settings.placing, settings.plausibility)
+        self._images: deque[Image] = deque(maxlen=settings.bundle.frames)  # of the bundle's frames
         self._ticks = Ticks()
         self._T_map_reference = np.eye(4)
         self._reference: Reference[Tracks] | None = None  # the last image whose place in the map is known
@@ -100,9 +108,9 @@ class MonoOdometry:
         """
         self._check(image)
         steps = self._ticks.since_last(timestamp)
-        self._unmeasured += steps
-        if self._reference is None and self._candidate is None:
-            self._candidate = Reference(self._front_end.observe(image))
+        first, self._unmeasured = self._unmeasured == 0 and self._reference is None, self._unmeasured + steps
+        if first:
+            self._propose(image)
             return Motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), False, "")
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference and self._reference.older(steps)
@@ -117,7 +125,7 @@ class MonoOdometry:
         if self._reference is None or self._unmeasured or not len(pixels):
             return Depths.unknown(len(pixels))
         tracks, points = self._reference.view, self.bundle.points
-        shots = [Shot(image, T) for image, T in zip(self._images, self.bundle.poses, strict=True)]
+        shots = [Shot(*shot) for shot in zip(self._images, self.bundle.poses, strict=True)]
         now = Shot(image, self._T_map_reference)
         then = earlier(shots, now, 1.0 / points.usual, self._config.depths)
         seen = self.bundle.in_camera(tracks.ids, self._T_map_reference)
@@ -125,49 +133,30 @@ class MonoOdometry:
         if then is None or not known.any():
             return Depths.unknown(len(pixels))
         hints = tracks.pixels[known], seen[known, 3] / seen[known, 2]
-        return see_depth(then, now, pixels, hints, self.bundle.lens, self._config.depths)
+        return see_depth((then, now), pixels, hints, self.bundle.lens, self._config.depths)
 
     def _check(self, image: Image) -> None:
         expected = (self._camera.height, self._camera.width)
         if image.shape != expected or image.dtype != np.uint8:
-            raise ValueError(f"expected an image {expected} uint8 as the camera says, got {image.shape} {image.dtype}")
+            raise ValueError(
+                f"expected an image of {expected} uint8 as the camera says, got {image.shape} {image.dtype}"
+            )
 
     def _measure(self, image: Image, motion: Array) -> Motion:
         """Measure from the map, else begin a new one, else go on as before: by motion (4, 4)."""
-        located = "" if self._reference is None else self._locate(self._reference, image, motion)
-        if isinstance(located, Motion):
-            return located
-        begun = self._begin(image, motion)
-        if isinstance(begun, Motion):
-            return begun
-        return self._extrapolate(image, motion, located or begun)
-
-    def _locate(self, reference: Reference[Tracks], image: Image, motion: Array) -> Motion | str:
-        expected = self._expect(reference, image, motion)
-        guess = np.eye(4) if expected is None else expected.T
         reason = ""
-        for wide in (False, True):
-            followed, placed = self._follow(reference.view, image, guess, wide)
-            reason = doubt(placed, expected, self._config.plausibility)
-            if placed is not None and not reason:
-                return self._accept(reference, followed, placed)
-        return reason
-
-    def _follow(self, tracks: Tracks, image: Image, guess: Array, wide: bool) -> tuple[Followed, Placed | None]:
-        followed, placed = self._place(tracks, image, guess, wide)
-        if placed is None or not jump(placed.T_first_second, guess, self._config.plausibility):
-            return followed, placed
-        # Tracks that had to be found far from where they were looked for are few: look again where they are.
-        again, second = self._place(tracks, image, placed.T_first_second, wide)
-        better = second is not None and second.inliers.sum() >= placed.inliers.sum()
-        return (again, second) if better else (followed, placed)
-
-    def _place(self, tracks: Tracks, image: Image, guess: Array, wide: bool) -> tuple[Followed, Placed | None]:
-        ahead = self.bundle.predict(tracks.ids, self._T_map_reference @ guess)
-        followed = self._front_end.follow(tracks, image, ahead, wide)
-        if len(followed.tracks) < self._config.plausibility.tracks:
-            return followed, None
-        return followed, place(self.bundle, followed.tracks, self._T_map_reference, guess, self._config.placing)
+        if self._reference is not None:
+            known = Known(self._reference.view, self._T_map_reference)
+            located = self._locator.locate(known, image, self._expect(self._reference, image, motion))
+            if located.placed is not None and not located.reason:
+                return self._accept(self._reference, located.followed, located.placed)
+            reason = located.reason
+        if self._candidate is not None:
+            begun = self._begin(self._candidate, image, motion)
+            if isinstance(begun, Motion):
+                return begun
+            reason = reason or begun
+        return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
 
     def _expect(self, reference: Reference[Tracks], image: Image, motion: Array) -> Expectation | None:
         """Expect the motion (4, 4) since the previous image, where one was ever measured."""
@@ -182,11 +171,10 @@ class MonoOdometry:
         """Take over what was measured; an image far enough from the last key frame becomes one."""
         T_map_camera = se3.exact(self._T_map_reference @ placed.T_first_second)
         tracks = followed.tracks.only(placed.inliers)
-        if self._is_key(tracks):
+        if self._is_key(tracks, reference.view):
             agree = self.bundle.add(Seen(tracks.ids, tracks.pixels), T_map_camera)
             self._images.append(tracks.image)
-            tracks = self._renew(tracks.only(agree))
-            T_map_camera = self.bundle.poses[-1]
+            tracks, T_map_camera = self._renew(tracks.only(agree)), self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
         T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
         Ad = se3.adjoint(se3.inverse(T_previous_current))
@@ -198,61 +186,62 @@ class MonoOdometry:
         )  # fmt: skip
 
     def _arrive(self, velocity: Array, tracks: Tracks, T_map_camera: Array) -> None:
-        """Measure from here on."""
+        """Measure from here on; velocity (6,) per image."""
         self._velocity, self._unmeasured = velocity, 0
         self._speeds.append(float(np.linalg.norm(velocity[3:])))
         self._T_map_reference, self._reference, self._candidate = T_map_camera, Reference(tracks), None
 
-    def _is_key(self, tracks: Tracks) -> bool:
-        """Whether an image with these points is far from the last key frame. One that is not would tell nothing new."""
-        if not len(tracks):
-            return False
+    def _is_key(self, tracks: Tracks, before: Tracks) -> bool:
+        """Whether an image with these points is far from the last key frame. One that is not tells nothing new."""
         flow = float(np.median(np.linalg.norm(tracks.pixels - tracks.key_pixels, axis=1)))
-        assert self._reference is not None
-        return flow > self._config.key_px or len(tracks) < self._config.key_share * len(self._reference.view)
+        return flow > self._config.key_px or len(tracks) < self._config.key_share * len(before)
 
     def _renew(self, tracks: Tracks) -> Tracks:
-        """Make the newest frame show new corners beside these points."""
+        """Make the newest key frame show new corners beside these points."""
         renewed = self._front_end.observe(tracks.image, tracks)
         self.bundle.show(Seen(renewed.ids, renewed.pixels))
         return renewed
 
-    def _begin(self, image: Image, motion: Array) -> Motion | str:
+    def _propose(self, image: Image) -> None:
+        """Let a new map begin with this image if it shows enough."""
+        tracks = self._front_end.observe(image)
+        self._candidate = Reference(tracks) if len(tracks) >= self._config.beginning.tracks else None
+
+    def _begin(self, candidate: Reference[Tracks], image: Image, motion: Array) -> Motion | str:
         """Begin a new map with the candidate and this image, or say why not."""
-        if self._candidate is None:
-            return ""
-        followed = self._front_end.follow(self._candidate.view, image, self._candidate.view.pixels, wide=True)
+        followed = self._front_end.follow(candidate.view, image, candidate.view.pixels, wide=True)
         tracks = followed.tracks
         found = begin(self.bundle.lens, tracks.key_pixels, tracks.pixels, self._config.beginning)
         if isinstance(found, Beginning):
-            return self._restart(self._candidate, followed, found, motion)
-        if len(tracks) < self._config.beginning.tracks:
-            self._candidate = None
-        else:
-            self._candidate = Reference(
-                tracks, self._candidate.T_reference_previous, self._candidate.T_reference_measured,
-                self._candidate.covariance_previous, self._candidate.age,
-            )  # fmt: skip
+            return self._restart(candidate, followed, found, motion)
+        enough = len(tracks) >= self._config.beginning.tracks
+        self._candidate = replace(candidate, view=tracks) if enough else None
         return found
 
     def _restart(self, candidate: Reference[Tracks], followed: Followed, found: Beginning, motion: Array) -> Motion:
-        """Begin a new map; its unit is such that the camera goes on as fast as before."""
-        tracks = followed.tracks.only(found.inliers)
-        first = Seen(tracks.ids, tracks.key_pixels)
-        expected = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
-        fresh = self._velocity is None
-        agree = self.bundle.begin(first, Seen(tracks.ids, tracks.pixels), np.eye(4), found.T_first_second)
+        """Begin a new map; its unit is such that the camera goes on as fast as before, by motion (4, 4)."""
+        tracks, usual = followed.tracks.only(found.inliers), self.bundle.points.usual
+        agree = self.bundle.begin(
+            Seen(tracks.ids, tracks.key_pixels), Seen(tracks.ids, tracks.pixels), found.T_first_second
+        )
         self._images.clear()
         self._images.extend([tracks.key_image, tracks.image])
-        way = float(np.linalg.norm(self.bundle.poses[-1, :3, 3] - self.bundle.poses[0, :3, 3]))
-        self.bundle.rescale(_MEDIAN_DEPTH * self.bundle.points.usual if fresh else expected / max(way, 1e-9))
+        way = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
+        moving = way > self._config.plausibility.moving_m
+        self.bundle.rescale(way / self._way_begun() if moving else self.bundle.points.usual / usual)
         tracks = self._renew(tracks.only(agree))
-        T_reference_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
-        T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_reference_current
-        reason = "" if fresh else "lost; a new map goes on at the speed before"
-        covariance = self._extrapolated(1)
-        self._arrive(se3.log(T_reference_current) / candidate.age, tracks, self.bundle.poses[-1])
-        return Motion(T_previous_current, covariance, not fresh, reason, followed.before, followed.tracks.pixels, found.inliers)
+        T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
+        T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_candidate_current
+        reason = "" if self._velocity is None else _NEW_MAP
+        self._arrive(se3.log(T_candidate_current) / candidate.age, tracks, self.bundle.poses[1])
+        return Motion(
+            T_previous_current, self._extrapolated(1), bool(reason), reason,
+            followed.before, followed.tracks.pixels, found.inliers,
+        )  # fmt: skip
+
+    def _way_begun(self) -> float:
+        """Way between the first two frames of a map, in its unit."""
+        return max(float(np.linalg.norm(self.bundle.poses[1, :3, 3] - self.bundle.poses[0, :3, 3])), 1e-9)
 
     def _extrapolated(self, images: int) -> Array:
         """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
@@ -262,12 +251,9 @@ class MonoOdometry:
     def _extrapolate(self, image: Image, T_previous_current: Array, reason: str) -> Motion:
         """Go on at constant velocity; a new map may begin with this image."""
         covariance = self._extrapolated(self._unmeasured)
-        if self._reference is not None:
-            self._reference = self._reference.bridged(T_previous_current, covariance)
-        if self._candidate is not None:
-            self._candidate = self._candidate.bridged(T_previous_current, covariance)
+        self._reference = self._reference and self._reference.bridged(T_previous_current, covariance)
+        if self._candidate is None:
+            self._propose(image)
         else:
-            tracks = self._front_end.observe(image)
-            if len(tracks) >= self._config.beginning.tracks:
-                self._candidate = Reference(tracks)
+            self._candidate = self._candidate.bridged(T_previous_current, covariance)
         return Motion(T_previous_current, covariance, True, reason)

@@ -1,6 +1,6 @@
 """Depth of any pixels of one camera's image, from an earlier image whose place is known: stereo by moving."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ class MotionStereoConfig:
     way: float = 0.2
     turn_rad: float = 0.35
     epipolar_px: float = 1.0
-    tracking: TrackingConfig = TrackingConfig(window_px=13)
+    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(window_px=13))
 
 
 @dataclass(frozen=True)
@@ -79,17 +79,20 @@ def earlier(shots: list[Shot], now: Shot, usual_depth: float, config: MotionSter
     return best
 
 
-def see_depth(then: Shot, now: Shot, pixels: Array, known: tuple[Array, Array], lens: Lens, config: MotionStereoConfig) -> Depths:
+def see_depth(
+    shots: tuple[Shot, Shot], pixels: Array, known: tuple[Array, Array], lens: Lens, config: MotionStereoConfig
+) -> Depths:
     """Depth of pixels (N, 2) of an image from an earlier one.
 
     Args:
-        then, now: the two images.
+        shots: the earlier image and the present one.
         pixels: where depth is wanted.
         known: pixels (M, 2), M > 0, with inverse depths (M,), to look first.
         lens: of the camera.
         config: how to look.
 
     """
+    then, now = shots
     T_then_now = se3.inverse(then.T_map_camera) @ now.T_map_camera
     rays = lens.rays(pixels)
     count = min(_NEIGHBOURS, len(known[1]))

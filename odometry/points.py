@@ -129,9 +129,7 @@ class Points:
     def scaled(self, factor: float) -> "Points":
         """Make everything larger by a factor."""
         squared = factor**2
-        return replace(
-            self, depth=self.depth / factor, trust=self.trust * squared, carried=self.carried * squared
-        )
+        return replace(self, depth=self.depth / factor, trust=self.trust * squared, carried=self.carried * squared)
 
     def anchored(self, sightings: Sightings, poses: Array, lens: Lens) -> "Points":
         """Move points to the frames that see them first now.

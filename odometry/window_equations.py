@@ -110,9 +110,7 @@ def _see(camera: Array, first: Array, place: Array, d: float, T: Array, out: Arr
 
 
 @njit(cache=True)
-def gradient(
-    out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float
-) -> None:
+def gradient(out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float) -> None:
     """Turn a gradient by the point, over its depth, in the present frame into those of row r by both poses."""
     (gx, gy, gz), (X, Y, Z), (rx, ry) = gradient, point, ray
     out[r, 7], out[r, 8], out[r, 9] = gy * Z - gz * Y, gz * X - gx * Z, gx * Y - gy * X

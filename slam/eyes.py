@@ -25,8 +25,7 @@ class Eyes(Protocol):
         ...
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Disparity (N,), pixels, that the stereo camera shows at pixels (N, 2) of the frame tracked last; NaN
-        where it is not known."""
+        """Disparity (N,), pixels, of the stereo camera at pixels (N, 2) of the frame tracked last; NaN: not known."""
         ...
 
 
