@@ -15,6 +15,7 @@ Mask = NDArray[np.bool_]
 
 _AGREEMENT_PX = 1.0  # epipolar error of a point that agrees; what is left of the distortion must fit
 _ROUNDS = 1000
+_NO_DEPTH = "the camera has not moved far enough to see depth"
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ def begin(lens: Lens, first: Array, second: Array, config: BeginningConfig) -> B
     if len(first) < config.tracks:
         return f"fewer than {config.tracks} points could be followed"
     rays = lens.rays(first), lens.rays(second)
+    if float(np.median(_angles(*rays))) < config.parallax_rad:
+        return _NO_DEPTH
     found = _essential(*rays, lens.camera.fx)
     if found is None:
         return "no motion stands out among the points"
@@ -64,7 +67,7 @@ def begin(lens: Lens, first: Array, second: Array, config: BeginningConfig) -> B
         return f"only {inliers.sum()} of {len(first)} points agree on one motion"
     parallax = float(np.median(_angles(rays[0][inliers], rays[1][inliers] @ T[:3, :3].T)))
     if parallax < config.parallax_rad:
-        return "the camera has not moved far enough to see depth"
+        return _NO_DEPTH
     return Beginning(T, inliers)
 
 
