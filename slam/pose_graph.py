@@ -21,6 +21,7 @@ from slam.pose_graph_edges import stacked
 from slam.pose_graph_keys import KeyChain, KeySpacing
 from slam.pose_graph_marginals import marginal_covariances
 from slam.pose_graph_online import IncrementalConfig, IncrementalMap
+from slam.pose_graph_units import corrected, levelled
 from slam.robust import LoopGate, Optimized
 from slam.scale_levels import unit_logs
 
@@ -150,16 +151,17 @@ class PoseGraph:
         """
         start = time.perf_counter()
         units = self._units()
+        outcome = robust_ends.solved(self._problem(units), robust)
+        poses, units = self._with_scale(outcome, units)
         problem = self._problem(units)
-        outcome = robust_ends.solved(problem, robust)
         return Optimized(
-            poses=outcome.poses,
+            poses=poses,
             weights=outcome.weights,
-            residuals=np.sqrt(problem.loops.chi2(outcome.poses)),
+            residuals=np.sqrt(problem.loops.chi2(poses)),
             kept=outcome.kept,
             reasons=outcome.reasons,
             error_initial=problem.error(outcome.kept, problem.start),
-            error_final=problem.error(outcome.kept, outcome.poses),
+            error_final=problem.error(outcome.kept, poses),
             seconds=time.perf_counter() - start,
             units=units,
         )
@@ -169,14 +171,18 @@ class PoseGraph:
         steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
         return np.exp(unit_logs(steps, self._loops, self.config.unit_drift))
 
+    def _with_scale(self, outcome: robust_ends.Outcome, units: Array) -> tuple[Array, Array]:
+        """Poses and units after the last word of the kept loops: with one camera they correct both together."""
+        kept = [loop for loop, keep in zip(self._loops, outcome.kept, strict=True) if keep]
+        if not self.config.unit_drift or not kept:
+            return outcome.poses, units
+        real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in self._edges]
+        soft = [self.config.softened(loop) for loop in kept]
+        return corrected(real, soft, outcome.poses, units, self.config.unit_drift)
+
     def levelled(self, units: Array) -> tuple[list[tuple[Array, Array]], list[LoopClosure]]:
-        """Motions with their covariances, and loops, all in the unit of the first frame; units (N,) in that."""
-        edges = [_resized(T, covariance, unit) for (T, covariance), unit in zip(self._edges, units[1:], strict=True)]
-        loops = []
-        for loop in self._loops:
-            T, covariance = _resized(loop.T_match_query, loop.covariance, units[loop.match])
-            loops.append(replace(loop, T_match_query=T, covariance=covariance))
-        return edges, loops
+        """Motions with their covariances, and loops, in one unit, of which each frame's is so much, (N,)."""
+        return levelled(self._edges, self._loops, units)
 
     def _problem(self, units: Array) -> robust_ends.LoopProblem:
         edges, closures = self.levelled(units)
@@ -208,13 +214,6 @@ class PoseGraph:
             f"{residual:.1f} sigma (limit {np.sqrt(self.config.gate_chi2):.1f})"
         )
         return LoopGate(passed, residual, reason)
-
-
-def _resized(T: Array, covariance: Array, unit: float) -> tuple[Array, Array]:
-    """Express a motion (4, 4) with its covariance (6, 6) in a unit of which its own is so many."""
-    T, rate = T.copy(), np.repeat([1.0, unit], 3)
-    T[:3, 3] *= unit
-    return T, covariance * np.outer(rate, rate)
 
 
 def _checked(covariance: Array, name: str) -> Array:
