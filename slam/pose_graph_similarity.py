@@ -12,8 +12,6 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import GraphError
-
 Array = NDArray[np.float64]
 
 _HELD = 1e-6  # sigma of the first node: rad, m, and of its logarithm of scale
@@ -47,8 +45,7 @@ def with_unit(covariance: Array, sigma: float) -> Array:
 def optimized(edges: Sequence[SimilarityEdge], poses: Array, units: Array) -> tuple[Array, Array]:
     """Poses (N, 4, 4) and units (N,) of least squared error, the first ones held, from poses and units to start with.
 
-    Raises:
-        GraphError: the edges leave nodes undetermined.
+    The edges must join all nodes; one that none reaches stays where it is.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _HELD))
@@ -59,13 +56,7 @@ def optimized(edges: Sequence[SimilarityEdge], poses: Array, units: Array) -> tu
         graph.add(gtsam.BetweenFactorSimilarity3(edge.first, edge.second, measured, noise))
     for node, (pose, unit) in enumerate(zip(poses, units, strict=True)):
         values.insert(node, _similarity(pose, unit))
-    try:
-        found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
-    except RuntimeError as error:  # GTSAM's "indeterminant linear system"
-        raise GraphError(
-            "the edges leave some frames undetermined; expected every frame to be joined to the first by edges of "
-            f"positive definite covariance ({str(error).strip().splitlines()[0]})"
-        ) from error
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
     nodes = [found.atSimilarity3(node) for node in range(len(poses))]
     return np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
 
