@@ -29,6 +29,7 @@ _NOISE_AT_FIRST = 0.5  # pixels; the largest that is assumed as well
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
 _STEPS_AT_FIRST = 10
 _FIXED = -1
+_FAR = 1e-3  # inverse depth below which a point is too far to be placed
 _SEEN = 1e-8  # squared shift by parallax, squared slope of a ray, below which nothing is seen of a depth
 
 
@@ -116,6 +117,13 @@ class Bundle:
         T = se3.inverse(T_map_camera) @ self.poses[points.frame]
         turned = np.einsum("nij,nj->ni", T[:, :3, :3], self.lens.rays(points.place))
         return np.concatenate([turned + T[:, :3, 3] * points.depth[:, None], points.depth[:, None]], axis=1)
+
+    def visible(self) -> Array:
+        """Points (N, 3) of known depth in the newest frame's camera."""
+        known = self.points.trust > 0
+        points = self.in_camera(self.points.ids[known], self.poses[-1])
+        near = points[:, 3] > _FAR
+        return np.asarray(points[near, :3] / points[near, 3:])
 
     def _adjust(self, free: int, iterations: int) -> Mask:
         """Gauss-Newton on the newest poses, the depths and the lens; which points of the newest frame agree (N,).

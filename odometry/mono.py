@@ -27,6 +27,7 @@ from odometry.placing import Placed, PlacingConfig
 from odometry.plausibility import Expectation, PlausibilityConfig
 from odometry.points import Seen
 from odometry.reference import Reference
+from odometry.road import HeightRuler, NoRuler, RoadConfig, Ruler
 from odometry.ticks import Ticks
 from odometry.tracking import TrackingConfig
 
@@ -49,6 +50,9 @@ class MonoOdometryConfig:
         lens: what is thought of the lens at first.
         depths: how the depth of any pixels is found.
         plausibility: when a result is not believed.
+        road: how the road is found by which scale is measured.
+        height_m: of the camera above the road, metres; 0 where it is not known: then the unit is free, and as long
+            as a metre only if the first images show things 15 m away, usually.
         key_px: median flow since the last key frame that makes one, pixels.
         key_share: share of the last key frame's points that must still be followed, or else there is a new one.
         persistence: how many times more variance motions have, as parts of a stretch, than their points would
@@ -65,11 +69,17 @@ class MonoOdometryConfig:
     lens: LensConfig = field(default_factory=LensConfig)
     depths: MotionStereoConfig = field(default_factory=MotionStereoConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
+    road: RoadConfig = field(default_factory=RoadConfig)
+    height_m: float = 0.0
     key_px: float = 4.0
     key_share: float = 0.8
     persistence: float = 9.0
     extrapolated_rad: float = 0.02
     extrapolated_m: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.height_m) and self.height_m >= 0):
+            raise ValueError(f"height_m: expected metres above the road, or 0 for unknown, got {self.height_m}")
 
 
 class MonoOdometry:
@@ -86,6 +96,7 @@ class MonoOdometry:
         self._front_end = MonoFrontEnd(settings.tracking)
         self.bundle = Bundle(Lens.unknown(camera, settings.lens), settings.bundle, settings.lens)
         self._locator = MonoLocator(self._front_end, self.bundle, settings.placing, settings.plausibility)
+        self._ruler: Ruler = HeightRuler(settings.height_m, settings.road) if settings.height_m else NoRuler()
         self._images: deque[Image] = deque(maxlen=settings.bundle.frames)  # of the bundle's frames
         self._ticks = Ticks()
         self._T_map_reference = np.eye(4)
@@ -174,6 +185,7 @@ class MonoOdometry:
         if self._is_key(tracks, reference.view):
             agree = self.bundle.add(Seen(tracks.ids, tracks.pixels), T_map_camera)
             self._images.append(tracks.image)
+            self.bundle.rescale(self._ruler.factor(self.bundle.visible()))
             tracks, T_map_camera = self._renew(tracks.only(agree)), self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
         T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
@@ -229,6 +241,7 @@ class MonoOdometry:
         way = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
         moving = way > self._config.plausibility.moving_m
         self.bundle.rescale(way / self._way_begun() if moving else self.bundle.points.usual / usual)
+        self.bundle.rescale(self._ruler.factor(self.bundle.visible()))
         tracks = self._renew(tracks.only(agree))
         T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
         T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_candidate_current

@@ -30,6 +30,7 @@ from slam.watching import Watcher
 log = logging.getLogger("revisit")
 
 _WARM_UP_FRAMES = 3  # the first with a motion, and one after it
+_OF_ONE_CAMERA = "camera_height"
 _OF_PLACES = ("vocabulary", "descriptor")  # settings that belong to place recognition
 VIEWS = ("none", "native", "web")
 
