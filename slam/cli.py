@@ -35,6 +35,7 @@ Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show
 PARADIGM_NAMES = (
     "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
 )
+FEATURE_NAMES = "surf, surf-oriented, sift, orb"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
@@ -102,6 +103,7 @@ def run(
         str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
     ] = None,
     paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
+    features: Annotated[str | None, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = None,
     vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
     descriptor: Annotated[str | None, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = None,
     robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
@@ -109,6 +111,9 @@ def run(
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
     view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
     mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.")] = False,
+    camera_height: Annotated[
+        float | None, typer.Option(help="With --mono: metres above the road; gives the scale. KITTI: 1.65.")
+    ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -121,12 +126,14 @@ def run(
     options = RunOptions(source, sequence, out, view, overwrite, config)
     chosen = {
         "paradigm": paradigm,
+        "features": features,
         "vocabulary": None if vocabulary is None else str(vocabulary),
         "descriptor": descriptor,
         "robust": robust,
         "seed": seed,
         "record": False if no_record else None,
         "mono": mono or None,
+        "camera_height": camera_height,
     }
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_recorded(options, settings, Console(stderr=True), Console())
@@ -144,7 +151,8 @@ def places(
     ground_truth: Annotated[
         Path | None, typer.Option(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
     ] = None,
-    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
+    features: Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = "surf",
+    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it one for surf.")] = None,
     descriptor: Annotated[str, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = "hog",
     exclude: Annotated[float | None, typer.Option(help="Match no image less than so many seconds old.")] = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where there is no times.txt.")] = None,
@@ -234,7 +242,7 @@ def evaluate_loops(
 def train_vocabulary(
     sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
     out: Annotated[Path, typer.Option("--out", help="File for the words.")],
-    features: Annotated[str, typer.Option(help="What the words are made of: surf, surf-oriented, sift, orb.")] = "surf",
+    features: Annotated[str, typer.Option(help=f"What the words are made of: {FEATURE_NAMES}.")] = "surf",
     words: Annotated[int, typer.Option(help="How many.")] = 10000,
     sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,

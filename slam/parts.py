@@ -3,9 +3,9 @@
 from odometry.camera import StereoCamera
 from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
+from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, local_features
 from place_recognition.recognizer import PlaceRecognizer, RowSink
 from slam.config import RunConfig
 from slam.errors import ConfigError, DataError
@@ -25,13 +25,20 @@ def check_paradigm(name: str) -> None:
         raise ConfigError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
 
 
+def check_features(name: str) -> None:
+    """Raise ConfigError for unknown local features; the message lists the known ones."""
+    if name not in EXTRACTORS:
+        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
+
+
 def check_names(config: RunConfig) -> RunConfig:
     """Pass on a configuration whose names all exist.
 
     Raises:
-        ConfigError: an unknown paradigm or back end; the message lists the known ones.
+        ConfigError: unknown paradigm, local features or back end; the message lists the known ones.
     """
     check_paradigm(config.paradigm)
+    check_features(config.places.features)
     back_end(config.robust)
     return config
 
@@ -52,7 +59,7 @@ def build_recognizer(
 
 def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
     """All parts for one camera, of a configuration whose names have been checked."""
-    features = SharedFeatures(Surf(config.places.features))
+    features = SharedFeatures(local_features(config.places))
     eyes: Eyes
     if config.mono:
         eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), compare_units

@@ -30,8 +30,8 @@ from slam.watching import Watcher
 log = logging.getLogger("revisit")
 
 _WARM_UP_FRAMES = 3  # the first with a motion, and one after it
-_OF_ONE_CAMERA = "camera_height"
-_OF_PLACES = ("vocabulary", "descriptor")  # settings that belong to place recognition
+_OF_PLACES = ("features", "vocabulary", "descriptor")  # settings that belong to place recognition
+_HEIGHT = "camera_height"  # of the one camera
 VIEWS = ("none", "native", "web")
 
 
@@ -102,10 +102,21 @@ def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
     base = read_config(options.config) if options.config else RunConfig()
-    own = {name: value for name, value in settings.items() if name not in _OF_PLACES}
+    own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
-    return check_names(changed)
+    return check_names(_with_height(changed, settings[_HEIGHT]) if _HEIGHT in settings else changed)
+
+
+def _with_height(config: RunConfig, height: object) -> RunConfig:
+    """Give the one camera's height above the road, metres."""
+    if not config.mono:
+        raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
+    try:
+        odometry = replace(config.one_camera.odometry, height_m=float(height))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ConfigError(f"--camera-height: {error}") from error
+    return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
 
 
 def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:

@@ -26,6 +26,11 @@ class RecordFile:
         return self._count
 
     @property
+    def memory_bytes(self) -> int:
+        """What it takes of memory: pages of the ring that were never written do not exist."""
+        return min(self._count, len(self._latest)) * self.dtype.itemsize
+
+    @property
     def disk_bytes(self) -> int:
         """Size of the file."""
         return max(self._count - len(self._latest), 0) * self.dtype.itemsize

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.extractors import make_extractor
+from place_recognition.image_processing.features import FeatureExtractor, SharedFeatures
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
-from place_recognition.image_processing.surf import SurfConfig
+from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
 from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
@@ -26,12 +27,14 @@ class ParadigmsConfig:
     """Settings of every paradigm; only those of the chosen one matter.
 
     Attributes:
-        features: how local features are found.
+        features: local features, by name in EXTRACTORS; a vocabulary serves only those it was made of.
+        surf: how the default ones are found; of the others, how many.
         vocabulary: path of a vocabulary file for the paradigms that need one; empty for the general one.
         descriptor: of `global-descriptor`: "hog" or another of GLOBAL_DESCRIPTORS, or "onnx:FILE" for a learned one.
     """
 
-    features: SurfConfig = field(default_factory=SurfConfig)
+    features: str = "surf"
+    surf: SurfConfig = field(default_factory=SurfConfig)
     vocabulary: str = ""
     descriptor: str = "hog"
     sequence_histograms: SequenceHistogramsConfig = field(default_factory=SequenceHistogramsConfig)
@@ -79,6 +82,17 @@ PARADIGMS: dict[str, Builder] = {
     "pixel-sequences": _pixel_sequences,
     "global-descriptor": _global_descriptor,
 }
+
+
+def local_features(config: ParadigmsConfig) -> FeatureExtractor:
+    """The extractor of the local features that were chosen.
+
+    Raises:
+        ValueError: an unknown name; the message lists the known ones.
+    """
+    if config.features == "surf":
+        return Surf(config.surf)
+    return make_extractor(config.features, config.surf.features)
 
 
 def build(

@@ -109,7 +109,7 @@ def _config(options: PlacesOptions, images: ImageSequence) -> ParadigmsConfig:
         ConfigError: a time is to be excluded of images without times.
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
-    config = ParadigmsConfig(vocabulary=vocabulary, descriptor=options.descriptor)
+    config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
     if not options.exclude or len(images) < 2:
         return config
     if images.timestamps is None:
@@ -121,7 +121,12 @@ def _config(options: PlacesOptions, images: ImageSequence) -> ParadigmsConfig:
 
 
 def _settings(options: PlacesOptions) -> dict[str, object]:
-    return {"paradigm": options.paradigm, "seed": options.seed, "exclude_seconds": options.exclude}
+    return {
+        "paradigm": options.paradigm,
+        "features": options.features,
+        "seed": options.seed,
+        "exclude_seconds": options.exclude,
+    }
 
 
 def _print(record: PlacesRecord, out: Path, results: Console, json: bool) -> None:

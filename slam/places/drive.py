@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.map_size import MapSize, map_size
 from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures, SharedFeatures
-from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import ParadigmsConfig
+from place_recognition.paradigms.catalogue import ParadigmsConfig, local_features
 from place_recognition.recognizer import Belief, PlaceRecognizer, RowSink
 from slam.clock import StageClock
 from slam.datasets.prefetch import Recording, prefetch
@@ -79,7 +78,7 @@ class Bench:
         Raises:
             DataError: its vocabulary or its descriptor cannot serve.
         """
-        features = SharedFeatures(ClockedExtractor(Surf(self._config.features), self.clock))
+        features = SharedFeatures(ClockedExtractor(local_features(self._config), self.clock))
         return build_recognizer(self._paradigm, features, self._config, rows)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import ConfigError
-from slam.parts import check_paradigm
+from slam.parts import check_features, check_paradigm
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class PlacesOptions:
         out: folder for the results.
         sequence: which KITTI sequence; None where there is only one.
         ground_truth: a matrix (.mat, .npz) or poses; None to use the poses that the source has.
+        features: local ones, by name.
         vocabulary: file, or None for the general one.
         descriptor: of `global-descriptor`.
         exclude: images less than so many seconds old are no match; None for the recogniser's own guard alone.
@@ -32,6 +33,7 @@ class PlacesOptions:
     out: Path
     sequence: str | None = None
     ground_truth: Path | None = None
+    features: str = "surf"
     vocabulary: Path | None = None
     descriptor: str = "hog"
     exclude: float | None = None
@@ -43,6 +45,7 @@ class PlacesOptions:
 def check(options: PlacesOptions) -> None:
     """Raise ConfigError for a name that does not exist or a number that cannot work."""
     check_paradigm(options.paradigm)
+    check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
     if options.fps is not None and not 0 < options.fps < np.inf:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from odometry import MonoOdometry, se3
+from odometry import MonoOdometry, MonoOdometryConfig, se3
 
 from .test_stereo import assert_finite, blank, chained, noise
 
@@ -170,3 +170,12 @@ def test_the_window_does_not_grow_with_the_drive(camera, drive):
 def test_an_image_of_another_size_is_refused(camera):
     with pytest.raises(ValueError, match=r"expected an image of \(224, 512\) uint8 as the camera says, got \(10, 10\)"):
         MonoOdometry(camera).track(np.zeros((10, 10), np.uint8))
+
+
+@pytest.mark.parametrize("name", ["05", "06"])
+def test_the_height_above_the_road_gives_metres(clip, name):
+    camera, pairs, truth = clip(name, 40)
+    odometry = MonoOdometry(camera, MonoOdometryConfig(height_m=1.65))
+    motions = [odometry.track(left) for left, _ in pairs]
+    unit, _ = unit_of(motions, truth)
+    assert unit == pytest.approx(1.0, abs=0.08)

@@ -50,6 +50,28 @@ def test_where_a_revisit_ends_an_image_says_most_itself():
     assert beliefs[435].score < 0.1 * beliefs[415].score
 
 
+def test_the_first_image_of_a_street_seen_from_behind_it_is_denied_by_those_that_have_reached_it():
+    before = [opinion(q, ((0, 3, 1, 4)[q % 4], 25.0), (5, 15.0)) for q in range(396, 416)]  # from afar
+    beliefs = settled(before + [opinion(q, (q - 417, 100.0)) for q in range(417, 450)])
+    assert not any(beliefs[q].accepted for q in range(402, 416))
+    assert all(beliefs[q].accepted for q in range(417, 440))
+
+
+def test_what_lies_far_on_both_sides_bridges_no_gap():
+    """The earlier pass turned off, the later one went on, and comes to a street that looks like the one it knows."""
+    revisit, gap, alike = range(400, 420), range(420, 440), range(440, 460)
+    line = [opinion(q, (q - 300, 0.3 if q in gap else 30.0)) for q in [*revisit, *gap, *alike]]
+    beliefs = settled(line)
+    assert not any(beliefs[q].accepted for q in range(427, 433))
+    assert all(beliefs[q].accepted for q in range(405, 420))
+
+
+def test_nobody_denies_an_image_that_is_as_sure():
+    """The earlier pass stood still here for twenty images."""
+    revisit = [opinion(q, (q - 300 if q < 415 else q - 280, 90.0)) for q in range(400, 430)]
+    assert all(belief.accepted for belief in settled(revisit).values())
+
+
 def test_without_a_window_every_image_speaks_for_itself_at_once():
     hindsight = Hindsight(HindsightConfig.none())
     [belief] = hindsight.add(opinion(400, (100, 20.0), (7, 30.0)))

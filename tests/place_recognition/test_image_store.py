@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from place_images import textured_world
 
+from place_recognition.evaluation.map_size import array_bytes
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.image_store import ImageStore
@@ -48,6 +49,13 @@ def test_images_on_disk_are_the_same_as_images_in_memory(images):
     for location in range(len(images)):
         np.testing.assert_array_equal(small[location].pixels, large[location].pixels)
         np.testing.assert_array_equal(small[location].quantised, large[location].quantised)
+
+
+def test_memory_counts_what_was_kept_there_and_not_the_room_for_more(images):
+    alone, few, many = filled_store(images[:1], 100), filled_store(images, 100), filled_store(images, 4)
+    assert 0 < len(images) * array_bytes(alone) == array_bytes(few)
+    assert array_bytes(many) == 4 * array_bytes(alone)
+    assert array_bytes(many) + many.disk_bytes == array_bytes(few)
 
 
 def test_the_strongest_features_of_several_images_come_together(images):

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from slam.config import read_config
-from slam.errors import DataError
+from slam.errors import ConfigError, DataError
 from slam.run import RunOptions, run_recorded
 from slam.storage.g2o import read_g2o
 from slam.storage.tables import read_loops
@@ -78,3 +78,8 @@ def test_every_loop_has_a_reason_and_there_is_a_map(run: Path):
 
 def test_the_settings_written_say_mono(run: Path):
     assert read_config(run / "config.toml").mono
+
+
+def test_a_height_without_mono_is_refused(left_only: Path, tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"--camera-height.*add --mono"):
+        run_recorded(RunOptions(left_only, None, tmp_path / "out"), {"camera_height": 1.65}, QUIET, QUIET)

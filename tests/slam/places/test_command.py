@@ -171,6 +171,23 @@ def test_an_interruption_keeps_what_there_is(
     assert len(read_matches(tmp_path / "out" / "matches.csv")) == 40
 
 
+@pytest.mark.parametrize("features", ["sift", "orb"])
+def test_other_features_find_the_places_too(two_laps: Path, truth: Path, tmp_path: Path, features: str) -> None:
+    assert places(two_laps, tmp_path / "out", "--ground-truth", truth, "--features", features) == 0
+    assert metrics(tmp_path / "out")["places"]["tolerance_10"]["recall_at_100_precision"] > 0.8
+
+
+def test_words_of_other_features_serve_the_paradigms_that_need_words(
+    two_laps: Path, truth: Path, tmp_path: Path
+) -> None:
+    elsewhere, words = write(tmp_path / "elsewhere", views(8)), tmp_path / "orb.vocabulary"
+    train = ["vocabulary", "train", elsewhere, "--out", words, "--features", "orb", "--words", 300]
+    assert cli._exit_code(lambda: cli.app([str(argument) for argument in train])) == 0
+    chosen = ("--features", "orb", "--vocabulary", words, "--ground-truth", truth)
+    assert places(two_laps, tmp_path / "out", *chosen, paradigm="sequence-histograms") == 0
+    assert metrics(tmp_path / "out")["places"]["tolerance_10"]["recall_at_100_precision"] > 0.8
+
+
 def damaged_vocabulary(folder: Path) -> Path:
     (folder / "x.vocabulary").write_bytes(b"no words")
     return folder / "x.vocabulary"
@@ -182,6 +199,10 @@ FAULTS: dict[str, tuple[Callable[[Path], list[object]], int, str]] = {
     "damaged truth": (lambda t: ["--ground-truth", garbage(t)], 1, "bad.npz: expected an intact .npz file"),
     "missing truth": (lambda t: ["--ground-truth", t / "none.mat"], 1, "none.mat: expected a truth file, found none"),
     "unknown paradigm": (lambda t: ["--paradigm", "guess"], 2, "unknown paradigm 'guess': expected one of"),
+    "unknown features": (lambda t: ["--features", "brisk"], 2, "unknown local features 'brisk': expected one of surf"),
+    "features without words": (
+        lambda t: ["--paradigm", "dynamic-sequences", "--features", "sift"], 1, "revisit vocabulary train"
+    ),
     "damaged vocabulary": (
         lambda t: ["--paradigm", "dynamic-sequences", "--vocabulary", damaged_vocabulary(t)], 1, "x.vocabulary"
     ),
