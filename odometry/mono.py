@@ -24,7 +24,7 @@ from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
 from odometry.motion import Motion
 from odometry.motion_stereo import Depths, MotionStereoConfig, Shot, earlier, see_depth
 from odometry.placing import Placed, PlacingConfig
-from odometry.plausibility import Expectation, PlausibilityConfig
+from odometry.plausibility import Expectation, PlausibilityConfig, jump
 from odometry.points import Seen
 from odometry.reference import Reference
 from odometry.road import HeightRuler, NoRuler, RoadConfig, Ruler
@@ -159,15 +159,23 @@ class MonoOdometry:
         if self._reference is not None:
             known = Known(self._reference.view, self._T_map_reference)
             located = self._locator.locate(known, image, self._expect(self._reference, image, motion))
-            if located.placed is not None and not located.reason:
+            reason = located.reason or self._unsure(located.placed)
+            if located.placed is not None and not reason:
                 return self._accept(self._reference, located.followed, located.placed)
-            reason = located.reason
         if self._candidate is not None:
             begun = self._begin(self._candidate, image, motion)
             if isinstance(begun, Motion):
                 return begun
             reason = reason or begun
         return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
+
+    def _unsure(self, placed: Placed | None) -> str:
+        """Why a measurement tells less than going on as before would; empty if it tells more."""
+        if placed is None:
+            return ""
+        variance = self._config.persistence * float(np.trace(placed.covariance[3:, 3:]))
+        limit = float(np.trace(self._extrapolated(1)[3:, 3:]))
+        return "" if variance < limit else "all that is followed is too far away to tell how far the camera moved"
 
     def _expect(self, reference: Reference[Tracks], image: Image, motion: Array) -> Expectation | None:
         """Expect the motion (4, 4) since the previous image, where one was ever measured."""
@@ -225,10 +233,20 @@ class MonoOdometry:
         tracks = followed.tracks
         found = begin(self.bundle.lens, tracks.key_pixels, tracks.pixels, self._config.beginning)
         if isinstance(found, Beginning):
+            found = self._as_expected(found, candidate.T_reference_previous @ motion)
+        if isinstance(found, Beginning):
             return self._restart(candidate, followed, found, motion)
         enough = len(tracks) >= self._config.beginning.tracks
         self._candidate = replace(candidate, view=tracks) if enough else None
         return found
+
+    def _as_expected(self, found: Beginning, T_expected: Array) -> Beginning | str:
+        """Doubt a beginning that is far from the motion (4, 4) of before, the less the longer nothing was measured."""
+        if self._velocity is None:
+            return found
+        T = found.T_first_second.copy()
+        T[:3, 3] *= float(np.linalg.norm(T_expected[:3, 3]))
+        return jump(T, T_expected, self._config.plausibility, self._unmeasured) or found
 
     def _restart(self, candidate: Reference[Tracks], followed: Followed, found: Beginning, motion: Array) -> Motion:
         """Begin a new map; its unit is such that the camera goes on as fast as before, by motion (4, 4)."""
