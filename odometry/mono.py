@@ -9,77 +9,35 @@ and says so. The unit of length is free at first, and kept from then on: see `Mo
 """
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.beginning import Beginning, BeginningConfig, begin
-from odometry.bundle import Bundle, BundleConfig
+from odometry.beginning import Beginning, begin
+from odometry.bundle import Bundle
 from odometry.camera import PinholeCamera
-from odometry.lens import Lens, LensConfig
+from odometry.lens import Lens
+from odometry.mono_config import MonoOdometryConfig
 from odometry.mono_locating import Known, MonoLocator
 from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
 from odometry.motion import Motion
-from odometry.motion_stereo import Depths, MotionStereoConfig, Shot, earlier, see_depth
-from odometry.placing import Placed, PlacingConfig
-from odometry.plausibility import Expectation, PlausibilityConfig, jump
+from odometry.motion_stereo import Depths, Shot, earlier, see_depth
+from odometry.placing import Placed
+from odometry.plausibility import Expectation, jump
 from odometry.points import Seen
 from odometry.reference import Reference
-from odometry.road import HeightRuler, NoRuler, RoadConfig, Ruler
+from odometry.road import HeightRuler, NoRuler, Ruler
 from odometry.ticks import Ticks
-from odometry.tracking import TrackingConfig
+
+__all__ = ["MonoOdometry", "MonoOdometryConfig"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
 _NEW_MAP = "lost; a new map goes on at the speed before"
-
-
-@dataclass(frozen=True)
-class MonoOdometryConfig:
-    """All settings of the odometry; the defaults serve any camera without much distortion.
-
-    Attributes:
-        tracking: how corners are chosen and followed.
-        beginning: what the first two images must show.
-        bundle: how the last key frames are adjusted.
-        placing: how the pose of an image is computed.
-        lens: what is thought of the lens at first.
-        depths: how the depth of any pixels is found.
-        plausibility: when a result is not believed.
-        road: how the road is found by which scale is measured.
-        height_m: of the camera above the road, metres; 0 where it is not known: then the unit is free, and as long
-            as a metre only if the first images show things 15 m away, usually.
-        key_px: median flow since the last key frame that makes one, pixels.
-        key_share: share of the last key frame's points that must still be followed, or else there is a new one.
-        persistence: how many times more variance motions have, as parts of a stretch, than their points would
-            have if these erred independently in every image: tracks keep their errors while they live.
-        extrapolated_rad: standard deviation of the change of rotation from one image to the next.
-        extrapolated_m: standard deviation of the change of translation from one image to the next, metres.
-
-    """
-
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    beginning: BeginningConfig = field(default_factory=BeginningConfig)
-    bundle: BundleConfig = field(default_factory=BundleConfig)
-    placing: PlacingConfig = field(default_factory=PlacingConfig)
-    lens: LensConfig = field(default_factory=LensConfig)
-    depths: MotionStereoConfig = field(default_factory=MotionStereoConfig)
-    plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
-    road: RoadConfig = field(default_factory=RoadConfig)
-    height_m: float = 0.0
-    key_px: float = 4.0
-    key_share: float = 0.8
-    persistence: float = 9.0
-    extrapolated_rad: float = 0.02
-    extrapolated_m: float = 0.2
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.height_m) and self.height_m >= 0):
-            raise ValueError(f"height_m: expected metres above the road, or 0 for unknown, got {self.height_m}")
 
 
 class MonoOdometry:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_origin, get_type_hints
 
 import tomli_w
 
-from odometry.mono import MonoOdometryConfig
+from odometry.mono_config import MonoOdometryConfig
 from odometry.stereo import StereoOdometryConfig
 from place_recognition.paradigms.catalogue import ParadigmsConfig
 from slam.errors import ConfigError
