@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_CLEARLY = 3.0  # times `flat` that a point must be below the road to be no error
 _UNKNOWN = 10.0  # variance of the logarithm of a scale that nothing is known of
 _WIDTH = 2.0  # standard deviations that a single look may be off and count in full
 
@@ -27,6 +28,7 @@ class RoadConfig:
         flat: farthest that a point may lie from the plane, as a share of the camera's height.
         points: fewest points on it.
         share: least share of the points that were looked at.
+        below: largest share of them below it: under a road there is nothing.
         samples: planes that are tried.
         sigma: standard deviation of the logarithm of one height.
         repeats: key frames that see the same stretch of road, with the same error.
@@ -36,10 +38,11 @@ class RoadConfig:
 
     slope: float = 0.08
     aside: float = 0.7
-    tilt_rad: float = 0.12
+    tilt_rad: float = 0.07
     flat: float = 0.03
-    points: int = 15
-    share: float = 0.3
+    points: int = 20
+    share: float = 0.25
+    below: float = 0.2
     samples: int = 200
     sigma: float = 0.08
     repeats: float = 10.0
@@ -61,7 +64,8 @@ def camera_height(points_camera: Array, config: RoadConfig) -> float | None:
     if best.sum() < max(config.points, config.share * len(road)):
         return None
     normal = np.linalg.lstsq(road[best], np.ones(int(best.sum())), rcond=None)[0]
-    return float(1.0 / np.linalg.norm(normal))
+    below = float(np.mean(road @ normal > 1.0 + _CLEARLY * config.flat))
+    return float(1.0 / np.linalg.norm(normal)) if below <= config.below else None
 
 
 def _planes(points: Array, config: RoadConfig) -> Array:
