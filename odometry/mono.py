@@ -148,7 +148,7 @@ class MonoOdometry:
         """Take over what was measured; an image far enough from the last key frame becomes one."""
         T_map_camera = se3.exact(self._T_map_reference @ placed.T_first_second)
         tracks = followed.tracks.only(placed.inliers)
-        if self._is_key(tracks, reference.view):
+        if self._is_key(tracks, reference.view, T_map_camera):
             agree = self.bundle.add(Seen(tracks.ids, tracks.pixels), T_map_camera)
             self._images.append(tracks.image)
             self.bundle.rescale(self._ruler.factor(self.bundle.visible()))
@@ -169,9 +169,11 @@ class MonoOdometry:
         self._speeds.append(float(np.linalg.norm(velocity[3:])))
         self._T_map_reference, self._reference, self._candidate = T_map_camera, Reference(tracks), None
 
-    def _is_key(self, tracks: Tracks, before: Tracks) -> bool:
-        """Whether an image with these points is far from the last key frame. One that is not tells nothing new."""
-        flow = float(np.median(np.linalg.norm(tracks.pixels - tracks.key_pixels, axis=1)))
+    def _is_key(self, tracks: Tracks, before: Tracks, T_map_camera: Array) -> bool:
+        """Whether an image at (4, 4) is far from the last key frame: one that is not tells nothing new of depth."""
+        lens, R = self.bundle.lens, T_map_camera[:3, :3].T @ self.bundle.poses[-1][:3, :3]
+        parallax = tracks.pixels - lens.pixels(lens.rays(tracks.key_pixels) @ R.T)  # what turning does not explain
+        flow = float(np.nanmedian(np.linalg.norm(parallax, axis=1)))
         return flow > self._config.key_px or len(tracks) < self._config.key_share * len(before)
 
     def _renew(self, tracks: Tracks) -> Tracks:

@@ -29,7 +29,7 @@ class MonoOdometryConfig:
         road: how the road is found by which scale is measured.
         height_m: of the camera above the road, metres; 0 where it is not known: then the unit is free, and as long
             as a metre only if the first images show things 15 m away, usually.
-        key_px: median flow since the last key frame that makes one, pixels.
+        key_px: median parallax since the last key frame that makes one, pixels.
         key_share: share of the last key frame's points that must still be followed, or else there is a new one.
         persistence: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.

@@ -84,7 +84,6 @@ class Points:
         place: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
         depth: (N,) inverse depth there.
         trust: (N,) information about it, pixels squared over its unit squared; 0 where nothing is known.
-        carried: (N,) the part of the trust that frames gave which have left the window.
 
     """
 
@@ -93,13 +92,12 @@ class Points:
     place: Array
     depth: Array
     trust: Array
-    carried: Array
 
     @classmethod
     def none(cls) -> "Points":
         """No points."""
         empty = np.zeros(0)
-        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), empty, empty, empty)
+        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), empty, empty)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -115,11 +113,11 @@ class Points:
         index = np.searchsorted(self.ids, ids).clip(0, max(len(self) - 1, 0))
         if not len(self):
             nothing = np.zeros(len(ids))
-            return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _USUAL, nothing, nothing)
+            return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _USUAL, nothing)
         known = self.ids[index] == ids
         return Points(
-            ids, self.frame[index], self.place[index], np.where(known, self.depth[index], self.usual),
-            np.where(known, self.trust[index], 0.0), np.where(known, self.carried[index], 0.0),
+            ids, self.frame[index], self.place[index],
+            np.where(known, self.depth[index], self.usual), np.where(known, self.trust[index], 0.0),
         )  # fmt: skip
 
     def joined(self, other: "Points") -> "Points":
@@ -128,8 +126,7 @@ class Points:
 
     def scaled(self, factor: float) -> "Points":
         """Make everything larger by a factor."""
-        squared = factor**2
-        return replace(self, depth=self.depth / factor, trust=self.trust * squared, carried=self.carried * squared)
+        return replace(self, depth=self.depth / factor, trust=self.trust * factor**2)
 
     def anchored(self, sightings: Sightings, poses: Array, lens: Lens) -> "Points":
         """Move points to the frames that see them first now.
@@ -145,17 +142,10 @@ class Points:
         ray = lens.rays(old.place)
         seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.depth[:, None]
         z = np.maximum(seen[:, 2], 1e-3)
-        turned = z - T[:, 2, 3] * old.depth
         moved = anchor != old.frame
         place = np.where(moved[:, None], lens.pixels(np.column_stack([seen[:, :2], z])), old.place)
-        # What the sighting that leaves, one of several, has told of the depth is carried on.
-        lost = (old.trust - old.carried) / np.maximum(sightings.counts, 1)
-        steepness = np.where(moved, np.maximum(turned, 1e-3) / z**2, 1.0)  # of the new inverse depth by the old one
-        carried = np.where(moved, (old.carried + lost) / steepness**2, old.carried)
-        return Points(
-            sightings.ids, sightings.anchor, place,
-            np.where(moved, within_sight(old.depth / z), old.depth), old.trust / steepness**2, carried,
-        )  # fmt: skip
+        depth = np.where(moved, within_sight(old.depth / z), old.depth)
+        return Points(sightings.ids, sightings.anchor, place, depth, old.trust)
 
 
 def settled(state: Array) -> Array:
@@ -163,4 +153,4 @@ def settled(state: Array) -> Array:
     return np.column_stack([state[:, :2], within_sight(state[:, 2])])
 
 
-_FIELDS = ("ids", "frame", "place", "depth", "trust", "carried")
+_FIELDS = ("ids", "frame", "place", "depth", "trust")

@@ -195,3 +195,13 @@ def test_a_truck_ahead_that_keeps_its_distance_is_not_followed(camera, world):
     assert not motions[-1].predicted
     unit, _ = unit_of(motions[:6], truth[:6])
     assert np.linalg.norm(chained(motions)[-1][:3, 3] / unit - truth[-1][:3, 3]) < 0.1 * truth[-1][2, 3]
+
+
+def test_scale_survives_a_turn_on_the_spot(camera, world, motion_true):
+    turn, poses = se3.exp(np.array([0.0, -0.02, 0.0, 0.0, 0.0, 0.0])), [np.eye(4)]
+    for k in range(16):
+        poses.append(poses[-1] @ (turn if 6 <= k < 11 else motion_true))
+    motions = tracked(camera, [world.pair(T)[0] for T in poses])
+    ways = np.array([np.linalg.norm(m.T_previous_current[:3, 3]) for m in motions])
+    assert ways[7:12].max() < 0.01 * ways[6]
+    np.testing.assert_allclose(ways[12:], ways[6], rtol=0.05)
