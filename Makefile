@@ -33,6 +33,7 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.installed-test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	-$(BIN)/python -m slam.doctor --install-browser
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed

@@ -1,10 +1,15 @@
 """The contract that every place recogniser meets, and the answer it gives."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def no_pixels() -> NDArray[np.float32]:
+    """Where two images agree that were not compared, or do not: (0, 4)."""
+    return np.empty((0, 4), np.float32)
 
 
 @dataclass(frozen=True)
@@ -18,6 +23,8 @@ class Belief:
         accepted: the score passes the paradigm's threshold and the match its geometric verification.
         inliers: matches that agree with one epipolar geometry; None where none was sought.
         verified: False where a geometric verification was tried and failed; such a match is never a detection.
+        pixels: (inliers, 4) where the two images show those matches: x and y in the query's, x and y in the match's;
+            none where that is not known.
     """
 
     query: int
@@ -26,6 +33,7 @@ class Belief:
     accepted: bool
     inliers: int | None = None
     verified: bool = True
+    pixels: NDArray[np.float32] = field(default_factory=no_pixels, compare=False, repr=False)
 
 
 class RowSink(Protocol):

@@ -294,8 +294,34 @@ def explain(
 
 
 @app.command()
-def doctor() -> None:
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    format: Annotated[str, typer.Option(help="tum or kitti (trajectories), g2o (pose graph), ply (landmarks).")],
+    state: Annotated[
+        str, typer.Option(help="odometry, online (trajectories only: as known at each moment) or corrected.")
+    ] = "corrected",
+    out: Annotated[Path | None, typer.Option(help="File to write; without it one beside the run.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+) -> None:
+    """Write one result of a run in the format that another program reads.
+
+    Example: revisit export runs/kitti05 --format tum --out kitti05.tum
+    """
+    from slam.export import ExportOptions
+    from slam.export import export as write
+
+    written = write(ExportOptions(run, format, state, out, overwrite))
+    Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def doctor(
+    licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
+) -> None:
     """Check Python, the wheels and the system libraries; say what is missing and what to type."""
+    if licences:
+        _print_licences()
+        return
     from slam.doctor import check_machine
 
     checks = check_machine()
@@ -305,6 +331,17 @@ def doctor() -> None:
         if check.remedy:
             Console().print(f"          type: {check.remedy}", markup=False, highlight=False)
     raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
+
+
+def _print_licences() -> None:
+    from rich.table import Table
+
+    from slam.licences import licences
+
+    table = Table("package", "version", "licence", "needed by", title="What Revisit is installed with", box=None)
+    for one in licences():
+        table.add_row(one.package, one.version, one.licence, "Revisit" if one.direct else "another package")
+    Console().print(table)
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Is this machine ready? Checks Python, the wheels and the system libraries, and says what to type.
 
 Standard library only, so that it also runs where an installation is broken. `python -m slam.doctor --install`
-installs missing system libraries where it may.
+installs missing system libraries where it may, and `--install-browser` the browser in which the tests open reports.
 """
 
 import ctypes
@@ -9,7 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 
@@ -25,6 +25,9 @@ SYSTEM_LIBRARIES = {
     "libidn2.so.0": "libidn2-0",
     "libstdc++.so.6": "libstdc++6",
 }
+
+# Programs that only the tests need, which are skipped without them, and Debian's packages that have them.
+BROWSER = {"chromium": "chromium", "chromedriver": "chromium-driver"}
 
 
 @dataclass(frozen=True)
@@ -90,19 +93,36 @@ def missing_packages() -> list[str]:
     return [SYSTEM_LIBRARIES[check.name] for check in _check_libraries() if check.problem]
 
 
+def missing_browser() -> list[str]:
+    """Debian packages of the browser that are not installed."""
+    return [package for program, package in BROWSER.items() if shutil.which(program) is None]
+
+
 def install_libraries() -> int:
     """Install missing system libraries where we may; otherwise say the exact line. Returns an exit code."""
-    packages = missing_packages()
+    return _install(missing_packages, "Open3D needs system libraries that are missing here")
+
+
+def install_browser() -> int:
+    """Install the browser of the tests where we may; otherwise say the exact line. Returns an exit code."""
+    return _install(missing_browser, "The tests open reports in a browser that is missing here, and skip that")
+
+
+def _install(missing: Callable[[], list[str]], complaint: str) -> int:
+    packages = missing()
     if not packages:
         return 0
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
-        print(f"Open3D needs system libraries that are missing here. Type:\n  {_apt_line(packages)}", file=sys.stderr)
+        print(f"{complaint}. Type:\n  {_apt_line(packages)}", file=sys.stderr)
         return 1
     subprocess.run(["apt-get", "update", "-qq"], check=False)
     quiet = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
     done = subprocess.run([*_apt_line(packages).split(), "-qq"], env=quiet, check=False)
-    return 1 if done.returncode or missing_packages() else 0
+    return 1 if done.returncode or missing() else 0
 
+
+_TASKS = {"--install": install_libraries, "--install-browser": install_browser}
 
 if __name__ == "__main__":
-    sys.exit(install_libraries() if "--install" in sys.argv else any(check.problem for check in check_machine()))
+    task = next((_TASKS[word] for word in sys.argv if word in _TASKS), None)
+    sys.exit(task() if task else any(check.problem for check in check_machine()))

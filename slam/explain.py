@@ -1,15 +1,14 @@
 """`revisit explain`: why a loop was or was not closed, stage by stage, from the files of a run."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from slam.errors import DataError
-from slam.ledger import ONLINE_SEPARATOR
 from slam.record import LoopRow, StageRow
 from slam.storage.metrics import read_metrics
 from slam.storage.tables import read_loops, read_stages
+from slam.telling import headline, told
 
 _NEIGHBOURS = 3  # other frames named where the one asked about has nothing to tell
 
@@ -51,7 +50,10 @@ def explain(folder: Path, query: int, match: int | None = None) -> str:
         return _silent(run, query)
     row = rows[0]
     lines = [] if match in (None, row.match) else [_other(run, row, match)]
-    return "\n".join([*lines, *_told(run, row)])
+    stage = run.stages.get((row.query, row.match), StageRow(row.query, row.match))
+    lines.append(headline(row))
+    lines += [f"  {name:<15} {words}" for name, words in told(run.paradigm, row, stage)]
+    return "\n".join(lines)
 
 
 def _read(folder: Path) -> _Run:
@@ -106,60 +108,3 @@ def _outcome(row: LoopRow) -> str:
     if not row.accepted:
         return "not accepted"
     return "left out of the map" if row.verified else "not proved by geometry"
-
-
-def _told(run: _Run, row: LoopRow) -> Iterator[str]:
-    stage = run.stages.get((row.query, row.match), StageRow(row.query, row.match))
-    verdict = "closed" if row.in_graph else "not closed"
-    yield f"Frame {row.query} with frame {row.match}: {verdict}."
-    why = row.reason.removeprefix("not accepted: ")
-    accepted = "taken for a revisit" if row.accepted else f"not taken for a revisit: {why}"
-    yield _line("recogniser", f"{run.paradigm}: score {row.score:.3g}, {accepted}")
-    yield _line("epipolar proof", _epipolar(stage))
-    yield _line("relative pose", _relative_pose(row, stage))
-    yield _line("drift gate", _gate(stage))
-    for number, change in enumerate(stage.online.split(ONLINE_SEPARATOR) if stage.online else ["was not asked"]):
-        yield _line("" if number else "while driving", change)
-    yield _line("final map", _back_end(row))
-    if row.truth is not None:
-        wrong = "not a revisit, or its relative pose is wrong" if row.verified else "not a revisit"
-        yield _line("ground truth", "a true revisit" if row.truth else wrong)
-
-
-def _line(stage: str, said: str) -> str:
-    return f"  {stage:<15} {said}"
-
-
-def _epipolar(stage: StageRow) -> str:
-    if stage.epipolar_inliers is None:
-        return "none was sought" if stage.epipolar_verified else "failed"
-    proved = "enough" if stage.epipolar_verified else "too few"
-    return f"{stage.epipolar_inliers} matches agree with one epipolar geometry, {proved}"
-
-
-def _relative_pose(row: LoopRow, stage: StageRow) -> str:
-    if row.verified:
-        return (
-            f"{row.inliers} of {row.matches} landmark matches agree; the camera had moved {_axes(stage)} m and turned "
-            f"{stage.turn_deg:.2f} deg (one sigma {stage.sigma_m:.3f} m, {stage.sigma_deg:.3f} deg)"
-        )
-    if not row.accepted:
-        return "was not sought: the recogniser did not accept the match"
-    return f"none: {row.reason} ({row.inliers} of {row.matches} landmark matches agree)"
-
-
-def _axes(stage: StageRow) -> str:
-    named = (("right", "left", stage.x), ("down", "up", stage.y), ("forward", "back", stage.z))
-    return ", ".join(f"{abs(value):.2f} {there if value >= 0 else back}" for there, back, value in named)
-
-
-def _gate(stage: StageRow) -> str:
-    if stage.gate_passed is None:
-        return "was not asked"
-    return f"{'passed' if stage.gate_passed else 'refused'}: {stage.gate_reason}"
-
-
-def _back_end(row: LoopRow) -> str:
-    if math.isnan(row.weight):
-        return "was not asked"
-    return f"{row.reason} (weight {row.weight:.2f}, residual {row.residual:.2f} sigma)"

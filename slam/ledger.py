@@ -9,7 +9,7 @@ from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
-from slam.record import LoopRow, StageRow
+from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
@@ -66,9 +66,6 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
     )
 
 
-ONLINE_SEPARATOR = " | "
-
-
 def stage_rows(
     attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate], history: Iterable[Change]
 ) -> tuple[StageRow, ...]:
@@ -111,3 +108,20 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
         gate_passed=gate.passed,
         gate_reason=gate.reason,
     )
+
+
+def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:
+    """Where the images of each belief agree: with a relative pose where one was found, else as the recogniser saw."""
+    found = (_agreement(attempt.belief, attempt.geometry) for attempt in attempts)
+    return tuple(pair for pair in found if pair is not None)
+
+
+def _agreement(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
+    if belief.match is None:
+        return None
+    if geometry is not None and len(geometry.pixels_query):
+        return MatchedPixels(belief.query, belief.match, geometry.pixels_query, geometry.pixels_match)
+    if len(belief.pixels):
+        now, then = belief.pixels[:, :2], belief.pixels[:, 2:]
+        return MatchedPixels(belief.query, belief.match, now, then, "one epipolar geometry")
+    return None

@@ -62,11 +62,14 @@ class Rejection:
         reason: in plain words, with the numbers.
         matches: landmarks whose descriptors matched.
         inliers: of them, those that agreed with one relative pose.
+        pixels_query, pixels_match: (K, 2) where the two left images show those.
     """
 
     reason: str
     matches: int = 0
     inliers: int = 0
+    pixels_query: NDArray[np.float32] = field(default_factory=_no_pixels)
+    pixels_match: NDArray[np.float32] = field(default_factory=_no_pixels)
 
 
 @dataclass(frozen=True)
@@ -153,9 +156,10 @@ class LoopCloser:
         forward = relative_pose(self._camera, points_match, points_query, self._config.geometry)
         backward = relative_pose(self._camera, points_query, points_match, self._config.geometry)
         reason = self._doubt(forward, backward, now.pixels[pairs[:, 1]])
+        agreeing = pairs[:0] if forward is None else pairs[forward.inliers]
+        pixels_query, pixels_match = now.pixels[agreeing[:, 1]], then.pixels[agreeing[:, 0]]
         if reason or forward is None:
-            return Rejection(reason, len(pairs), 0 if forward is None else int(forward.inliers.sum()))
-        agreeing = pairs[forward.inliers]
+            return Rejection(reason, len(pairs), len(agreeing), pixels_query, pixels_match)
         return LoopClosure(
             query=query,
             match=match,
@@ -164,8 +168,8 @@ class LoopCloser:
             inliers=len(agreeing),
             matches=len(pairs),
             unit=unit,
-            pixels_query=now.pixels[agreeing[:, 1]],
-            pixels_match=then.pixels[agreeing[:, 0]],
+            pixels_query=pixels_query,
+            pixels_match=pixels_match,
         )
 
     def _recall(self, index: int) -> Landmarks:

@@ -119,14 +119,18 @@ def compare_units(camera: StereoCamera, points_a: Array, points_b: Array, config
 
 
 def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Array | None:
-    """First guess of T_a_b (4, 4) from a's points and b's left pixels; OpenCV seeds its generator itself."""
+    """First guess of T_a_b (4, 4) from a's points and b's left pixels; OpenCV seeds its generator itself.
+
+    The guess that RANSAC returns is EPnP's on its inliers, which a few landmarks at kilometres, of a disparity near
+    zero, throw off by metres. SQPnP (Terzakis, Lourakis, ECCV 2020) bears them.
+    """
     if len(points_a) < _MIN_LANDMARKS:
         return None
-    pixels_b = _stereo_pixels(camera, points_b)[:, :2]
+    pixels_b = np.ascontiguousarray(_stereo_pixels(camera, points_b)[:, :2])
     try:
-        found, w, t, _ = cv2.solvePnPRansac(
+        found, _, _, agree = cv2.solvePnPRansac(
             points_a,
-            np.ascontiguousarray(pixels_b),
+            pixels_b,
             camera.K,
             None,
             iterationsCount=config.ransac_iterations,
@@ -134,6 +138,10 @@ def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: Geom
             confidence=0.9999,
             flags=cv2.SOLVEPNP_AP3P,
         )
+        if not found or agree is None:
+            return None
+        agree = agree[:, 0]
+        found, w, t = cv2.solvePnP(points_a[agree], pixels_b[agree], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
     except cv2.error:  # thrown on degenerate configurations
         return None
     if not found or not np.isfinite(w).all() or not np.isfinite(t).all():

@@ -57,8 +57,11 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
-def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
-    """All parts for one camera, of a configuration whose names have been checked."""
+def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
+    """All parts for one camera, of a configuration whose names have been checked.
+
+    The rows of the recogniser's matrix go to `rows`, where there is one.
+    """
     features = SharedFeatures(local_features(config.places))
     eyes: Eyes
     if config.mono:
@@ -68,7 +71,7 @@ def build_parts(camera: StereoCamera, config: RunConfig) -> Parts:
     return Parts(
         eyes=eyes,
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, config.places),
+        recognizer=build_recognizer(config.paradigm, features, config.places, rows),
         loop_closer=LoopCloser(camera, features, config.loop_closing, eyes.disparity, compare),
         graph=PoseGraph(config.graph),
         key_frames=KeyFrameSelector(config.key_frames),

@@ -1,11 +1,17 @@
 """What one run leaves behind, in numpy: the common source of files, pictures and the report."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.precision_recall import PrecisionRecall
+
 Array = NDArray[np.float64]
+
+ONLINE_SEPARATOR = " | "  # between the changes of `StageRow.online`
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,23 @@ class StageRow:
 
 
 @dataclass(frozen=True)
+class MatchedPixels:
+    """Where two images show the same things, as far as geometry bears that out, believed in the end or not.
+
+    Attributes:
+        query, match: frame indices.
+        pixels_query, pixels_match: (K, 2) float32 in the two left images, pixels.
+        agree_with: what they agree with, "one relative pose" or else "one epipolar geometry".
+    """
+
+    query: int
+    match: int
+    pixels_query: NDArray[np.float32]
+    pixels_match: NDArray[np.float32]
+    agree_with: str = "one relative pose"
+
+
+@dataclass(frozen=True)
 class Cloud:
     """Points of the map.
 
@@ -103,6 +126,9 @@ class DriveRecord:
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
         stages: what each stage measured of each row of the ledger.
+        matched: of the rows whose images agree somewhere.
+        curve: precision over recall of the recogniser; None without ground truth.
+        matrices: what the recogniser thought of all pairs of images, by stage: "similarity", "filtered".
         odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the
             first pose held; None where they are not known.
     """
@@ -121,5 +147,8 @@ class DriveRecord:
     map_after: Cloud
     metrics: dict[str, object]
     stages: tuple[StageRow, ...] = ()
+    matched: tuple[MatchedPixels, ...] = ()
+    curve: PrecisionRecall | None = None
+    matrices: Mapping[str, Matrix] = field(default_factory=dict)
     odometry_covariances: Array | None = None
     corrected_covariances: Array | None = None

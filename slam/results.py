@@ -2,16 +2,19 @@
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.map_size import map_size
+from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
+from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import (
     Alignment,
@@ -21,8 +24,9 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.ledger import Judge, stage_rows, write_ledger
+from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
+from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
@@ -49,6 +53,7 @@ class Finished:
         config: the settings.
         slam: the system, with its graph and landmarks.
         drive_log: what it said of each frame.
+        rows: the recogniser's matrix.
         optimized: the final trajectory and the verdicts on the loops.
         interrupted: stopped by the user.
         wall_seconds: from the first frame to the end of the final optimisation.
@@ -58,6 +63,7 @@ class Finished:
     config: RunConfig
     slam: Slam
     drive_log: DriveLog
+    rows: MatrixRows
     optimized: Optimized
     interrupted: bool
     wall_seconds: float
@@ -75,6 +81,7 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
     metres = None if truth is None else _metres(optimized, truth, finished.alignment)
     odometry = np.array(log.odometry)
+    places = _places(finished, truth)
     record = DriveRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {drive.name}",
         timestamps=table.timestamps,
@@ -90,10 +97,13 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_after=landmarks.cloud(optimized.similarities),
         metrics={},
         stages=stage_rows(log.attempts, graph.gates, graph.history),
+        matched=matched_pixels(log.attempts),
+        curve=places.curve,
+        matrices={stage: finished.rows.matrix(len(table), stage) for stage in finished.rows.stages},
         odometry_covariances=graph.odometry_covariances(),
         corrected_covariances=graph.covariances(optimized),
     )
-    record.metrics.update(provenance | _measured(record, finished))
+    record.metrics.update(provenance | _measured(record, finished, places))
     return record
 
 
@@ -135,7 +145,15 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")
-    write_report(record, folder / "report.html", lambda index: drive[index].left, dataclasses.asdict(config))
+    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
+
+
+def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
+    """The left image of a frame; None where it can no longer be read, which is no reason to lose the run."""
+    try:
+        return drive[index].left
+    except DataError:
+        return None
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
@@ -153,14 +171,13 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
+def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> dict[str, object]:
     errors = {
         name: _errors(getattr(record, name), record.ground_truth, finished.alignment)
         for name in ("odometry", "online", "corrected")
     }
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    places = _places(record, finished)
-    notes = places.notes | _notes("loops", loops)
+    notes = places.notes | _notes("loops", loops) | UNKNOWN
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
@@ -175,13 +192,14 @@ def _measured(record: DriveRecord, finished: Finished) -> dict[str, object]:
         "frames_per_second": len(record.timestamps) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
+        "memory_mb": held_mb(finished.slam.parts),
         "interrupted": finished.interrupted,
         "notes": notes,
     }
 
 
-def _places(record: DriveRecord, finished: Finished) -> PlaceResult:
-    truth = None if record.ground_truth is None else revisit_matrix(record.ground_truth)
+def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:
+    truth = None if ground_truth is None else revisit_matrix(ground_truth)
     beliefs = [attempt.belief for attempt in finished.drive_log.attempts]
     size = map_size(finished.slam.parts.recognizer)
     return judge_places(finished.config.paradigm, beliefs, truth, size)

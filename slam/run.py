@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import StageClock
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import Dataset, Frame
@@ -30,6 +31,7 @@ from slam.watching import Watcher
 log = logging.getLogger("revisit")
 
 _WARM_UP_FRAMES = 3  # the first with a motion, and one after it
+_MATRIX_ROWS = 1500  # of the recogniser's matrix, for a picture of it: 9 MB
 _OF_PLACES = ("features", "vocabulary", "descriptor")  # settings that belong to place recognition
 _HEIGHT = "camera_height"  # of the one camera
 VIEWS = ("none", "native", "web")
@@ -136,7 +138,8 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
 
     warm_up(drive, config)
     cv2.setRNGSeed(config.seed)
-    slam = Slam(build_parts(drive.camera, config))
+    rows = MatrixRows(_MATRIX_ROWS)
+    slam = Slam(build_parts(drive.camera, config, rows))
     watcher, drive_log, start = Watcher(slam, viewer, drive), DriveLog(), time.perf_counter()
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
         for frame in timed(prefetch(drive), slam.clock):
@@ -150,7 +153,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     late, optimized = slam.finish(config.robust)
     note_loops(late)
     drive_log.attempts.extend(late)
-    return Finished(drive, config, slam, drive_log, optimized, stop.made, time.perf_counter() - start)
+    return Finished(drive, config, slam, drive_log, rows, optimized, stop.made, time.perf_counter() - start)
 
 
 def warm_up(drive: Dataset, config: RunConfig) -> None:

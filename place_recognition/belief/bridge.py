@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from place_recognition.map.route import Route
-from place_recognition.recognizer import Belief
+from place_recognition.recognizer import Belief, no_pixels
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,9 @@ class Bridge:
         chosen = self._nearest_that_shows(match, self._location(belief.match))
         if chosen is None or not self._shows(self._route.location(belief.query)):
             return belief
-        score = min(before.score, after.score)
-        return replace(belief, match=int(self._route.ids[chosen]), score=score, verified=True)
+        score, match_id = min(before.score, after.score), int(self._route.ids[chosen])
+        pixels = belief.pixels if match_id == belief.match else no_pixels()
+        return replace(belief, match=match_id, score=score, verified=True, pixels=pixels)
 
     def _nearest_that_shows(self, match: int, own: int | None) -> int | None:
         """The belief's own location if it is near enough, else the nearest one near enough that shows something."""

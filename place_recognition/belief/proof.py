@@ -11,6 +11,7 @@ from scipy.spatial.distance import cdist
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.map.image_store import ImageStore, StoredFeatures
+from place_recognition.recognizer import no_pixels
 
 Floats = NDArray[np.float32]
 
@@ -52,6 +53,7 @@ class Proof:
         inliers: matches that agree with one epipolar geometry; 0 where too few do.
         evidence: powers of ten by which so much agreement is unlikely by chance (`chance_evidence`).
         verified: whether enough matches agree.
+        pixels: (inliers, 4) float32, x and y of those matches in the later and in the earlier image.
     """
 
     query: int
@@ -59,6 +61,7 @@ class Proof:
     inliers: int
     evidence: float
     verified: bool
+    pixels: Floats = field(default_factory=no_pixels, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,8 @@ class Pairing:
         now = self.now[agree]
         surplus = surplus_of_objects(now, self.object_size)
         evidence = chance_evidence(len(now) - surplus, len(self.now) - surplus, self.chance)
-        return Proof(self.query, self.location, len(now), evidence, verified=True)
+        pixels = np.concatenate([now, self.then[agree]], axis=1)
+        return Proof(self.query, self.location, len(now), evidence, verified=True, pixels=pixels)
 
 
 def prove(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:

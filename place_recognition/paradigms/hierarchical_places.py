@@ -190,6 +190,7 @@ class HierarchicalPlaces:
             accepted=proof.verified and improbable >= -math.log10(self.config.chance),
             inliers=proof.inliers,
             verified=proof.verified,
+            pixels=proof.pixels,
         )
 
     def _propose(self, ballot: PlaceBallot, count: int) -> list[int]:

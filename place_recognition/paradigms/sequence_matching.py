@@ -227,6 +227,7 @@ class SequenceMatching:
             accepted=proof.verified and response >= self.config.least_response,
             inliers=proof.inliers,
             verified=proof.verified,
+            pixels=proof.pixels,
         )
 
 

@@ -142,6 +142,7 @@ class TrackedWords:
             accepted=proof.verified,
             inliers=proof.inliers,
             verified=proof.verified,
+            pixels=proof.pixels,
         )
 
     def _around(self, voted: list[int], horizon: int) -> list[int]:

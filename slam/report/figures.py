@@ -36,7 +36,7 @@ _ARROW = 26.0  # points
 
 
 @dataclass(frozen=True)
-class _Panel:
+class Panel:
     """What one panel shows, all in the frame of the first camera.
 
     Attributes:
@@ -61,13 +61,13 @@ def before_after(record: DriveRecord) -> Figure:
 
     Where there is ground truth both estimates are laid over it by the same alignment as their ATE.
     """
-    panels = _panels(record)
-    centre, half = _window(panels)
+    both = both_panels(record)
+    centre, half = window(both)
     figure, (left, right), profiles = _canvas(half[1] / half[0])
-    for ax, panel in zip((left, right), panels, strict=True):
-        _draw(ax, panel, record)
-        _frame(ax, centre, half)
-    for ax, panel in zip(profiles, panels, strict=True):
+    for ax, panel in zip((left, right), both, strict=True):
+        draw(ax, panel, record)
+        frame_axes(ax, centre, half)
+    for ax, panel in zip(profiles, both, strict=True):
         _draw_height(ax, panel)
     left.set_ylabel("z [m], forward at the start")
     profiles[0].set_ylabel("height [m]")
@@ -77,20 +77,8 @@ def before_after(record: DriveRecord) -> Figure:
     return figure
 
 
-def plan_view(record: DriveRecord, name: str) -> Figure:
-    """Draw one panel of `before_after` alone, of `odometry` or `corrected`, without legend."""
-    panels = _panels(record)
-    centre, half = _window(panels)
-    figure = new_figure(5.6, float(np.clip(4.9 * half[1] / half[0], 3.3, 6.6)) + 0.5)
-    ax = figure.subplots()
-    _draw(ax, next(panel for panel in panels if panel.name == name), record)
-    _frame(ax, centre, half)
-    ax.set_title("")
-    ax.set_ylabel("z [m]")
-    return figure
-
-
-def _frame(ax: Axes, centre: Array, half: Array) -> None:
+def frame_axes(ax: Axes, centre: Array, half: Array) -> None:
+    """Show what lies so far from a centre (2,), x and z in metres, as large up as across."""
     ax.set_aspect("equal", adjustable="box")
     (left, bottom), (right, top) = centre - half, centre + half
     ax.set(xlim=(left, right), ylim=(bottom, top))
@@ -141,14 +129,15 @@ def style(ax: Axes) -> None:
         spine.set_color(INK)
 
 
-def _panels(record: DriveRecord) -> tuple[_Panel, _Panel]:
+def both_panels(record: DriveRecord) -> tuple[Panel, Panel]:
+    """By odometry alone, and corrected."""
     return (
         _panel(record, "Before: odometry alone", "odometry", record.map_before),
         _panel(record, "After: loops closed", "corrected", record.map_after),
     )
 
 
-def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel:
+def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
     covariances = record.odometry_covariances if name == "odometry" else record.corrected_covariances
     truth = anchored_truth(record)
@@ -157,7 +146,7 @@ def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> _Panel
         aligned = fit(estimate, truth, scaled(record.metrics, name))
     points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
-    return _Panel(
+    return Panel(
         title=f"{heading}\n{_ate(record, name)}",
         name=name,
         colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
@@ -175,7 +164,8 @@ def _ate(record: DriveRecord, name: str) -> str:
     return f"ATE {ate}, {alignment(record.metrics, name)} alignment"
 
 
-def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:
+def draw(ax: Axes, panel: Panel, record: DriveRecord) -> None:
+    """Draw the plan view of an estimate: map, trajectory, how sure it is, loops, start."""
     style(ax)
     ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)
     ax.set_xlabel("x [m]")
@@ -193,14 +183,14 @@ def _draw(ax: Axes, panel: _Panel, record: DriveRecord) -> None:
     _draw_start(ax, panel)
 
 
-def _draw_ellipses(ax: Axes, panel: _Panel) -> None:
+def _draw_ellipses(ax: Axes, panel: Panel) -> None:
     outlines = LineCollection(list(panel.ellipses), colors=panel.colour, lw=0.8, alpha=0.55, zorder=2.2)
     ax.add_collection(outlines, autolim=False)
     if len(panel.ellipses):
         ax.plot([], [], "o", mfc="none", color=panel.colour, ms=9, mew=0.8, label="95 % confidence")
 
 
-def _draw_height(ax: Axes, panel: _Panel) -> None:
+def _draw_height(ax: Axes, panel: Panel) -> None:
     """Height over the way driven: drift that a plan view cannot show."""
     style(ax)
     ax.set_xlabel("way driven [m]")
@@ -218,7 +208,7 @@ def _way(positions: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
 
 
-def _draw_loops(ax: Axes, panel: _Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
+def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
     label, colour, dashes = look
     pairs = np.array([(row.query, row.match) for row in rows], dtype=np.int64).reshape(-1, 2)
     ends = panel.positions[:, [0, 2]][pairs]
@@ -229,7 +219,7 @@ def _draw_loops(ax: Axes, panel: _Panel, rows: list[LoopRow], look: tuple[str, s
     ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.5, mew=0, zorder=2)
 
 
-def _draw_start(ax: Axes, panel: _Panel) -> None:
+def _draw_start(ax: Axes, panel: Panel) -> None:
     if not len(panel.positions):
         return
     plan = panel.positions[:, [0, 2]]
@@ -242,9 +232,9 @@ def _draw_start(ax: Axes, panel: _Panel) -> None:
         ax.annotate("", xy=plan[0], xytext=tip, textcoords="offset points", arrowprops=arrow, zorder=7)
 
 
-def _window(panels: tuple[_Panel, _Panel]) -> tuple[Array, Array]:
+def window(both: tuple[Panel, Panel]) -> tuple[Array, Array]:
     """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
-    shown = [panel.positions for panel in panels] + [panel.truth for panel in panels if panel.truth is not None]
+    shown = [panel.positions for panel in both] + [panel.truth for panel in both if panel.truth is not None]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)

@@ -18,7 +18,7 @@ Ids = NDArray[np.int64]
 
 _PANEL = 4.6  # inches
 _CELLS = 600  # a side of a matrix as it is drawn: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, "#001d33"])
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
 # Colour and dashes of the curves: the dashes tell them apart where the colours do not.
 _LINES = (
@@ -57,6 +57,14 @@ def places_picture(
     return figure
 
 
+def matrix_picture(matrix: Matrix) -> Figure:
+    """Draw one matrix alone."""
+    figure = new_figure(_PANEL + 0.9, _PANEL)
+    figure.set_layout_engine("compressed")  # the panel is square
+    draw_matrix(figure.subplots(), matrix, "")
+    return figure
+
+
 def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
     _frame(ax, title, len(matrix.values) * matrix.step)
@@ -70,6 +78,8 @@ def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
         columns, rows, cells, cmap=_SHADES, vmin=low, vmax=max(high, low + 1e-9), rasterized=True, shading="flat"
     )
     bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.045, pad=0.02, extend="max")
+    assert bar.solids is not None
+    bar.solids.set_rasterized(True)  # like the matrix, as a dark page turns the colours of images round
     bar.set_label("the paradigm's own scale", color=INK)
     bar.ax.tick_params(colors=INK, labelsize=8)
 
@@ -110,7 +120,9 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
     if curves:
         title = "circle: highest recall without a false one"
-        ax.legend(loc="lower left", edgecolor="none", labelcolor=INK, title=title, title_fontsize=8, fontsize=9)
+        clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
+        legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
+        legend.get_title().set_color(INK)
     else:
         ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
     return figure

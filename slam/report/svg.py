@@ -19,6 +19,7 @@ _THEMED = {
     colours.CORRECTED: "var(--corrected)",
     colours.ACCEPTED: "var(--accepted)",
     colours.REJECTED: "var(--rejected)",
+    colours.MOST: "var(--most)",
 }
 _NOTHING = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 

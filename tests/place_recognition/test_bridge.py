@@ -1,5 +1,7 @@
 """An image between two sure revisits of one stretch of way is spoken for; nothing else changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -75,6 +77,15 @@ def test_an_image_that_shows_nothing_is_no_place():
 def test_a_match_of_its_own_that_fits_is_kept():
     own = Belief(51, 12, 2.0, accepted=False, inliers=7, verified=False)
     assert settled([sure(50, 10), own, sure(52, 12)])[1].match == 12
+
+
+def test_where_images_agree_goes_with_a_match_and_not_with_another():
+    pixels = np.ones((7, 4), np.float32)
+    own = Belief(51, 12, 2.0, accepted=False, inliers=7, pixels=pixels)
+    assert settled([sure(50, 10), own, sure(52, 12)])[1].pixels is pixels
+    moved = settled([sure(50, 10), replace(own, match=3), sure(52, 12)])[1]
+    assert moved.match == 11
+    assert len(moved.pixels) == 0
 
 
 @given(st.lists(st.booleans(), max_size=40))

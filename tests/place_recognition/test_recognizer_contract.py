@@ -85,7 +85,17 @@ def test_the_first_lap_is_not_taken_for_a_revisit_and_the_second_is(expected):
 
 
 def test_two_runs_give_the_same_beliefs(make, two_laps, expected):
-    assert drive(make(), two_laps) == expected
+    again = drive(make(), two_laps)
+    assert again == expected
+    assert all(np.array_equal(one.pixels, other.pixels) for one, other in zip(again, expected, strict=True))
+
+
+def test_where_two_images_agree_is_told_of_a_match_that_geometry_has_seen(expected):
+    lap = len(expected) // 2
+    assert all(len(b.pixels) in (0, b.inliers or 0) for b in expected)
+    seen_again = [b.pixels for b in expected if b.accepted and b.match == b.query - lap and len(b.pixels)]
+    assert bool(seen_again) == any(b.inliers for b in expected)
+    assert all(np.median(np.abs(pixels[:, :2] - pixels[:, 2:])) == 0 for pixels in seen_again)  # the very same image
 
 
 def test_beliefs_do_not_depend_on_what_comes_later(make, two_laps, expected):

@@ -25,4 +25,15 @@ def test_who_may_not_install_is_told_what_to_type(monkeypatch: pytest.MonkeyPatc
 
 def test_nothing_is_installed_where_nothing_is_missing(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor.subprocess, "run", lambda *_args, **_kwargs: pytest.fail("ran a command"))
+    monkeypatch.setattr(doctor.shutil, "which", lambda program: f"/usr/bin/{program}")
     assert doctor.install_libraries() == 0
+    assert doctor.install_browser() == 0
+
+
+def test_a_browser_that_cannot_be_installed_is_named_and_fails_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(doctor.shutil, "which", lambda _program: None)
+    assert doctor.install_browser() == 1
+    assert "apt-get install --yes --no-install-recommends chromium chromium-driver" in capsys.readouterr().err
+    assert not any("chrom" in check.name for check in doctor.check_machine())

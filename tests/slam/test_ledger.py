@@ -3,7 +3,7 @@
 import numpy as np
 
 from place_recognition.recognizer import Belief
-from slam.ledger import stage_rows, write_ledger
+from slam.ledger import matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Admission, Change
 from slam.record import LoopRow
@@ -85,3 +85,25 @@ def test_stages_hand_on_the_relative_pose_the_gate_and_the_life_of_each_closure(
 
 def test_a_belief_without_a_match_has_no_stages():
     assert stage_rows([LoopAttempt(Belief(3, None, 0.0, False), None, None)], [], []) == ()
+
+
+def test_matches_are_handed_on_of_closures_and_rejections_alike():
+    here, there = np.float32([[1, 2], [3, 4]]), np.float32([[5, 6], [7, 8]])
+    proved = LoopClosure(8, 1, np.eye(4), np.eye(6), 2, 60, here, there)
+    attempts = [
+        LoopAttempt(Belief(6, None, 0.0, False), None, None),
+        LoopAttempt(Belief(7, 0, 1.0, False), None, None),
+        LoopAttempt(Belief(8, 1, 20.0, True, pixels=np.hstack([there, here])), proved, PASSED),
+        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no", 30, 2, there, here), None),
+    ]
+    for geometry in (None, Rejection("no pose", 30)):  # then what the recogniser saw is shown
+        attempts.append(LoopAttempt(Belief(10, 3, 1.0, False, pixels=np.hstack([here, there])), geometry, None))
+    first, second, *others = matched_pixels(attempts)
+    assert (first.query, first.match, second.query, second.match) == (8, 1, 9, 2)
+    assert first.pixels_query is second.pixels_match is here
+    assert first.pixels_match is second.pixels_query is there
+    assert first.agree_with == second.agree_with == "one relative pose"
+    assert [other.agree_with for other in others] == ["one epipolar geometry"] * 2
+    for other in others:
+        np.testing.assert_array_equal(other.pixels_query, here)
+        np.testing.assert_array_equal(other.pixels_match, there)

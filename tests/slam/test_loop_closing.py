@@ -131,6 +131,26 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     assert answer.inliers[::2].mean() < 0.05
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_landmarks_near_infinity_do_not_throw_the_pose_off(seed: int) -> None:
+    rng, T_match_query = np.random.default_rng(seed), se3.exp(np.array([0.0, 0.012, 0.0, 0.02, 0.04, 0.05]))
+    sky = CAMERA.triangulate(rng.uniform([50, 20], [1150, 180], (50, 2)), np.full(50, 1e-3))
+    points = np.concatenate([rng.uniform([-15, -4, 6], [15, 2, 45], (100, 3)), sky])
+    points_match, points_query = (
+        measured(rng, se3.transform(se3.inverse(T), points)) for T in (np.eye(4), T_match_query)
+    )
+    answer = relative_pose(CAMERA, points_match, points_query, GeometryConfig())
+    assert answer is not None
+    assert answer.inliers.sum() > 80
+    np.testing.assert_allclose(answer.T_a_b[:3, 3], T_match_query[:3, 3], atol=0.05)
+
+
+def measured(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
+    """Points (N, 3) as two cameras see them: what is far away comes out anywhere from hundreds of metres on."""
+    left, right, row = CAMERA.project(points).T + rng.normal(0, 0.15, (3, len(points)))
+    return CAMERA.triangulate(np.stack([left, row], axis=1), np.abs(left - right))
+
+
 def test_images_of_different_places_are_rejected() -> None:
     here, there = world(0), world(1)
     image = there.look(np.eye(4))
@@ -162,6 +182,8 @@ def test_landmarks_in_one_corner_are_rejected() -> None:
     answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).close(1, 0)
     assert isinstance(answer, Rejection)
     assert "cells" in answer.reason
+    assert len(answer.pixels_query) == len(answer.pixels_match) == answer.inliers > 0
+    np.testing.assert_array_less(answer.pixels_match, [[250, 150]] * answer.inliers)
 
 
 def test_landmarks_come_back_in_the_camera_frame() -> None:

@@ -1,18 +1,21 @@
 """One recorded drive from its images to its results, on real images."""
 
 import json
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from evo.tools import file_interface
+from markupsafe import escape
 from rich.console import Console
 
 from slam.errors import DataError, OutputError
 from slam.run import RunOptions, run_recorded
 
 QUIET = Console(quiet=True)
+HOSTILE = 'o\'drive <i id=x> "[bold]" &amp; улица 街道'
 
 FILES = {
     "metrics.json",
@@ -104,7 +107,7 @@ def test_a_real_drive_home_closes_true_loops_and_ends_nearer_to_the_truth(
 
 
 def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path, tmp_path: Path):
-    source = out_and_back(test_data / "kitti_clips", "06", tmp_path / "drive")
+    source = out_and_back(test_data / "kitti_clips", "06", tmp_path / HOSTILE)
     metrics = run(source, tmp_path / "out", paradigm="sequence-histograms")  # recorded: the viewer must bear it too
     assert metrics["places"]["queries"] == metrics["frames"]
     assert metrics["places"]["truth_rows"] > 0
@@ -114,6 +117,20 @@ def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path,
     assert metrics["loops"]["false"] == 0
     queries = [int(line.split(",")[0]) for line in (tmp_path / "out" / "loops.csv").read_text().splitlines()[1:]]
     assert queries == sorted(set(queries))
+    # whatever the folder is called, it is text in the report
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert f"<h1>{escape(HOSTILE)} 06</h1>" in report
+    assert "<i id" not in report
+    assert metrics["source"] == str(source)
+    assert metrics["memory_mb"]["place recognition"] == metrics["places"]["map_bytes"] / 1e6
+    assert all(0 < held < metrics["peak_memory_mb"] for held in metrics["memory_mb"].values() if held is not None)
+    # and each loop that was proposed has its images, with where they agree
+    evidence = json.loads(re.search(r'id="evidence">(.*?)</script>', report)[1])
+    kept = [row for row in evidence["rows"] if row["fate"] == "kept"]
+    assert len(kept) == metrics["loops"]["kept"]
+    assert all({str(row["query"]), str(row["match"])} <= set(evidence["pictures"]) for row in evidence["rows"])
+    assert all(len(row["lines"]) >= 4 * 20 for row in kept)
+    assert max(max(row["lines"]) for row in kept) < evidence["width"]
 
 
 def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):

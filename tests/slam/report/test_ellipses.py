@@ -8,7 +8,8 @@ import pytest
 from odometry import se3
 from slam.evaluation.trajectory import Similarity
 from slam.report.ellipses import confidence_ellipses
-from slam.report.figures import before_after, plan_view
+from slam.report.figures import before_after
+from slam.report.maps import plan_view
 
 from . import fabricate
 

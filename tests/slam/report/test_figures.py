@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from slam.errors import OutputError
 from slam.record import Cloud
 from slam.report.charts import error_over_way, inliers_per_frame, time_per_stage
-from slam.report.figures import before_after, plan_view, png, save_png
+from slam.report.figures import before_after, png, save_png
+from slam.report.maps import plan_view
 
 from . import fabricate
 

@@ -12,6 +12,7 @@ from slam.report.reading import MISSING
 from . import fabricate
 
 WHOLE = fabricate.record()
+DATA = {"type": "application/json"}  # not run by browsers
 VOID = {"meta", "input", "br", "img", "link", "hr"}
 
 
@@ -81,7 +82,7 @@ def test_a_hostile_name_is_shown_as_text(name, tmp_path):
     hostile = replace(WHOLE, name=name, loops=rows, metrics=metrics, stage_ms=stages)
     page = Page(written(hostile, tmp_path, config={name: {name: name}}))
     assert page.text.count(" ".join(name.split())) > len(rows)
-    assert sum(tag == "script" for tag, _ in page.tags) == 1
+    assert [attrs for tag, attrs in page.tags if tag == "script"] == [DATA, DATA, {**DATA, "id": "evidence"}, {}]
     assert not any(tag == "b" and attrs for tag, attrs in page.tags)
 
 
@@ -93,6 +94,11 @@ def test_what_is_not_known_is_a_dash_with_its_reason(whole):
     cells = re.findall(rf'<abbr title="the drive is shorter than 800 m">{MISSING}</abbr>', whole)
     assert len(cells) == 1
     assert "odometry.t_rel_percent : the drive is shorter than 800 m" in Page(whole).text
+
+
+def test_each_stage_has_its_time_and_what_it_holds(whole):
+    assert re.search(r"odometry \d+\.\d \d+\.\d \d+ % 3\.2 recognise", Page(whole).text)
+    assert re.search(rf"verify \d+\.\d \d+\.\d \d+ % {MISSING} \(not computed\)", Page(whole).text)
 
 
 def test_table_headings_have_a_scope_and_tables_a_caption(whole):

@@ -1,0 +1,91 @@
+"""`revisit export`: one file of a run, in the format that another program reads."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.errors import ConfigError, DataError, OutputError
+from slam.storage.atomic import atomic_writer
+from slam.storage.trajectory import read_tum, write_kitti, write_tum
+
+STATES = ("odometry", "online", "corrected")
+_OF_MAPS = {"odometry": "before", "corrected": "after"}  # graph and map are kept at the beginning and at the end
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What to export, and where to.
+
+    Attributes:
+        run: folder of a run.
+        format: a key of FORMATS.
+        state: which estimate: by odometry alone, as known at each moment, or corrected.
+        out: the file to write; None to name it after the run, beside it.
+        overwrite: replace a file that is there.
+    """
+
+    run: Path
+    format: str
+    state: str = "corrected"
+    out: Path | None = None
+    overwrite: bool = False
+
+
+def export(options: ExportOptions) -> Path:
+    """Write one result of a run in one format; the file that was written.
+
+    Raises:
+        ConfigError: an unknown format or state, or a state in which a run keeps no such result.
+        DataError: the run does not have the result, or it is damaged.
+        OutputError: the file is there already, or cannot be written.
+    """
+    _check(options)
+    folder = options.run.resolve()
+    out = options.out or options.run.with_name(f"{folder.name}_{options.state}{_SUFFIXES[options.format]}")
+    if out.exists() and not options.overwrite:
+        raise OutputError(f"{out}: there is such a file already; choose another or add --overwrite")
+    FORMATS[options.format](options.run, options.state, out)
+    return out
+
+
+def _check(options: ExportOptions) -> None:
+    if options.format not in FORMATS:
+        raise ConfigError(f"--format: expected one of {', '.join(FORMATS)}, found {options.format!r}")
+    known = STATES if options.format in _TRAJECTORIES else tuple(_OF_MAPS)
+    if options.state not in known:
+        raise ConfigError(f"--state: expected one of {', '.join(known)} for {options.format}, found {options.state!r}")
+
+
+def _tum(run: Path, state: str, out: Path) -> None:
+    write_tum(out, *read_tum(_result(run, f"trajectory_{state}.tum")))
+
+
+def _kitti(run: Path, state: str, out: Path) -> None:
+    write_kitti(out, read_tum(_result(run, f"trajectory_{state}.tum"))[1])
+
+
+def _g2o(run: Path, state: str, out: Path) -> None:
+    _copy(_result(run, f"pose_graph_{_OF_MAPS[state]}.g2o"), out)
+
+
+def _ply(run: Path, state: str, out: Path) -> None:
+    _copy(_result(run, f"map_{_OF_MAPS[state]}.ply"), out)
+
+
+def _result(run: Path, name: str) -> Path:
+    path = run / name
+    if not path.is_file():
+        raise DataError(
+            f"{path}: expected the result of a run, found none; make one with: revisit run SOURCE --out DIR"
+        )
+    return path
+
+
+def _copy(source: Path, out: Path) -> None:
+    with atomic_writer(out, "wb") as file:
+        file.write(source.read_bytes())
+
+
+FORMATS: dict[str, Callable[[Path, str, Path], None]] = {"tum": _tum, "kitti": _kitti, "g2o": _g2o, "ply": _ply}
+_TRAJECTORIES = ("tum", "kitti")
+_SUFFIXES = {"tum": ".tum", "kitti": ".txt", "g2o": ".g2o", "ply": ".ply"}
