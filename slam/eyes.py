@@ -20,6 +20,11 @@ _AS_SURE = 0.5  # share of the pair's baseline that one moving eye must have had
 class Eyes(Protocol):
     """Answers how the camera moved since the previous frame, and how far away what it shows is."""
 
+    @property
+    def odometry(self) -> StereoOdometry | MonoOdometry:
+        """What does the work."""
+        ...
+
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous frame; always finite."""
         ...
@@ -33,17 +38,17 @@ class TwoEyes:
     """A stereo pair."""
 
     def __init__(self, odometry: StereoOdometry) -> None:
-        self._odometry = odometry
+        self.odometry = odometry
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous pair."""
         assert frame.right is not None  # the run has refused drives without right images
-        return self._odometry.track(frame.left, frame.right, frame.timestamp)
+        return self.odometry.track(frame.left, frame.right, frame.timestamp)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
         """Disparity (N,) by matching left and right."""
         assert right is not None
-        return self._odometry.disparity(left, right, pixels)
+        return self.odometry.disparity(left, right, pixels)
 
 
 class OneEye:
@@ -53,14 +58,14 @@ class OneEye:
     """
 
     def __init__(self, odometry: MonoOdometry, camera: StereoCamera) -> None:
-        self._odometry, self._camera = odometry, camera
+        self.odometry, self._camera = odometry, camera
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous left image."""
-        return self._odometry.track(frame.left, frame.timestamp)
+        return self.odometry.track(frame.left, frame.timestamp)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
         """Disparity (N,) by depth from motion, where that is about as sure as a pair's."""
-        depths, camera = self._odometry.depths(left, pixels), self._camera
+        depths, camera = self.odometry.depths(left, pixels), self._camera
         sure = depths.baseline >= _AS_SURE * camera.baseline
         return np.where(sure, camera.fx * camera.baseline * depths.inverse, np.nan)

@@ -39,8 +39,8 @@ class LoopClosure:
         covariance: (6, 6) of the right perturbation `T_match_query @ exp(xi)`, rotation first (rad, m).
         inliers: landmarks that agree with the motion.
         matches: landmarks whose descriptors matched; 0 where that is not known.
-        unit: of the query's depths, in that of the match's: with one camera the two need not be the same.
         pixels_query, pixels_match: (K, 2) where the two left images show the agreeing landmarks.
+        unit: of the query's depths, in that of the match's: with one camera the two need not be the same.
     """
 
     query: int
@@ -49,9 +49,9 @@ class LoopClosure:
     covariance: Array
     inliers: int
     matches: int = 0
-    unit: Unit = SAME_UNIT
     pixels_query: NDArray[np.float32] = field(default_factory=_no_pixels)
     pixels_match: NDArray[np.float32] = field(default_factory=_no_pixels)
+    unit: Unit = SAME_UNIT
 
 
 @dataclass(frozen=True)
