@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RATE = 0.05  # of false loops among those kept
+RATE = 0.01  # of false loops among those kept
 SECOND_RATE = 0.25 * RATE  # where a first test failed
 _NEAREST = 3  # of the loops left out that set the rate
 _TRUE_OUT = 0.02  # of the kept loops: as many true ones may have been left out, and look better than any false one
