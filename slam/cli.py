@@ -48,7 +48,7 @@ def demo(
     out: Out = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = 0,
 ) -> None:
-    """Simulate a drive of two laps, run the whole chain on it, and write a report. Needs no download.
+    """Simulate a drive of three laps, run the whole chain on it, and write a report. Needs no download.
 
     The drive is rendered once and kept in the cache; the run in the output folder is made anew each time.
     """
