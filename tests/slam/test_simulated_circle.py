@@ -7,19 +7,15 @@ import pytest
 from rich.console import Console
 
 from slam.run import RunOptions, run_recorded
-from slam.simulation import DriveSpec, simulate
 from slam.storage.tables import read_loops
 
 
 @pytest.fixture(scope="module")
-def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run over two laps of 160 m, images at half of KITTI's size."""
-    folder = tmp_path_factory.mktemp("circle")
-    spec = DriveSpec(shape="circle", laps=2, length=160.0, width=620, height=188, seed=3)
-    source = simulate(spec, folder / "drive")
-    quiet = Console(quiet=True)
-    run_recorded(RunOptions(source, None, folder / "run"), {"record": False}, quiet, quiet)
-    return folder / "run"
+    out, quiet = tmp_path_factory.mktemp("circle") / "run", Console(quiet=True)
+    run_recorded(RunOptions(circle_drive, None, out), {"record": False}, quiet, quiet)
+    return out
 
 
 @pytest.fixture(scope="module")
