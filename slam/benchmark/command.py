@@ -47,7 +47,7 @@ class BenchmarkOptions:
         """
         if self.scheduler is not None and self.workers is not None:
             raise ConfigError("--scheduler: expected no --workers beside it, found both; the scheduler has its own")
-        workers = (os.cpu_count() or 1) if self.workers is None else self.workers
+        workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
         if workers < 0:
             raise ConfigError(f"--workers: expected 0 or more, found {workers}")
         alone = workers == 0 and self.scheduler is None
