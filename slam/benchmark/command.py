@@ -11,7 +11,7 @@ from rich.console import Console
 
 from slam.benchmark.cluster import Cluster
 from slam.benchmark.engine import Engine, OneProcess, Work
-from slam.benchmark.job import Job, Outcome, check_same, finished, run_job
+from slam.benchmark.job import Job, Outcome, check_job, finished, run_job
 from slam.benchmark.latex import write_latex
 from slam.benchmark.report import write_report
 from slam.benchmark.results import Row, make_row, summary, told, write_csv, write_json
@@ -72,12 +72,10 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
     sweep, engine, out = read_sweep(options.config), options.engine, options.out.resolve()
     jobs = make_jobs(sweep, out)
     for job in jobs:
-        job.config  # noqa: B018 -- names that do not exist are refused before anything is rendered
+        check_job(job)
     _prepare(out)
     for source in sweep.sources:
         _render(source, out, messages)
-    for job in jobs:
-        check_same(job)
     try:
         with engine:
             rows = carry_out(jobs, engine, run_job, out, results)

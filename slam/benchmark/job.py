@@ -110,20 +110,21 @@ def finished(job: Job) -> Outcome | None:
     return Outcome(job.name, read_metrics(job.folder / "metrics.json"))
 
 
-def check_same(job: Job) -> None:
-    """Check that a finished job was made from the same source with the same settings.
+def check_job(job: Job) -> None:
+    """Check that a job has settings that work, and, where it is finished, that these and its source were the same.
 
     Raises:
-        OutputError: it was not.
+        ConfigError: the settings file, a paradigm or a back end cannot be used.
+        OutputError: the finished run is another one.
     """
-    done = finished(job)
+    config, done = job.config, finished(job)
     if done is None:
         return
     same_source = done.metrics.get("source") == str(job.source.path)
-    if not same_source or read_config(job.folder / "config.toml") != job.config:
-        what = "settings" if same_source else f"source, {done.metrics.get('source')}"
+    if not same_source or read_config(job.folder / "config.toml") != config:
+        found = "one with other settings" if same_source else f"one of {done.metrics.get('source')}"
         raise OutputError(
-            f"{job.folder}: expected what {shlex.join(['revisit', *job.command])} gives, found another {what};"
+            f"{job.folder}: expected what {shlex.join(['revisit', *job.command])} gives, found {found};"
             " remove it or choose another folder with --out"
         )
 

@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -14,7 +15,7 @@ from slam import cli
 from slam.benchmark.cluster import Cluster
 from slam.benchmark.command import BenchmarkOptions, carry_out, make_jobs, run_benchmark
 from slam.benchmark.engine import OneProcess
-from slam.benchmark.job import Job, Outcome, run_job
+from slam.benchmark.job import Job, Outcome, check_job, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
@@ -187,8 +188,14 @@ def test_finished_runs_of_other_settings_are_refused(sweep: Path, alone: Path):
     (sweep.parent / "own.toml").write_text("[landmarks]\n" + f"{landmark_setting()} = 77\n")
     other = sweep.with_name("other.toml")
     other.write_text('config = "own.toml"\n' + SWEEP)
-    with pytest.raises(OutputError, match="found another settings"):
+    with pytest.raises(OutputError, match="found one with other settings"):
         run_benchmark(BenchmarkOptions(other, alone, workers=0), QUIET, QUIET)
+
+
+def test_finished_runs_of_another_source_are_refused(alone: Path, sweep: Path, tmp_path: Path):
+    job = replace(make_jobs(read_sweep(sweep), alone)[0], source=Source(tmp_path / "other"))
+    with pytest.raises(OutputError, match=f"found one of {alone}"):
+        check_job(job)
 
 
 def landmark_setting() -> str:
