@@ -96,7 +96,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
         raise ConfigError(f"{path}: expected a TOML file, {error}") from error
 
 
@@ -118,7 +118,7 @@ def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
     settings = {name: _checked(hints[name], value, f"{where}: {name}") for name, value in values.items()}
     try:
         return kind(**settings)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise ConfigError(f"{where}: {error}") from error
 
 
@@ -136,10 +136,17 @@ def _checked(kind: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where}: expected a list, found {value!r}")
         return _as_tuple(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        return _as_float(value, where)
     if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         raise ConfigError(f"{where}: expected {kind.__name__}, found {value!r}")
     return value
+
+
+def _as_float(value: int, where: str) -> float:
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ConfigError(f"{where}: {error}") from error
 
 
 def _as_tuple(values: list[Any]) -> tuple[Any, ...]:

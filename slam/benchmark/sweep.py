@@ -100,13 +100,22 @@ def read_sweep(path: Path) -> Sweep:
     Raises:
         ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
     """
-    written = from_values(_Written, read_toml(path), str(path))
+    return parse_sweep(read_toml(path), path)
+
+
+def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
+    """A sweep from the values of its file.
+
+    Raises:
+        ConfigError: an unknown name or a value of the wrong type.
+    """
+    written = from_values(_Written, values, str(path))
     sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
     _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
     _check_list(written.paradigms, str, f"{path}: paradigms")
     _check_list(written.robust, str, f"{path}: robust")
     _check_list(written.seeds, int, f"{path}: seeds")
-    config = _path(written.config, path.parent) if written.config else None
+    config = _path(written.config, path.parent, f"{path}: config") if written.config else None
     return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
 
 
@@ -135,7 +144,7 @@ def _source(entry: object, where: str, folder: Path) -> Recorded | Simulated:
 
 def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> Recorded:
     written = from_values(_WrittenSource, settings, where)
-    path = _path(written.path, folder)
+    path = _path(written.path, folder, f"{where}: path")
     own = "-".join(part for part in (path.name, written.sequence) if part)
     return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.kind or None))
 
@@ -144,14 +153,19 @@ def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) ->
     shape = settings.pop("simulate")
     if not isinstance(shape, str):
         raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
-    path = shape if shape in SHAPES else str(_path(shape, folder))
+    path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
     spec = from_values(DriveSpec, {"shape": path, **settings}, where)
     own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
     return Simulated(_file_name(name or own), spec)
 
 
-def _path(written: str, folder: Path) -> Path:
-    return (folder / Path(written).expanduser()).resolve()
+def _path(written: str, folder: Path, where: str) -> Path:
+    try:
+        path = (folder / Path(written).expanduser()).resolve()
+        path.exists()  # tells of names that no file can have
+    except (OSError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"{where}: expected a path, found {written[:60]!r}: {error}") from None
+    return path
 
 
 def _file_name(name: str) -> str:

@@ -1,11 +1,14 @@
 """The file of a benchmark: what it makes, and one line for whatever is wrong with it."""
 
+import contextlib
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from slam.benchmark.command import BenchmarkOptions, make_jobs
-from slam.benchmark.sweep import read_sweep
+from slam.benchmark.sweep import parse_sweep, read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
 from slam.errors import ConfigError
@@ -90,6 +93,13 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         ("seeds = [-1]\n" + SOURCE, "found -1"),
         ("speed = 3\n" + SOURCE, "unknown setting 'speed'"),
         ("seeds = [", "expected a TOML file"),
+        ("seeds = " + 9999 * "[", "expected a TOML file"),
+        ("seeds = [" + 9999 * "1" + "]", "expected a TOML file"),
+        ('[[sources]]\npath = "\\u0000"', "path: expected a path"),
+        (f'[[sources]]\nsimulate = "{999 * "x"}"', "simulate: expected a path"),
+        ('config = "\\u0000"\n' + SOURCE, "config: expected a path"),
+        ('[[sources]]\nsimulate = "circle"\nlength = 1' + 400 * "0", "length: int too large"),
+        ('[[sources]]\nsimulate = "circle"\nlaps = 1' + 400 * "0", "int too large"),
     ],
 )
 def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Path, text: str, told: str):
@@ -97,6 +107,34 @@ def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Pa
         read_sweep(written(tmp_path, text))
     assert told in str(error.value)
     assert "\n" not in " ".join(str(error.value).splitlines())
+
+
+words = st.text(max_size=8) | st.sampled_from(["circle", "kitti", "tracked-words", "\0", "~", "~nobody", "..", "/"])
+things = st.none() | st.booleans() | st.integers() | st.just(10**400) | st.floats() | words
+recorded = st.fixed_dictionaries({"path": words}, optional=dict.fromkeys(["sequence", "kind", "name"], words))
+simulated = st.fixed_dictionaries(
+    {"simulate": st.just("circle") | words}, optional=dict.fromkeys(["laps", "length", "seed", "clean", "name"], things)
+)
+entries = st.lists(recorded | simulated | st.dictionaries(words, things, max_size=2) | things, max_size=3)
+sweeps = st.fixed_dictionaries(
+    {"sources": entries},
+    optional={
+        "paradigms": st.lists(st.sampled_from(["tracked-words", "pixel-sequences"]), max_size=2) | things,
+        "seeds": st.lists(st.integers(0), min_size=1, max_size=2, unique=True) | things,
+        "config": words,
+        "record": st.booleans(),
+    },
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(sweeps)
+def test_whatever_the_file_holds_it_is_a_sweep_or_a_fault_that_is_told(values: dict):
+    with contextlib.suppress(ConfigError):
+        sweep = parse_sweep(values, Path("/folder/sweep.toml"))
+        jobs = make_jobs(sweep, Path("/out"))
+        assert len({job.folder for job in jobs}) == len(jobs) >= 1
+        assert {job.folder.parent for job in jobs} == {Path("/out/jobs")}
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path):
