@@ -1,0 +1,90 @@
+"""How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
+
+Run from the root, on a run of a drive that `revisit simulate` has rendered:
+`PYTHONPATH=. python benchmarks/dense_map.py RUN`. Distances are those of the map's points, seen from at most 25 m, to
+the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is laid on the
+truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import open3d
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from odometry import se3
+from slam.dense_command import DrivenRun, read_run
+from slam.evaluation.trajectory import umeyama
+from slam.mapping.dense_map import DenseMapper, choose_frames
+from slam.mapping.submaps import SubmapStore
+from slam.simulation.drive import MANIFEST
+from slam.simulation.spec import DriveSpec
+from slam.simulation.surfaces import true_surfaces
+
+Array = NDArray[np.float64]
+REACH_M = 25.0
+
+
+def fused(run: DrivenRun, folder: Path) -> tuple[SubmapStore, str]:
+    """Fuse a run's drive; its submaps, and what that cost."""
+    store, groups = SubmapStore(folder), choose_frames(run.odometry, run.key_frames, 20)
+    wall, processor = time.perf_counter(), time.process_time()
+    done = 0
+    for done in DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store):
+        pass
+    wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
+    held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
+    cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"
+    return store, f"{done} key frames in {len(store)} submaps, {held:.0f} MB: {cost}"
+
+
+def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.RaycastingScene) -> Array:
+    """Distance (N,), metres, of each point of a map on a trajectory (F, 4, 4) to the nearest true surface."""
+    out = []
+    for submap in store:
+        points = submap.surface.points.astype(np.float64)
+        near = np.zeros(len(points), dtype=bool)
+        for T_anchor_camera in submap.T_anchor_camera:
+            near |= np.linalg.norm(points - T_anchor_camera[:3, 3], axis=1) <= REACH_M
+        world = se3.transform(poses[submap.anchor], points[near])
+        out.append(scene.compute_distance(open3d.core.Tensor(world.astype(np.float32))).numpy())
+    return np.concatenate(out)
+
+
+def main() -> None:
+    """Print both maps' distances and the price."""
+    folder = Path(sys.argv[1])
+    run = read_run(folder, None)
+    source = Path(json.loads((folder / "metrics.json").read_text())["source"])
+    corners = true_surfaces(DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])).astype(np.float32)
+    scene = open3d.t.geometry.RaycastingScene()
+    rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
+    truth = run.drive.ground_truth
+    assert truth is not None
+    trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
+    table = Table("map on", "laid on the truth by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
+    medians = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        store, cost = fused(run, Path(temporary))
+        for name, poses in trajectories.items():
+            fit = umeyama(poses[:, :3, 3], truth[: len(poses), :3, 3])
+            for how, laid in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
+                found = distances(store, laid, scene)
+                quartiles = np.percentile(found, [50, 75, 90])
+                medians[name, how] = quartiles[0]
+                table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+    Console().print(table)
+    for how in ("first camera", "alignment"):
+        Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")
+    Console().print(cost)
+
+
+if __name__ == "__main__":
+    main()

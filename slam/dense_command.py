@@ -1,0 +1,104 @@
+"""`revisit dense`: the dense map of a run, before and after correction, and what of it can be driven on."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from odometry.calibration import Calibration
+from slam.config import read_config
+from slam.datasets.dataset import Dataset
+from slam.datasets.open import open_drive
+from slam.errors import DataError, OutputError
+from slam.keyframes import KeyFrameSelector
+from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
+if True:
+    draw_grid = write_grid = None
+from slam.mapping.submaps import SubmapStore
+from slam.mapping.surface_file import write_surfaces
+from slam.progress import progress_bar
+from slam.storage.calibration import read_calibration
+from slam.storage.metrics import read_metrics
+from slam.storage.tables import read_frames
+from slam.storage.trajectory import read_tum
+
+Array = NDArray[np.float64]
+
+RESULTS = (
+    "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DrivenRun:
+    """What a dense map needs of a run.
+
+    Attributes:
+        drive: the recording.
+        calibration: as the run has learned it.
+        odometry: the trajectory by which depth is fused.
+        corrected: (F, 4, 4) metres, the trajectory that moves the submaps.
+        key_frames: what chooses them.
+    """
+
+    drive: Dataset
+    calibration: Calibration
+    odometry: Odometry
+    corrected: Array
+    key_frames: KeyFrameSelector
+
+
+def read_run(run: Path, source: Path | None) -> DrivenRun:
+    """Read what a run has left, and open its recording, which may have moved to `source`.
+
+    Raises:
+        DataError: something is missing or damaged, or does not belong together.
+    """
+    calibration, metrics = read_calibration(run / "calibration.toml"), read_metrics(run / "metrics.json")
+    drive = open_drive(source or Path(str(metrics.get("source"))), str(metrics.get("sequence")))
+    if not drive.has_right or drive.camera != calibration.camera:
+        raise DataError(
+            f"{source or metrics.get('source')}: expected the pair that {run} was made with, found another camera;"
+            " name its recording"
+        )
+    odometry, corrected = (read_tum(run / f"trajectory_{name}.tum")[1] for name in ("odometry", "corrected"))
+    predicted = read_frames(run / "frames.csv").predicted
+    if not len(odometry) == len(corrected) == len(predicted) <= len(drive):
+        raise DataError(
+            f"{run}: expected one pose in both trajectories for each line of frames.csv, and an image for each, found"
+            f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(drive)}; run again"
+        )
+    selector = KeyFrameSelector(read_config(run / "config.toml").key_frames)
+    return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, selector)
+
+
+def map_densely(run: Path, source: Path | None, overwrite: bool, messages: Console) -> str:
+    """Fuse the drive of a run and write both maps and the grid into its folder; says what was done.
+
+    Raises:
+        DataError: the run or its recording cannot be read.
+        OutputError: a dense map is there already and overwrite is False, or it cannot be written.
+    """
+    present = [name for name in RESULTS if (run / name).exists()]
+    if present and not overwrite:
+        raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
+    driven, config = read_run(run, source), DenseMapConfig()
+    groups = choose_frames(driven.odometry, driven.key_frames, config.submap_frames)
+    total = sum(map(len, groups))
+    with tempfile.TemporaryDirectory() as folder:
+        store, mapper = SubmapStore(Path(folder)), DenseMapper(driven.calibration, config)
+        with progress_bar(messages, "Fusing") as progress:
+            for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
+                progress(done, total)
+        _write(run, store, driven)
+    return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(RESULTS)}"
+
+
+def _write(run: Path, store: SubmapStore, driven: DrivenRun) -> None:
+    for state, poses in (("before", driven.odometry.T_world_camera), ("after", driven.corrected)):
+        write_surfaces(run / f"dense_{state}.ply", lambda poses=poses: store.placed(poses), with_triangles=False)
+        write_surfaces(run / f"mesh_{state}.ply", lambda poses=poses: store.placed(poses), with_triangles=True)
+    write_grid(run / "occupancy.yaml", draw_grid(store, driven.corrected))
