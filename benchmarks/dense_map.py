@@ -35,9 +35,7 @@ def fused(run: DrivenRun, folder: Path) -> tuple[SubmapStore, str]:
     """Fuse a run's drive; its submaps, and what that cost."""
     store, groups = SubmapStore(folder), choose_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
-    done = 0
-    for done in DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store):
-        pass
+    done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
     wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
     held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
     cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"

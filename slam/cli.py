@@ -309,6 +309,26 @@ def export(
 
 
 @app.command()
+def dense(
+    run: Annotated[Path, typer.Argument(help="Folder of a run with two cameras.")],
+    source: Annotated[
+        Path | None, typer.Argument(help="Root of its recording, where that has moved since.", show_default=False)
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dense map that is there.")] = False,
+) -> None:
+    """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
+
+    Writes into the folder of the run. Images are read once; the corrected graph moves finished submaps.
+
+    Example: revisit dense runs/kitti05
+    """
+    from slam.dense_command import map_densely
+
+    message = map_densely(run, source, overwrite, Console(stderr=True))
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
 def doctor(
     licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
 ) -> None:

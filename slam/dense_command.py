@@ -2,6 +2,7 @@
 
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,7 @@ from slam.datasets.open import open_drive
 from slam.errors import DataError, OutputError
 from slam.keyframes import KeyFrameSelector
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
-if True:
-    draw_grid = write_grid = None
+from slam.mapping.occupancy import draw_grid, write_grid
 from slam.mapping.submaps import SubmapStore
 from slam.mapping.surface_file import write_surfaces
 from slam.progress import progress_bar
@@ -99,6 +99,7 @@ def map_densely(run: Path, source: Path | None, overwrite: bool, messages: Conso
 
 def _write(run: Path, store: SubmapStore, driven: DrivenRun) -> None:
     for state, poses in (("before", driven.odometry.T_world_camera), ("after", driven.corrected)):
-        write_surfaces(run / f"dense_{state}.ply", lambda poses=poses: store.placed(poses), with_triangles=False)
-        write_surfaces(run / f"mesh_{state}.ply", lambda poses=poses: store.placed(poses), with_triangles=True)
+        surfaces = partial(store.placed, poses)
+        write_surfaces(run / f"dense_{state}.ply", surfaces, with_triangles=False)
+        write_surfaces(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
     write_grid(run / "occupancy.yaml", draw_grid(store, driven.corrected))

@@ -23,7 +23,9 @@ _WINDOW = 3
 _SMOOTH, _JUMP = 8 * _WINDOW**2, 32 * _WINDOW**2  # price of a step of one pixel in disparity, and of a larger one
 _UNIQUE = 10  # per cent that the best match must be better than any other
 _SPECKLE = 100  # pixels that a patch of like depth has at least
-_TEXTURE = 2.0  # grey levels, mean size of the horizontal gradient around a pixel; sensor noise alone gives about one
+_TEXTURE = (
+    1.0  # grey levels between next but one pixels of a row, on average; below that there is hardly more than noise
+)
 _STEPS = 16.0  # of OpenCV's disparities in a pixel
 
 
@@ -79,9 +81,8 @@ class DenseStereo:
         height, width, s = self.camera.height, self.camera.width, self._shrink
         pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2).reshape(-1, 2)
         centre = (s - 1) / 2  # of the first s by s pixels
-        left, right = (
-            ((seen - centre) / s).reshape(height, width, 2) for seen in calibration.seen(s * pixels + centre)
-        )
+        seen = calibration.seen(np.asarray(s * pixels + centre, dtype=np.float64))
+        left, right = (((side - centre) / s).reshape(height, width, 2) for side in seen)
         low, high = np.zeros(2), np.array([width - 1, height - 1])
         self._inside = ((left >= low) & (left <= high) & (right[..., 1:] >= 0) & (right[..., 1:] <= height - 1)).all(2)
         return left.astype(np.float32), right.astype(np.float32)

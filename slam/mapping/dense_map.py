@@ -104,5 +104,3 @@ class _Chosen:
 
     def __getitem__(self, index: int) -> Frame:
         return self.drive[self.indices[index]]
-
-

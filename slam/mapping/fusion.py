@@ -5,6 +5,7 @@ left out, and so what moves leaves little behind.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class Surface:
 
     def moved(self, T_a_b: Array) -> "Surface":
         """The surface, given in frame b, in frame a."""
-        return Surface(se3.transform(T_a_b, self.points), self.grey, self.triangles)
+        return Surface(se3.transform(T_a_b, self.points.astype(np.float64)), self.grey, self.triangles)
 
 
 class Volume:
@@ -64,9 +65,10 @@ class Volume:
     def __init__(self, config: FusionConfig) -> None:
         import open3d
 
-        self._config, self._o3d = config, open3d
-        kind = open3d.core.float32
-        self._grid = open3d.t.geometry.VoxelBlockGrid(
+        self._config = config
+        self._o3d: Any = open3d  # its stubs know no numpy
+        kind = self._o3d.core.float32
+        self._grid = self._o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight", "color"), (kind, kind, kind), ((1), (1), (3)), config.voxel_m, _BLOCK, _BLOCKS
         )
 

@@ -43,9 +43,9 @@ def write_surfaces(path: Path, surfaces: Callable[[], Iterator[Surface]], with_t
         file.write(f"{header}end_header\n".encode())
         for surface in surfaces():
             file.write(_vertices(surface))
-        starts = np.cumsum(sizes[:, 0]) - sizes[:, 0]
-        for start, surface in zip(starts, surfaces() if with_triangles else (), strict=with_triangles):
-            file.write(_faces(surface, start))
+        if with_triangles:
+            starts = np.cumsum(sizes[:, 0]) - sizes[:, 0]
+            file.writelines(_faces(surface, start) for start, surface in zip(starts, surfaces(), strict=True))
 
 
 def _vertices(surface: Surface) -> bytes:
