@@ -1,8 +1,9 @@
 """The depth of every pixel of a stereo pair: semi-global matching of images that the calibration has put right.
 
 Semi-global matching: Hirschmüller, Stereo Processing by Semiglobal Matching and Mutual Information, PAMI 2008. A depth
-has to pass four checks: the match must be unique on its row, hold from right to left too, be part of a patch of
-like depth, and have texture.
+has to pass three checks: the match must be unique on its row, hold from right to left too, and be part of a patch
+of like depth. A fourth, for texture, was taken out: it gained 3 % of accuracy on simulated drives and lost a fifth of
+what real ones show, shadowed road above all, where matching along many directions bridges well.
 """
 
 from dataclasses import dataclass
@@ -23,9 +24,6 @@ _WINDOW = 3
 _SMOOTH, _JUMP = 8 * _WINDOW**2, 32 * _WINDOW**2  # price of a step of one pixel in disparity, and of a larger one
 _UNIQUE = 10  # per cent that the best match must be better than any other
 _SPECKLE = 100  # pixels that a patch of like depth has at least
-_TEXTURE = (
-    1.0  # grey levels between next but one pixels of a row, on average; below that there is hardly more than noise
-)
 _STEPS = 16.0  # of OpenCV's disparities in a pixel
 
 
@@ -70,8 +68,8 @@ class DenseStereo:
         """Depth of a pair of images (H, W) uint8 of the calibrated size."""
         left, right = self._perfect(left, self._left), self._perfect(right, self._right)
         disparity = self._matcher.compute(left, right).astype(np.float32) / np.float32(_STEPS)
-        nearest_disparity = self.camera.fx * self.camera.baseline / self._max_depth
-        known = (disparity >= nearest_disparity) & _has_texture(left) & self._inside
+        least = self.camera.fx * self.camera.baseline / self._max_depth
+        known = (disparity >= least) & self._inside
         depth = np.zeros_like(disparity)
         np.divide(np.float32(self.camera.fx * self.camera.baseline), disparity, out=depth, where=known)
         return DepthImage(depth, left, self.camera)
@@ -98,9 +96,3 @@ def shrunk(camera: StereoCamera, s: int) -> StereoCamera:
     centre = (s - 1) / 2
     cx, cy = (camera.cx - centre) / s, (camera.cy - centre) / s
     return StereoCamera(camera.fx / s, camera.fy / s, cx, cy, camera.baseline, camera.width // s, camera.height // s)
-
-
-def _has_texture(grey: Image) -> NDArray[np.bool_]:
-    """Whether the surroundings of each pixel (H, W) change along the row."""
-    gradient = np.abs(cv2.Sobel(grey, cv2.CV_16S, 1, 0, ksize=1))
-    return np.asarray(cv2.blur(gradient.astype(np.float32), (9, 9)) >= _TEXTURE)
