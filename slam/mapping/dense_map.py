@@ -4,6 +4,7 @@ Within a submap odometry is trusted: over 20 m it drifts less than a voxel. A gr
 gives the map before and after correction, and no image is read twice.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -50,14 +51,15 @@ class Odometry:
 
 
 def choose_frames(odometry: Odometry, selector: KeyFrameSelector, size: int) -> list[list[int]]:
-    """Key frames, in submaps of at most `size`; none that was predicted, and no submap reaches across one."""
-    groups: list[list[int]] = [[]]
+    """Key frames, in submaps of like length and at most `size`; what was predicted is left out and parts submaps."""
+    stretches: list[list[int]] = [[]]
     for index, (pose, predicted) in enumerate(zip(odometry.T_world_camera, odometry.predicted, strict=True)):
-        if predicted or len(groups[-1]) == size:
-            groups.append([])
-        if not predicted and selector.accepts(pose):
-            groups[-1].append(index)
-    return [group for group in groups if group]
+        if predicted:
+            stretches.append([])
+        elif selector.accepts(pose):
+            stretches[-1].append(index)
+    cut = (np.array_split(stretch, math.ceil(len(stretch) / size)) for stretch in stretches if stretch)
+    return [piece.tolist() for pieces in cut for piece in pieces]
 
 
 class DenseMapper:

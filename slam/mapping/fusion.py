@@ -26,14 +26,16 @@ class FusionConfig:
     Attributes:
         voxel_m: edge of a voxel, metres; about the distance between points of the surface.
         max_depth_m: what is farther from the camera is left out, metres.
-        truncation: voxels in front of and behind a surface that one depth speaks of.
+        truncation: voxels before and behind a surface, along the ray, that one depth speaks of. Few lose the road,
+            which is seen so flatly that the next voxel below it is far behind it; many thicken everything. Of 4,
+            6, 8 and 12 on simulated drives, 6 are the most accurate and show two thirds more road than 4.
         min_views: images that must have seen a point.
     """
 
     voxel_m: float = 0.15
     max_depth_m: float = 25.0
-    truncation: float = 4.0
-    min_views: int = 3
+    truncation: float = 6.0
+    min_views: int = 5
 
     def __post_init__(self) -> None:
         if min(self.voxel_m, self.max_depth_m, self.truncation, self.min_views) <= 0:
@@ -59,13 +61,16 @@ class Surface:
         return Surface(se3.transform(T_a_b, self.points.astype(np.float64)), self.grey, self.triangles)
 
 
+NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), np.zeros((0, 3), np.int32))
+
+
 class Volume:
     """The distance field of one submap, in the frame of its anchor."""
 
     def __init__(self, config: FusionConfig) -> None:
         import open3d
 
-        self._config = config
+        self._config, self._empty = config, True
         self._o3d: Any = open3d  # its stubs know no numpy
         kind = self._o3d.core.float32
         self._grid = self._o3d.t.geometry.VoxelBlockGrid(
@@ -76,6 +81,7 @@ class Volume:
         """Add what one camera at a pose (4, 4) sees."""
         if not image.depth.any():
             return
+        self._empty = False
         tensor, picture = self._o3d.core.Tensor, self._o3d.t.geometry.Image
         depth = picture(tensor(np.ascontiguousarray(image.depth[:, :, None])))
         colour = picture(tensor(np.repeat(image.grey[:, :, None], 3, axis=2).astype(np.float32)))
@@ -86,9 +92,12 @@ class Volume:
 
     def surface(self) -> Surface:
         """What enough images agree about, metres, in the frame of the anchor; the same bits each time."""
-        mesh = self._grid.extract_triangle_mesh(weight_threshold=float(self._config.min_views))
-        if len(mesh.vertex.positions) == 0 or "indices" not in mesh.triangle:
-            return Surface(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), np.zeros((0, 3), np.int32))
+        if self._empty:  # Open3D refuses to look
+            return NOTHING
+        # A voxel's weight, its number of views, must be above the threshold.
+        mesh = self._grid.extract_triangle_mesh(weight_threshold=self._config.min_views - 0.5)
+        if len(mesh.vertex.positions) == 0:
+            return NOTHING
         grey = np.clip(np.rint(mesh.vertex.colors.numpy()[:, 0]), 0, 255).astype(np.uint8)
         return _in_order(Surface(mesh.vertex.positions.numpy(), grey, mesh.triangle.indices.numpy()))
 

@@ -36,7 +36,8 @@ def write_surfaces(path: Path, surfaces: Callable[[], Iterator[Surface]], with_t
     Raises:
         OutputError: the file cannot be written.
     """
-    sizes = np.array([[len(surface.points), len(surface.triangles)] for surface in surfaces()]).reshape(-1, 2)
+    sizes = np.array([[len(surface.points), len(surface.triangles)] for surface in surfaces()], dtype=np.int64)
+    sizes = sizes.reshape(-1, 2)
     points, triangles = sizes.sum(axis=0).tolist()
     header = _POINTS.format(points=points) + (_TRIANGLES.format(triangles=triangles) if with_triangles else "")
     with atomic_writer(path, "wb") as file:

@@ -8,7 +8,7 @@ from odometry.camera import StereoCamera
 from slam.mapping.dense_depth import DepthImage
 
 CAMERA = StereoCamera(359.4, 359.4, 309.5, 93.5, 0.54, 620, 188)
-CAMERA_HEIGHT = 1.65
+CAMERA_HEIGHT = 1.71  # metres, and no multiple of a voxel, where the sign of a distance is a matter of rounding
 
 
 def rays(camera: StereoCamera) -> np.ndarray:
@@ -26,7 +26,7 @@ def plane_depth(camera: StereoCamera, T_world_camera: np.ndarray, normal: np.nda
 
 
 def street(camera: StereoCamera, T_world_camera: np.ndarray) -> np.ndarray:
-    """Depth (H, W) of a road 1.65 m below the world's first camera, and a wall 4 m to its left, 3 m high."""
+    """Depth (H, W) of a road below the world's first camera, and a wall 4 m to its left, 3 m high."""
     road = plane_depth(camera, T_world_camera, np.array([0.0, 1.0, 0.0]), CAMERA_HEIGHT)
     wall = plane_depth(camera, T_world_camera, np.array([1.0, 0.0, 0.0]), -4.0)
     with np.errstate(invalid="ignore"):

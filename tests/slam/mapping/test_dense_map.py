@@ -48,7 +48,7 @@ def test_a_drive_is_cut_into_submaps_and_none_reaches_across_a_frame_that_measur
     predicted = np.zeros(12, dtype=bool)
     predicted[[5, 6]] = True
     odometry = Odometry(ahead(*range(12)), predicted)
-    assert choose_frames(odometry, KeyFrameSelector(), 4) == [[0, 1, 2, 3], [4], [7, 8, 9, 10], [11]]
+    assert choose_frames(odometry, KeyFrameSelector(), 4) == [[0, 1, 2], [3, 4], [7, 8, 9], [10, 11]]
     every_second = KeyFrameSelector(KeyFrameConfig(min_distance_m=2.0))
     assert choose_frames(odometry, every_second, 4) == [[0, 2, 4], [7, 9, 11]]
 

