@@ -37,6 +37,9 @@ PARADIGM_NAMES = (
 )
 FEATURE_NAMES = "surf, surf-oriented, sift, orb"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
+KIND_NAMES = "kitti, euroc, tum-rgbd, own-camera, bag, malaga, new-college, city-centre, images"
+Kind = Annotated[str | None, typer.Option(help=f"Of the source, if it is not recognised: {KIND_NAMES}.")]
+Topic = Annotated[list[str] | None, typer.Option(help="Of a bag: the left camera's, then the right one's.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
 
@@ -97,7 +100,7 @@ def simulate(
 
 @app.command()
 def run(
-    source: Annotated[Path, typer.Argument(help="Root of a recorded drive in KITTI odometry layout.")],
+    source: Annotated[Path, typer.Argument(help="A recorded drive: folder, video or bag.")],
     out: Out,
     sequence: Annotated[
         str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
@@ -111,6 +114,9 @@ def run(
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
     view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    kind: Kind = None,
+    fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
+    topic: Topic = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run the whole chain on a recorded stereo drive: odometry, places, loops, pose graph, map, report.
@@ -119,7 +125,7 @@ def run(
     """
     from slam.run import RunOptions, run_recorded
 
-    options = RunOptions(source, sequence, out, view, overwrite, config)
+    options = RunOptions(source, sequence, out, view, overwrite, config, kind, fps, tuple(topic or ()))
     chosen = {
         "paradigm": paradigm,
         "features": features,
@@ -136,7 +142,7 @@ def run(
 
 @app.command()
 def places(
-    source: Annotated[Path, typer.Argument(help="Root of a drive in KITTI layout, or a folder of images.")],
+    source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
     paradigm: Annotated[str, typer.Option(help=f"One of: {PARADIGM_NAMES}.")],
     out: Out,
     sequence: Annotated[
@@ -152,17 +158,20 @@ def places(
     fps: Annotated[float | None, typer.Option(help="Images a second, where there is no times.txt.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the metrics as JSON.")] = False,
+    kind: Kind = None,
+    topic: Topic = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Place recognition alone, with one camera: which images show a place that was seen before?
 
     Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
     """
-    settings = {name: value for name, value in locals().items() if name != "json"}
+    settings = {name: value for name, value in locals().items() if name not in ("json", "topic")}
     from slam.places.command import recognise_places
     from slam.places.options import PlacesOptions
 
-    interrupted = recognise_places(PlacesOptions(**settings), Console(stderr=True), Console(), json)
+    options = PlacesOptions(**settings, topics=tuple(topic or ()))
+    interrupted = recognise_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
@@ -285,6 +294,30 @@ def explain(
     from slam.explain import explain as told
 
     Console().print(told(run, query, match), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def check(
+    source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
+    sequence: Annotated[
+        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    ] = None,
+    kind: Kind = None,
+    fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
+    topic: Topic = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Look at a recording before a run: what will and what will not work with it, and why.
+
+    Example: revisit check data/kitti --sequence 05
+    """
+    from slam.datasets.source import Source
+    from slam.inspection.command import as_json, as_table, check_recording
+
+    inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
+    shown = as_json(inspection) if json else as_table(inspection)
+    Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
+    raise typer.Exit(0 if inspection.serves else EXIT_FAILED)
 
 
 @app.command()

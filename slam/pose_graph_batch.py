@@ -13,33 +13,27 @@ from slam.pose_graph_solver import ANCHOR_SIGMA, to_poses
 
 Array = NDArray[np.float64]
 
-_TOLERANCE = 1e-6  # relative decrease of the error that ends an optimisation
-_PATIENCE = 5  # iterations after which a start that still gains much is doubted
-_MUCH = 0.01  # relative decrease in one iteration
-_MOST = 100  # iterations
-
 
 def minimum(edges: Edges, start: Array) -> Array:
     """Poses (N, n, n) of least squared error that Levenberg-Marquardt finds, the first pose held.
 
-    A start that has not settled after a few iterations is compared with a chordal one, and the better goes on.
+    From the start or from a chordal one, whichever fits better.
 
     Raises:
         GraphError: the edges leave poses undetermined.
     """
     graph = _graph(edges, start[0])
-    try:
-        search = _Search(graph, _values(start))
-        search.run(_PATIENCE)
-        if search.gain > _MUCH:
-            search = min([search, *_others(graph, start, edges)], key=lambda each: each.error)
-        search.run(_MOST)
-    except RuntimeError as error:  # GTSAM's "indeterminant linear system"
-        raise GraphError(
-            "the edges leave some poses undetermined; expected every pose to be joined to the first by edges of "
-            f"positive definite information ({str(error).strip().splitlines()[0]})"
-        ) from error
-    return _poses(search.values, start)
+    starts = [_values(start), *_others(graph, start, edges)]
+    return _poses(_descended(graph, min(starts, key=graph.error)), start)
+
+
+def refined(edges: Edges, start: Array) -> Array:
+    """The same from a start (N, n, n) that is known to be good.
+
+    Raises:
+        GraphError: the edges leave poses undetermined.
+    """
+    return _poses(_descended(_graph(edges, start[0]), _values(start)), start)
 
 
 def chordal(edges: Edges, start: Array) -> Array:
@@ -52,39 +46,20 @@ def chordal(edges: Edges, start: Array) -> Array:
     return _poses(_chordal_values(graph, edges, start), start)
 
 
-class _Search:
-    """Levenberg-Marquardt that can be interrupted and looked at.
-
-    Attributes:
-        gain: relative decrease of the error in the last iteration.
-    """
-
-    def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        self._optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams())
-        self.gain = 1.0
-
-    @property
-    def error(self) -> float:
-        return float(self._optimizer.error())
-
-    @property
-    def values(self) -> gtsam.Values:
-        return self._optimizer.values()
-
-    def run(self, iterations: int) -> None:
-        """Iterate until the error settles, so many times at most."""
-        for _ in range(iterations):
-            if self.gain <= _TOLERANCE:
-                break
-            before = self.error
-            self._optimizer.iterate()
-            self.gain = (before - self.error) / max(before, np.finfo(float).tiny)
-
-
-def _others(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edges) -> list[_Search]:
-    """Searches from a chordal start, if there is one."""
+def _descended(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     try:
-        return [_Search(graph, _chordal_values(graph, edges, start))]
+        return gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
+    except RuntimeError as error:  # GTSAM's "indeterminant linear system"
+        raise GraphError(
+            "the edges leave some poses undetermined; expected every pose to be joined to the first by edges of "
+            f"positive definite information ({str(error).strip().splitlines()[0]})"
+        ) from error
+
+
+def _others(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edges) -> list[gtsam.Values]:
+    """A chordal start, if there is one."""
+    try:
+        return [_chordal_values(graph, edges, start)]
     except RuntimeError:
         return []
 

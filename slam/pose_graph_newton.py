@@ -54,9 +54,19 @@ def reweighted(poses: Array, edges: Edges, reweight: Reweight, schedule: Schedul
 
 def whitened_jacobian(poses: Array, edges: Edges) -> sparse.csr_array:
     """Jacobian (M dof, N dof) of the whitened errors, to first order in the residuals."""
+    return _jacobian(poses, edges, edges.root)
+
+
+def jacobian_of_errors(poses: Array, edges: Edges) -> sparse.csr_array:
+    """Jacobian (M dof, N dof) of the errors themselves, to first order in the residuals."""
+    return _jacobian(poses, edges, np.broadcast_to(np.eye(edges.group.dof), edges.information.shape))
+
+
+def _jacobian(poses: Array, edges: Edges, weight: Array) -> sparse.csr_array:
+    """Jacobian (M dof, N dof) of errors times weights (M, dof, dof)."""
     dof, count = edges.group.dof, len(edges)
     relative = inverse(poses[edges.second]) @ poses[edges.first]
-    blocks = np.concatenate([-edges.root @ edges.group.adjoint(relative), edges.root], axis=2)
+    blocks = np.concatenate([-weight @ edges.group.adjoint(relative), weight], axis=2)
     ends = np.stack([edges.first, edges.second], axis=1)
     columns = (ends[:, :, None] * dof + np.arange(dof)).reshape(count, 1, 2 * dof)
     columns = np.broadcast_to(columns, (count, dof, 2 * dof))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import ConfigError
-from slam.pose_graph_batch import minimum
+from slam.pose_graph_batch import minimum, refined
 from slam.robust_consensus import grown
 from slam.robust_evidence import LEAST_EVIDENCE
 from slam.robust_gnc import fitted_poses, graduated
@@ -70,7 +70,7 @@ class Optimized:
 
 def _plain(problem: LoopProblem, screening: Screening) -> Outcome:
     """Least squares on every loop, true or false: the yardstick."""
-    return _leaning_on(problem, np.ones(len(problem.loops), dtype=bool), problem.start)
+    return _from_odometry(problem, np.ones(len(problem.loops), dtype=bool))
 
 
 def _under(kernel: Kernel) -> "BackEnd":
@@ -86,19 +86,16 @@ def _gnc(problem: LoopProblem, screening: Screening) -> Outcome:
     """Graduated non-convexity on the gated loops, odometry known to be right (Yang et al., RA-L 2020)."""
     use = screening.passed
     if not use.any():
-        return _leaning_on(problem, use, problem.start)
+        return _from_odometry(problem, use)
     poses, kept = graduated(problem, use, fitted_poses(problem, use, problem.start), screening.limit)
     return _leaning_on(problem, kept, poses)
 
 
 def _pcm(problem: LoopProblem, screening: Screening) -> Outcome:
     """Pairwise consistent loops among the gated ones, and least squares on them (Mangelson et al., ICRA 2018)."""
-    kept = screening.passed.copy()
-    rows = np.flatnonzero(kept)
-    if len(rows) > 1:
-        nats = np.maximum(screening.found.at(screening.scale)[rows], 1e-3)
-        kept[rows] = agreeing(screening.found.posterior, screening.found.loops[rows], nats, screening.scale)
-    return _leaning_on(problem, kept, problem.start)
+    kept = np.zeros(len(problem.loops), dtype=bool)
+    kept[agreeing(screening.found, np.flatnonzero(screening.passed), screening.scale)] = True
+    return _from_odometry(problem, kept)
 
 
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> Outcome:
@@ -135,17 +132,21 @@ def solved(problem: LoopProblem, name: str = DEFAULT) -> Outcome:
     """
     judge = back_end(name)
     if not len(problem.loops):
-        none = np.zeros(0, dtype=bool)
-        return _leaning_on(problem, none, problem.start)
+        return _from_odometry(problem, np.zeros(0, dtype=bool))
     screening = screened(problem)
     outcome = judge(problem, screening)
     return replace(outcome, reasons=_reasons(problem, screening, outcome))
 
 
-def _leaning_on(problem: LoopProblem, kept: Mask, start: Array) -> Outcome:
-    """Least squares on the kept loops; without any, the start as it is where the trusted edges are a chain."""
-    chain = len(problem.trusted) == len(problem.start) - 1
-    poses = problem.start if chain and not kept.any() else minimum(problem.using(kept), start)
+def _from_odometry(problem: LoopProblem, kept: Mask) -> Outcome:
+    """Least squares on the kept loops from the better of two starts."""
+    poses = minimum(problem.using(kept), problem.start) if kept.any() else problem.start
+    return Outcome(poses, kept.astype(np.float64), ())
+
+
+def _leaning_on(problem: LoopProblem, kept: Mask, poses: Array) -> Outcome:
+    """Least squares on the kept loops from poses near it; without any loop, where the trusted edges lead."""
+    poses = refined(problem.using(kept), poses) if kept.any() else problem.start
     return Outcome(poses, kept.astype(np.float64), ())
 
 

@@ -1,37 +1,21 @@
-"""Which kept loops could be luck: the loops left out show how near false ones come by chance.
+"""Which kept loops could be luck: the loops left out show how good false ones look by chance.
 
-Where nothing but odometry speaks about a place, drift may explain a false loop as well as a true one. False loops
-fill the space of errors evenly, so that their number within a chi-square c grows as c^(dof / 2); the rate follows
-from the nearest of those left out (an empirical null: Efron, JASA 2004). Kept loops are then tested together at a
-false discovery rate (Benjamini and Hochberg, JRSS B 1995): a few loops must be surer than many.
+Where nothing but odometry speaks about a place, drift may explain a false loop as well as a true one. Of false
+loops as many as 1 in exp(e) have evidence of e nats or more; how many that makes follows from the best of those
+left out (an empirical null: Efron, JASA 2004). Kept loops are then tested together at a false discovery rate
+(Benjamini and Hochberg, JRSS B 1995): a few loops must be surer than many.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_evidence import Evidence
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RATE = 0.05  # of false loops among those kept
+RATE = 0.01  # of false loops among those kept
 SECOND_RATE = 0.25 * RATE  # where a first test failed
 _NEAREST = 3  # of the loops left out that set the rate
-
-
-def chances(kept: Mask, before: Evidence, after: Evidence) -> Array:
-    """(L,) numbers of false loops to expect as near as each kept loop, by what speaks most for it.
-
-    Args:
-        kept: (L,) loops that are in.
-        before: evidence by odometry alone.
-        after: evidence by odometry and the kept loops.
-    """
-    chance = expected(before.chi2, before.chi2[~kept], before.dof)
-    supported = kept & after.supported
-    by_others = expected(after.chi2_without_itself, after.chi2[~kept], after.dof)
-    chance[supported] = np.minimum(chance, by_others)[supported]
-    return chance
+_TRUE_OUT = 0.02  # of the kept loops: as many true ones may have been left out, and look better than any false one
 
 
 def lucky(kept: Mask, chance: Array, rate: float = RATE) -> Mask:
@@ -41,12 +25,12 @@ def lucky(kept: Mask, chance: Array, rate: float = RATE) -> Mask:
     return luck
 
 
-def expected(chi2: Array, false: Array, dof: int) -> Array:
-    """(M,) number of false loops to expect within each of M chi-squares, after those of known false ones."""
-    nearest = np.sort(false)[:_NEAREST]
-    if not len(nearest):
-        return np.zeros(len(chi2))
-    return np.asarray(len(nearest) * (chi2 / max(float(nearest[-1]), np.finfo(float).tiny)) ** (0.5 * dof))
+def expected(nats: Array, kept: Mask) -> Array:
+    """(L,) numbers of false loops to expect that have as much evidence as each, after the best of those left out."""
+    best = np.sort(nats[~kept])[::-1][int(_TRUE_OUT * kept.sum()) :][:_NEAREST]
+    if not np.isfinite(best[-1:]).any():
+        return np.zeros(len(nats))
+    return np.asarray(len(best) * np.exp(best[-1] - np.maximum(nats, best[-1])))
 
 
 def discoveries(chance: Array, rate: float) -> Mask:

@@ -5,22 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_chance import SECOND_RATE, chances, expected, lucky
-from slam.robust_evidence import FREEDOM, LEAST_EVIDENCE, Evidence, evidence, limit
+from slam.robust_chance import SECOND_RATE, expected, lucky
+from slam.robust_contest import opponents
+from slam.robust_evidence import LEAST_EVIDENCE, Evidence, evidence, freedom_of, limit
 from slam.robust_gnc import fitted_poses, graduated
-from slam.robust_pcm import agreeing
+from slam.robust_pcm import SEEDS, agreeing, fitting, in_company, outvoted
 from slam.robust_problem import LoopProblem
 from slam.robust_screening import Screening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Counts = NDArray[np.int64]
 
 _ROUNDS = 50
-_FEW = 0.03  # of the kept loops: so few more are no reason to wait with those less sure
+_FEW = 0.1  # of the kept loops: so few more are no reason to wait with those less sure
+_STILL = 0.002  # of the kept loops: so few that move are no reason to go on
+_MANY = 100  # loops, of which one in a hundred can be told
 _FITS = 4
 _SCALE_STEPS = 10
 _MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
-_ALONE = 0.35  # share of what is known about a loop that the loop itself said; of samples, which say less
 _CHANCES = 2  # times that a loop may be let in and thrown out
 _PRIOR_LINKS = 50.0  # weight of the first scale in predictions: odometry's drift persists where a fit hides it
 _PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
@@ -36,6 +39,8 @@ class Consensus:
         found: evidence for each loop by all the others.
         scale: of covariances, for predictions.
         fitted: the same, for what is left after the fit.
+        thrown: (L,) times that each loop was let in and did not fit, or was luck.
+        doubts: (L,) times that each loop was put aside because the others spoke against it.
     """
 
     poses: Array
@@ -43,6 +48,8 @@ class Consensus:
     found: Evidence
     scale: float
     fitted: float
+    thrown: Counts
+    doubts: Counts
 
     @property
     def predicting(self) -> float:
@@ -53,53 +60,99 @@ class Consensus:
 
 def grown(problem: LoopProblem, screening: Screening) -> Consensus:
     """Grow the set of loops that agree with the trusted edges and with one another."""
-    none = np.zeros(len(problem.loops), dtype=bool)
-    state = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
-    thrown, doubts, challenged = np.zeros(len(none), dtype=int), np.zeros(len(none), dtype=int), False
+    state = _converged(problem, _empty(problem, screening), screening)
+    challenged = _challenged(problem, state, screening)
+    if challenged.any():
+        state = _converged(problem, _changed(problem, state, screening, state.kept & ~challenged), screening)
+    for _ in range(_CHANCES):
+        lucky = _by_luck(problem, state, screening)
+        if not lucky.any():
+            break
+        state = _changed(problem, state, screening, state.kept & ~lucky)
+        state = replace(state, thrown=np.where(lucky, _CHANCES, state.thrown))
+        state = _converged(problem, state, screening)
+    return state
+
+
+def _empty(problem: LoopProblem, screening: Screening) -> Consensus:
+    count = len(problem.loops)
+    none, never = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
+    return Consensus(problem.start, none, screening.found, screening.scale, screening.scale, never, never)
+
+
+def _converged(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
+    """Let loops in and put doubted ones aside until hardly any is left to move."""
     for left in reversed(range(_ROUNDS)):
-        offered = _agreeing(problem, state, _offered(state, thrown < _CHANCES))
-        doubted = _doubted(state, doubts < _CHANCES) if left >= _CHANCES else none  # the last word is theirs
-        if not (offered | doubted).any():
-            if challenged:
-                break
-            challenged, doubted = True, _challenged(state, screening)
-            if not doubted.any():
-                break
-        use = (state.kept & ~doubted) | offered
-        after = _settled(problem, state, use)
-        thrown += use & ~after.kept
-        doubts += doubted
-        if after.kept.any():
-            after = replace(after, found=evidence(after.poses, problem.using(after.kept), problem.loops))
-        else:
-            after = Consensus(problem.start, none, screening.found, screening.scale, screening.scale)
-        state = after
-    return _beyond_chance(problem, state, screening)
+        offered = _offered(state)
+        doubted = _doubted(state, state.doubts < _CHANCES) if left else np.zeros_like(state.kept)
+        moving = int((offered | doubted).sum())
+        if moving:
+            state = replace(state, doubts=state.doubts + doubted)
+            state = _changed(problem, state, screening, (state.kept & ~doubted) | offered)
+        if moving <= _STILL * state.kept.sum() and not doubted.any():
+            break
+    return state
 
 
-def _beyond_chance(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
-    """Leave out the loops that may be in by luck, once the map without them speaks for them no better."""
-    kept, chance = state.kept, chances(state.kept, screening.found, state.found)
+def _changed(problem: LoopProblem, state: Consensus, screening: Screening, use: Mask) -> Consensus:
+    """Lean on other loops; those that do not fit are out again."""
+    after = _settled(problem, state, use)
+    after = replace(after, thrown=state.thrown + (use & ~after.kept))
+    if not after.kept.any():
+        return replace(_empty(problem, screening), thrown=after.thrown, doubts=after.doubts)
+    found = evidence(after.poses, problem.using(after.kept), problem.loops)
+    chi2 = found.chi2_without_itself[after.kept]
+    rare = float(np.quantile(chi2, 0.99)) / after.fitted if len(chi2) >= _MANY else 0.0
+    return replace(after, found=replace(found, freedom=freedom_of(chi2, found.dof), rare=rare))
+
+
+def _by_luck(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
+    """Kept loops that may be in by luck, by all that speaks for them: odometry, others, the map without them."""
+    kept, scale = state.kept, state.predicting
+    chance = expected(screening.found.at(screening.scale), kept)
+    by_others = expected(np.where(kept, state.found.without_itself(scale), state.found.at(scale)), kept)
+    chance = np.where(kept & state.found.supported, np.minimum(chance, by_others), chance)
     luck = lucky(kept, chance)
     if not luck.any():
-        return state
-    without = _settled(problem, state, kept & ~luck)
-    found = evidence(without.poses, problem.using(without.kept), problem.loops)
-    chance[luck] = np.minimum(chance, expected(found.chi2, found.chi2[~kept], found.dof))[luck]
-    return _settled(problem, state, kept & ~lucky(kept, chance, SECOND_RATE))
+        return luck
+    without = _changed(problem, state, screening, kept & ~luck)
+    left = expected(without.found.at(without.predicting), kept)
+    return lucky(kept, np.where(luck, np.minimum(chance, left), chance), SECOND_RATE)
 
 
-def _offered(state: Consensus, allowed: Mask) -> Mask:
-    """Loops that are next: those whose evidence outweighs the odds, else all that have some."""
+def _offered(state: Consensus) -> Mask:
+    """Loops that are next, of one mind: loops left out next to them do not speak against them."""
+    offered, scale = state.thrown < _CHANCES, state.predicting
+    offered &= ~state.kept
+    able = np.flatnonzero(offered & (state.found.at(scale) > -LEAST_EVIDENCE))
+    offered[outvoted(state.found, able, scale)] = False
+    rows = np.flatnonzero(_surest(state, offered))
+    if not len(rows):
+        rows = _in_company(state, np.flatnonzero(offered & fitting(state.found, scale)))
+    offered[:] = False
+    offered[agreeing(state.found, rows, scale)] = True
+    return offered
+
+
+def _surest(state: Consensus, able: Mask) -> Mask:
+    """Loops whose evidence outweighs the odds, else all that have some."""
     nats = state.found.at(state.predicting)
     count = max(int(state.kept.sum()), 1)
     odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
-    able, many = allowed & ~state.kept, float(np.log(max(len(nats), 1)))
+    many = float(np.log(max(len(nats), 1)))
     for extra in (max(odds, 0.0) + many, max(odds, 0.0) + 0.5 * many, odds):
-        offered: Mask = able & (nats > LEAST_EVIDENCE + extra)
-        if offered.sum() > _FEW * state.kept.sum():
-            return offered
-    return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not offered.any() else offered
+        surest: Mask = able & (nats > LEAST_EVIDENCE + extra)
+        if surest.sum() > _FEW * state.kept.sum():
+            return surest
+    return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not surest.any() else surest
+
+
+def _in_company(state: Consensus, able: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Loops of which each by itself could be luck, but not the best of all pairs."""
+    nats = state.found.at(state.predicting)[able]
+    pairs = 2.0 * np.log(max(len(able), 1)) - np.log(2.0)
+    able = able[np.argsort(-nats, kind="stable")[:SEEDS]]
+    return able[in_company(state.found, able, state.predicting) > LEAST_EVIDENCE + pairs]
 
 
 def _doubted(state: Consensus, allowed: Mask) -> Mask:
@@ -109,32 +162,20 @@ def _doubted(state: Consensus, allowed: Mask) -> Mask:
     return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
 
 
-def _challenged(state: Consensus, screening: Screening) -> Mask:
-    """Kept loops that rest on themselves alone, where loops were left out that odometry does not speak against.
-
-    One false loop that holds a stretch of the way by itself shuts out every true one there. Put aside for a
-    round, it must compete with them.
-    """
-    contenders = ~state.kept & screening.passed
-    return state.kept & (state.found.reliance > _ALONE) if contenders.any() else np.zeros_like(contenders)
-
-
-def _agreeing(problem: LoopProblem, state: Consensus, offered: Mask) -> Mask:
-    """Those of the offered loops that agree with one another."""
-    rows, scale = np.flatnonzero(offered), state.predicting
-    if len(rows) > 1:
-        nats = np.maximum(state.found.at(scale)[rows], 1e-3)
-        good = agreeing(state.found.posterior, problem.loops[rows], nats, scale)
-        offered = offered.copy()
-        offered[rows[~good]] = False
-    return offered
+def _challenged(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
+    """Kept loops that shut out others for which odometry alone speaks: put aside, they must compete with them."""
+    nats = np.where(state.kept, -np.inf, screening.found.at(screening.scale))
+    contenders = np.argsort(-nats, kind="stable")[: int((nats > LEAST_EVIDENCE).sum())]
+    if not len(contenders) or not state.kept.any():
+        return np.zeros_like(state.kept)
+    return opponents(problem, state.poses, state.kept, contenders, limit(state.found.dof) * state.fitted)
 
 
 def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
     """Fit to the loops in use, throw out what does not fit, and learn the scale of what does."""
     poses, kept = fitted_poses(problem, use, state.poses), use
     for _ in range(_FITS):
-        fitted = _fitted(problem, poses, kept, state.scale)
+        fitted = _fitted(problem, state, poses, kept)
         fits = kept & _fits(problem, poses, state.found, fitted)
         if np.array_equal(fits, kept):
             break
@@ -151,18 +192,19 @@ def _fits(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> 
     return at_fit.alone(scale) > LEAST_EVIDENCE
 
 
-def _fitted(problem: LoopProblem, poses: Array, kept: Mask, first: float) -> float:
+def _fitted(problem: LoopProblem, state: Consensus, poses: Array, kept: Mask) -> float:
     """Variance factor of the fit, drawn to a first guess while loops are few.
 
     Chi-square over redundancy, where loops in the tail count less (Student's distribution; Lange et al., 1989).
     """
+    first, freedom = state.scale, state.found.freedom
     chi2, dof = problem.loops.chi2(poses)[kept], problem.loops.group.dof
     if not len(chi2):
         return first
     factor = max(float(np.median(chi2)) / dof, 1e-9 * first)
     trusted = float(problem.trusted.chi2(poses).sum())
     for _ in range(_SCALE_STEPS):
-        loops = float(((FREEDOM + dof) / (FREEDOM + chi2 / factor) * chi2).sum())
+        loops = float(((freedom + dof) / (freedom + chi2 / factor) * chi2).sum())
         factor = max((loops + min(trusted, _MOST_BENT * loops)) / (dof * len(chi2)), 1e-9 * first)
     share = len(chi2) / (_PRIOR_LOOPS + len(chi2))
     return float(factor**share * first ** (1.0 - share))

@@ -22,8 +22,12 @@ Array = NDArray[np.float64]
 
 CONFIDENCE = 1.0 - 1e-4  # share of true loops within the limit
 LEAST_EVIDENCE = 3.0  # nats: twenty times likelier true than false
-FREEDOM = 10.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
-_NEVER = 1e-5  # share of true loops that lie beyond the farthest that is believed
+FREEDOM = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
+_FREEDOMS = FREEDOM * 2.0 ** np.arange(0.0, 5.0)  # that the loops in use may turn out to have
+_ORDINARY = 10.0  # degrees of freedom of ordinary errors
+_TWICE_AS_FAR = 4.0  # in chi-square
+_SCALE_STEPS = 10
+_NEVER = 1e-4  # share of true loops that lie beyond the farthest that is believed
 _HALF = 0.5  # of what is known about a loop
 _LEAST_LEFT = 0.1  # of a loop's covariance, after the fit has taken its share
 _FLATTEST = 1e-3  # variance of the thinnest side of a map, relative to the widest
@@ -39,6 +43,8 @@ class Evidence:
         spread: (L, dof, dof) covariance of what the graph predicts, at scale one.
         log_volume: of all relative poses that the map allows.
         posterior: of the poses, by the graph.
+        freedom: of the tails of true loops' errors.
+        rare: chi-square that one in a hundred of the loops in use exceeds, in units of the scale.
     """
 
     loops: Edges
@@ -46,6 +52,8 @@ class Evidence:
     spread: Array
     log_volume: float
     posterior: Posterior
+    freedom: float = FREEDOM
+    rare: float = 0.0
 
     @property
     def dof(self) -> int:
@@ -59,11 +67,11 @@ class Evidence:
 
     def at(self, scale: float) -> Array:
         """(L,) nats in favour of each loop, with covariances multiplied by a scale."""
-        return self._nats(self.chi2, _log_det(self.spread + self.loops.covariance), scale)
+        return self.nats(self.chi2, _log_det(self.spread + self.loops.covariance), scale)
 
     def alone(self, scale: float) -> Array:
         """(L,) nats where the prediction is taken for the truth, so that only the loop's own error is left."""
-        return self._nats(_squared(self.loops.covariance, self.errors), _log_det(self.loops.covariance), scale)
+        return self.nats(_squared(self.loops.covariance, self.errors), _log_det(self.loops.covariance), scale)
 
     def without_itself(self, scale: float) -> Array:
         """(L,) nats in favour of each loop that the graph leans on, by the graph without that loop.
@@ -72,7 +80,7 @@ class Evidence:
         R (R - P)^-1 R, and the error there is R (R - P)^-1 times that of the fit.
         """
         log_det = _log_det(self.loops.covariance) - np.log(self._left).sum(axis=1)
-        return self._nats(self.chi2_without_itself, log_det, scale)
+        return self.nats(self.chi2_without_itself, log_det, scale)
 
     @cached_property
     def chi2_without_itself(self) -> Array:
@@ -103,17 +111,37 @@ class Evidence:
         values, vectors = np.linalg.eigh(whiten @ self.spread @ np.swapaxes(whiten, 1, 2))
         return values / self.posterior.inflation, vectors
 
-    def _nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
+    def nats(self, chi2: Array, log_det: Array, scale: float) -> Array:
+        """(M,) nats in favour of errors with these chi-squares and log-determinants, covariances times a scale."""
         spread = 0.5 * (log_det + self.dof * np.log(2.0 * np.pi * scale))
-        nats = self.log_volume - spread + log_density(chi2 / scale, self.dof)
-        return np.where(chi2 <= scale * farthest(self.dof), nats, -np.inf)
+        nats = self.log_volume - spread + log_density(chi2 / scale, self.dof, self.freedom)
+        bound = max(farthest(self.dof), _TWICE_AS_FAR * self.rare)
+        return np.where(chi2 <= scale * bound, nats, -np.inf)
 
 
-def log_density(chi2: Array, dof: int) -> Array:
+def log_density(chi2: Array, dof: int, freedom: float) -> Array:
     """Logarithm of Student's density of errors with these chi-squares, less that of a Gaussian at its centre."""
-    half = 0.5 * (FREEDOM + dof)
-    peak = gammaln(half) - gammaln(0.5 * FREEDOM) - 0.5 * dof * np.log(0.5 * FREEDOM)
-    return np.asarray(peak - half * np.log1p(chi2 / FREEDOM))
+    half = 0.5 * (freedom + dof)
+    peak = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * dof * np.log(0.5 * freedom)
+    return np.asarray(peak - half * np.log1p(chi2 / freedom))
+
+
+def student_scale(chi2: Array, dof: int, freedom: float) -> float:
+    """Variance factor under which chi-squares are likeliest Student's (Lange et al., JASA 1989)."""
+    factor = max(float(np.median(chi2)) / dof, np.finfo(float).tiny)
+    for _ in range(_SCALE_STEPS):
+        factor = float(((freedom + dof) / (freedom + chi2 / factor) * chi2).mean()) / dof
+    return max(factor, np.finfo(float).tiny)
+
+
+def freedom_of(chi2: Array, dof: int) -> float:
+    """How light the tails of errors are that have these chi-squares (M,), the heaviest if all are alike."""
+
+    def score(freedom: float) -> float:
+        scale = student_scale(chi2, dof, freedom)
+        return float((log_density(chi2 / scale, dof, freedom) - 0.5 * dof * np.log(scale)).sum())
+
+    return float(max(_FREEDOMS, key=score))
 
 
 def evidence(poses: Array, support: Edges, loops: Edges) -> Evidence:
@@ -138,8 +166,8 @@ def limit(dof: int) -> float:
 
 
 def farthest(dof: int) -> float:
-    """Chi-square beyond which no volume is large enough to make a loop true: Student's tail ends here."""
-    return float(dof * f_distribution.isf(_NEVER, dof, FREEDOM))
+    """Chi-square beyond which no volume is large enough to make a loop true, unless those in use go as far."""
+    return float(dof * f_distribution.isf(_NEVER, dof, _ORDINARY))
 
 
 def log_volume(poses: Array) -> float:

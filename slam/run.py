@@ -13,8 +13,9 @@ from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import StageClock
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import Dataset, Frame
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
+from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError
 from slam.parts import build_parts, check_names
@@ -47,6 +48,9 @@ class RunOptions:
         view: how to watch: none, native or web.
         overwrite: replace an earlier run.
         config: settings file, or None for the defaults.
+        kind: of the source; None to recognise it.
+        fps: images a second, where no file says when they were taken.
+        topics: of a bag, left and right; empty to find them.
     """
 
     source: Path
@@ -55,6 +59,14 @@ class RunOptions:
     view: str = "none"
     overwrite: bool = False
     config: Path | None = None
+    kind: str | None = None
+    fps: float | None = None
+    topics: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> Source:
+        """What to read."""
+        return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
 def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
@@ -73,7 +85,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         RevisitError: the drive, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     config = configure(options, settings)
-    drive = open_drive(options.source, options.sequence)
+    drive = open_source(options.recording)
     if not drive.has_right:
         raise DataError(f"{options.source}: expected left and right images, found left ones only; stereo is needed")
     with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):

@@ -8,8 +8,10 @@ from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.features import FeatureExtractor
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
-from slam.datasets.images import open_images, read_grey
 from slam.datasets.kitti_files import sequence_names
+from slam.datasets.left_images import ImageRecording
+from slam.datasets.open import open_left_images
+from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError, OutputError
 
 Progress = Callable[[int, int], None]
@@ -20,7 +22,7 @@ class TrainingOptions:
     """What to train on, with which features, and the file for the words.
 
     Attributes:
-        sources: folders of images, or folders in KITTI layout of which all sequences are taken.
+        sources: recordings of any kind; of folders in KITTI layout all sequences are taken.
         out: the file.
         features: name in EXTRACTORS of place_recognition.
     """
@@ -44,20 +46,20 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
         OutputError: the file cannot be written; a missing folder is found out before the work begins.
     """
     extractor, config = _extractor(options.features), _config(settings)
-    files = [file for source in options.sources for file in _images(source)]
+    recordings = [recording for source in options.sources for recording in _recordings(source)]
     _check_folder(options.out)
-    sample = DescriptorSample(config.sample, config.seed)
-    for done, file in enumerate(files):
-        sample.add(extractor.extract(read_grey(file)).descriptors)
-        progress(done + 1, len(files))
+    sample, count = DescriptorSample(config.sample, config.seed), sum(map(len, recordings))
+    images = (recording[index] for recording in recordings for index in range(len(recording)))
+    for done, image in enumerate(images):
+        sample.add(extractor.extract(image).descriptors)
+        progress(done + 1, count)
     try:
         vocabulary = train_vocabulary(extractor.kind, sample.descriptors, config)
     except ValueError as error:
         raise DataError(f"{options.sources[0]}: {error}") from error
     _save(options.out, vocabulary)
     return (
-        f"{options.out}: {len(vocabulary)} words of {vocabulary.kind} from {sample.seen} descriptors"
-        f" of {len(files)} images"
+        f"{options.out}: {len(vocabulary)} words of {vocabulary.kind} from {sample.seen} descriptors of {count} images"
     )
 
 
@@ -75,10 +77,10 @@ def _config(settings: dict[str, int]) -> TrainingConfig:
         raise ConfigError(str(error)) from error
 
 
-def _images(source: Path) -> list[Path]:
+def _recordings(source: Path) -> list[ImageRecording]:
     names = sequence_names(source) or (None,)
     # a word does not ask when it was seen: any images a second will do
-    return [file for name in names for file in open_images(source, name, fps=1.0).files]
+    return [open_left_images(Source(source, name, fps=1.0)) for name in names]
 
 
 def _check_folder(out: Path) -> None:

@@ -16,6 +16,8 @@ QUARANTINE = {
     "rerun": ("slam/viewer/",),
     "open3d": ("slam/mapping/", "slam/simulation/"),
     "pykitti": ("slam/datasets/kitti",),
+    "rosbags": ("slam/datasets/bag_file",),
+    "yaml": ("slam/datasets/euroc",),
     "faiss": ("place_recognition/",),
     "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
     "evo": (),

@@ -22,7 +22,7 @@ Indices = NDArray[np.int64]
 CAPACITY = 256
 LEAST_FILL = CAPACITY // 4  # entries of each half when a node is split: keeps the tree from growing deep
 DEEPEST = 16  # levels; at least LEAST_FILL^15 words
-REFINED = 4  # words nearest by bytes among which the nearest is sought: by bytes alone 8 in 100 go to a near tie
+REFINED = 8  # words nearest by bytes among which the nearest is sought: by bytes alone 8 in 100 go to a near tie
 FINE = 256  # steps of two bytes in one of one byte
 FAR = np.int16(-32767)
 

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.kitti_files import find_images, find_sequence
+from slam.datasets.kitti_files import find_images, find_poses, find_sequence
 from slam.errors import DataError
 from slam.storage.text import read_numbers
+from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
 
@@ -25,11 +26,22 @@ class ImageSequence:
         name: of the folder, or of the KITTI sequence.
         files: N paths, in order.
         timestamps: (N,) seconds, increasing; None where neither a file nor a rate says when they were taken.
+        poses: file of ground truth, KITTI, or None.
     """
 
     name: str
     files: tuple[Path, ...]
     timestamps: Array | None
+    poses: Path | None = None
+
+    @property
+    def ground_truth(self) -> Array | None:
+        """T_world_camera (N, 4, 4), metres, read from the file; None where there is none.
+
+        Raises:
+            DataError: the file is damaged.
+        """
+        return None if self.poses is None else read_kitti(self.poses)
 
     def __len__(self) -> int:
         return len(self.files)
@@ -45,6 +57,10 @@ class ImageSequence:
             raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
         return read_grey(self.files[index])
 
+    def where(self, index: int) -> str:
+        """The image's file."""
+        return str(self.files[index])
+
 
 def open_images(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
     """Open the left images of a KITTI drive, which need no calibration here, or a folder of images.
@@ -59,7 +75,8 @@ def open_images(source: Path, sequence: str | None = None, fps: float | None = N
         DataError: no images, or an `fps` that is none.
     """
     folder, files = _folder_and_files(source, sequence)
-    return ImageSequence(folder.absolute().name, files, _times(folder / "times.txt", len(files), fps))
+    poses = find_poses(folder) if files[0].parent != folder else None
+    return ImageSequence(folder.absolute().name, files, _times(folder / "times.txt", len(files), fps), poses)
 
 
 def _folder_and_files(source: Path, sequence: str | None) -> tuple[Path, tuple[Path, ...]]:

@@ -47,6 +47,11 @@ class KittiDrive:
         """Whether there is a right image for each left one."""
         return self.files.right is not None
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Nothing is left out."""
+        return ()
+
     def __len__(self) -> int:
         return len(self.files.left)
 

@@ -57,7 +57,22 @@ def read_truth(path: Path, rule: SamePlace | None = None, fps: float | None = No
         raise ConfigError(
             f"{path}: expected times for a gap of {rule.gap:g} s, found none; give --fps, or poses as TUM"
         )
-    return KnownTruth(truth_from_poses(poses, times, rule), f"{path} under {in_words(rule)}")
+    return truth_of_poses(poses, str(path), rule, times)
+
+
+def truth_of_poses(
+    poses: NDArray[np.float64], origin: str, rule: SamePlace | None = None, times: NDArray[np.float64] | None = None
+) -> KnownTruth:
+    """Truth of poses T_world_camera (N, 4, 4), metres, under a rule.
+
+    Args:
+        poses: of the images.
+        origin: where they are from.
+        rule: None for the usual one.
+        times: (N,) seconds, for a rule with a gap.
+    """
+    rule = rule or SamePlace()
+    return KnownTruth(truth_from_poses(poses, times, rule), f"{origin} under {in_words(rule)}")
 
 
 def check_size(truth: KnownTruth, images: int, of: Path) -> None:

@@ -10,10 +10,10 @@ from rich.console import Console
 
 from place_recognition.paradigms.catalogue import ParadigmsConfig, excluding
 from place_recognition.recognizer import Belief
-from slam.datasets.images import ImageSequence, open_images
-from slam.datasets.kitti_files import find_poses
+from slam.datasets.left_images import ImageRecording
+from slam.datasets.open import open_left_images
 from slam.errors import ConfigError
-from slam.evaluation.truth import KnownTruth, check_size, read_truth
+from slam.evaluation.truth import KnownTruth, check_size, read_truth, truth_of_poses
 from slam.places.drive import Bench, Recognised, recognise
 from slam.places.options import PlacesOptions, check
 from slam.places.results import PlacesRecord, make_record, summary, write_results
@@ -40,14 +40,14 @@ def recognise_places(options: PlacesOptions, messages: Console, results: Console
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     check(options)
-    images = open_images(options.source, options.sequence, options.fps)
+    images = open_left_images(options.recording)
     record = recognise_images(options, images, find_truth(options, images), messages)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
 
 def recognise_images(
-    options: PlacesOptions, images: ImageSequence, truth: KnownTruth, messages: Console
+    options: PlacesOptions, images: ImageRecording, truth: KnownTruth, messages: Console
 ) -> PlacesRecord:
     """Recognise the places of images that are open already, and write every result into `options.out`.
 
@@ -63,23 +63,23 @@ def recognise_images(
     return record
 
 
-def find_truth(options: PlacesOptions, images: ImageSequence) -> KnownTruth:
-    """The truth that was named, else that of the poses which a KITTI drive brings along, else none.
+def find_truth(options: PlacesOptions, images: ImageRecording) -> KnownTruth:
+    """The truth that was named, else that of the poses which the recording brings along, else none.
 
     Raises:
         DataError: the file is missing, damaged or of another size than the drive.
     """
-    sequence = images.files[0].parent.parent
-    in_kitti = images.files[0].parent.name.startswith("image_")
-    path = options.ground_truth or (find_poses(sequence) if in_kitti else None)
-    if path is None:
-        return KnownTruth(None, "none")
-    truth = read_truth(path)
+    if options.ground_truth is not None:
+        truth = read_truth(options.ground_truth)
+    elif images.ground_truth is not None:
+        truth = truth_of_poses(images.ground_truth, f"poses of {options.source}")
+    else:
+        truth = KnownTruth(None, "none")
     check_size(truth, len(images), options.source)
     return truth
 
 
-def without_recent(beliefs: Sequence[Belief], images: ImageSequence, seconds: float | None) -> list[Belief]:
+def without_recent(beliefs: Sequence[Belief], images: ImageRecording, seconds: float | None) -> list[Belief]:
     """Take matches less than so many seconds old for no detection."""
     times = images.timestamps
     if seconds is None or times is None:
@@ -89,7 +89,7 @@ def without_recent(beliefs: Sequence[Belief], images: ImageSequence, seconds: fl
 
 
 def _recognised(
-    options: PlacesOptions, config: ParadigmsConfig, images: ImageSequence, messages: Console
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageRecording, messages: Console
 ) -> Recognised:
     import cv2
 
@@ -102,7 +102,7 @@ def _recognised(
     return replace(done, beliefs=without_recent(done.beliefs, images, options.exclude))
 
 
-def _config(options: PlacesOptions, images: ImageSequence) -> ParadigmsConfig:
+def _config(options: PlacesOptions, images: ImageRecording) -> ParadigmsConfig:
     """Settings of the command line over the defaults.
 
     Raises:

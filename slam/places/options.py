@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.datasets.source import Source
 from slam.errors import ConfigError
 from slam.parts import check_features, check_paradigm
 
@@ -14,10 +15,10 @@ class PlacesOptions:
     """Where to read and write, and how to recognise.
 
     Attributes:
-        source: KITTI root or folder of images.
+        source: recording of any kind.
         paradigm: name of the recogniser.
         out: folder for the results.
-        sequence: which KITTI sequence; None where there is only one.
+        sequence: which of its sequences; None where there is only one.
         ground_truth: a matrix (.mat, .npz) or poses; None to use the poses that the source has.
         features: local ones, by name.
         vocabulary: file, or None for the general one.
@@ -26,6 +27,8 @@ class PlacesOptions:
         fps: images a second, where there are no times.
         seed: of every random generator.
         overwrite: replace earlier results.
+        kind: of the source; None to recognise it.
+        topics: of the left camera in a bag; empty to find it.
     """
 
     source: Path
@@ -40,6 +43,13 @@ class PlacesOptions:
     fps: float | None = None
     seed: int = 0
     overwrite: bool = False
+    kind: str | None = None
+    topics: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> Source:
+        """What to read."""
+        return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
 def check(options: PlacesOptions) -> None:
@@ -48,5 +58,3 @@ def check(options: PlacesOptions) -> None:
     check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
-    if options.fps is not None and not 0 < options.fps < np.inf:
-        raise ConfigError(f"--fps: expected images a second above 0, found {options.fps}")

@@ -6,24 +6,23 @@ import pytest
 from slam.robust_chance import discoveries, expected
 
 
-def test_false_loops_fill_the_space_of_errors_evenly() -> None:
+def test_of_false_loops_one_in_twenty_has_evidence_of_twenty_to_one() -> None:
     rng = np.random.default_rng(0)
-    found = []
-    for _ in range(200):
-        errors = rng.uniform(-20.0, 20.0, size=(300, 3))
-        chi2 = np.square(errors).sum(axis=1)
-        found.append(expected(np.array([16.0]), chi2, 3)[0])
-    inside = 300 * 4.0 / 3.0 * np.pi * 4.0**3 / 40.0**3
-    assert np.median(found) == pytest.approx(inside, rel=0.25)
+    nats = rng.exponential(size=(200, 1000))  # one in exp(e) has e nats or more
+    found = [expected(np.r_[np.log(20.0), each], np.arange(1001) == 0)[0] for each in nats]
+    assert np.median(found) <= 3.0  # no more than the best three that set the rate
+    sure = [expected(np.r_[np.log(20_000.0), each], np.arange(1001) == 0)[0] for each in nats]
+    assert np.median(sure) == pytest.approx(1000 / 20_000.0, rel=0.25)
 
 
 def test_without_a_loop_left_out_nothing_is_luck() -> None:
-    np.testing.assert_array_equal(expected(np.array([1.0, 50.0]), np.zeros(0), 3), 0.0)
+    np.testing.assert_array_equal(expected(np.array([1.0, 50.0]), np.ones(2, dtype=bool)), 0.0)
+    np.testing.assert_array_equal(expected(np.array([1.0, -np.inf]), np.array([True, False])), 0.0)
 
 
-def test_the_chance_of_all_errors_grows_alike_with_their_scale() -> None:
-    chi2, false = np.array([1.0, 7.0]), np.array([30.0, 90.0, 40.0, 55.0])
-    np.testing.assert_allclose(expected(16 * chi2, 16 * false, 6), expected(chi2, false, 6))
+def test_where_many_are_kept_the_best_of_those_left_out_may_be_true() -> None:
+    nats = np.r_[np.full(100, 12.0), 9.0, 9.0, 2.0, 2.0, 2.0]
+    np.testing.assert_allclose(expected(nats, np.arange(105) < 100)[:100], 3.0 * np.exp(2.0 - 12.0))
 
 
 def test_a_doubtful_loop_passes_in_good_company_only() -> None:

@@ -1,0 +1,36 @@
+"""What the user asks to be read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording, and how to read it.
+
+    Attributes:
+        path: folder or file.
+        sequence: which of several drives below the folder; None where there is one.
+        kind: layout, by its name in `slam.datasets.kinds.KINDS`; None to recognise it.
+        fps: images a second, where no file says when they were taken.
+        topics: of a bag: the left, then the right camera's; empty to find them.
+
+    Raises:
+        ConfigError: a rate that is none, or more topics than eyes.
+    """
+
+    path: Path
+    sequence: str | None = None
+    kind: str | None = None
+    fps: float | None = None
+    topics: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.fps is not None and not 0 < self.fps < np.inf:
+            raise ConfigError(f"--fps: expected images a second above 0, found {self.fps}")
+        if len(self.topics) > 2:
+            raise ConfigError(f"--topic: expected one, or left and right, found {len(self.topics)}")

@@ -1,0 +1,1 @@
+"""A recording looked at before a run: `revisit check`."""
