@@ -1,7 +1,7 @@
 """`revisit dense`: the dense map of a run, before and after correction, and what of it can be driven on."""
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,8 @@ from rich.console import Console
 from odometry.calibration import Calibration
 from slam.config import read_config
 from slam.datasets.dataset import Dataset
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_source
+from slam.datasets.source import Source
 from slam.errors import DataError, OutputError
 from slam.keyframes import KeyFrameSelector
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
@@ -57,12 +58,11 @@ def read_run(run: Path, source: Path | None) -> DrivenRun:
     Raises:
         DataError: something is missing or damaged, or does not belong together.
     """
-    calibration, metrics = read_calibration(run / "calibration.toml"), read_metrics(run / "metrics.json")
-    drive = open_drive(source or Path(str(metrics.get("source"))), str(metrics.get("sequence")))
+    calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
+    drive = open_source(recording)
     if not drive.has_right or drive.camera != calibration.camera:
         raise DataError(
-            f"{source or metrics.get('source')}: expected the pair that {run} was made with, found another camera;"
-            " name its recording"
+            f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
         )
     odometry, corrected = (read_tum(run / f"trajectory_{name}.tum")[1] for name in ("odometry", "corrected"))
     predicted = read_frames(run / "frames.csv").predicted
@@ -73,6 +73,17 @@ def read_run(run: Path, source: Path | None) -> DrivenRun:
         )
     selector = KeyFrameSelector(read_config(run / "config.toml").key_frames)
     return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, selector)
+
+
+def _recording(run: Path, source: Path | None) -> Source:
+    metrics = read_metrics(run / "metrics.json")
+    try:
+        recording = Source.from_metrics(metrics["recording"])  # type: ignore[arg-type]
+    except (KeyError, TypeError):
+        raise DataError(
+            f"{run / 'metrics.json'}: expected the recording that was read, found none; make the run again"
+        ) from None
+    return recording if source is None else replace(recording, path=source)
 
 
 def map_densely(run: Path, source: Path | None, overwrite: bool, messages: Console) -> str:
