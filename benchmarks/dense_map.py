@@ -1,7 +1,7 @@
 """How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
 
 Run from the root, on a run of a drive that `revisit simulate` has rendered:
-`PYTHONPATH=. python benchmarks/dense_map.py RUN`. Distances are those of the map's points, seen from at most 25 m, to
+`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at most 25 m, to
 the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is laid on the
 truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import open3d
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -55,6 +56,17 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
     return np.concatenate(out)
 
 
+def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
+    """Plan views of what stands 0.3 to 3 m above the road's height at the start, on each trajectory."""
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    for axes, (name, poses) in zip(figure.subplots(1, len(trajectories)), trajectories.items(), strict=True):
+        for placed in store.placed(poses):
+            x, y, z = placed.points[(placed.points[:, 1] > -1.5) & (placed.points[:, 1] < 1.2)].T
+            axes.plot(x, z, ",", color="black", alpha=0.3)
+        axes.set(title=name, aspect="equal", xlim=(-95, -60), ylim=(10, 50), xlabel="x [m]", ylabel="z [m]")
+    figure.savefig(path, dpi=100)
+
+
 def main() -> None:
     """Print both maps' distances and the price."""
     folder = Path(sys.argv[1])
@@ -78,6 +90,8 @@ def main() -> None:
                 quartiles = np.percentile(found, [50, 75, 90])
                 medians[name, how] = quartiles[0]
                 table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+        if len(sys.argv) > 2:
+            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
     Console().print(table)
     for how in ("first camera", "alignment"):
         Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")

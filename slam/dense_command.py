@@ -14,9 +14,10 @@ from slam.config import read_config
 from slam.datasets.dataset import Dataset
 from slam.datasets.open import open_source
 from slam.datasets.source import Source
-from slam.errors import DataError, OutputError
+from slam.errors import ConfigError, DataError, OutputError
 from slam.keyframes import KeyFrameSelector
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
+from slam.mapping.fusion import FusionConfig
 from slam.mapping.occupancy import draw_grid, write_grid
 from slam.mapping.submaps import SubmapStore
 from slam.mapping.surface_file import write_surfaces
@@ -31,6 +32,37 @@ Array = NDArray[np.float64]
 RESULTS = (
     "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """What to map.
+
+    Attributes:
+        run: folder of a run, where the results go.
+        source: its recording, where that has moved; None where it has not.
+        voxel_m: distance between points, metres.
+        max_depth_m: what is farther from the camera is left out, metres.
+        overwrite: replace a dense map that is there.
+    """
+
+    run: Path
+    source: Path | None = None
+    voxel_m: float = FusionConfig.voxel_m
+    max_depth_m: float = FusionConfig.max_depth_m
+    overwrite: bool = False
+
+    @property
+    def config(self) -> DenseMapConfig:
+        """As the fusion takes it.
+
+        Raises:
+            ConfigError: a number that cannot work.
+        """
+        try:
+            return DenseMapConfig(fusion=FusionConfig(voxel_m=self.voxel_m, max_depth_m=self.max_depth_m))
+        except ValueError as error:
+            raise ConfigError(f"--voxel, --depth: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -86,17 +118,19 @@ def _recording(run: Path, source: Path | None) -> Source:
     return recording if source is None else replace(recording, path=source)
 
 
-def map_densely(run: Path, source: Path | None, overwrite: bool, messages: Console) -> str:
+def map_densely(options: DenseOptions, messages: Console) -> str:
     """Fuse the drive of a run and write both maps and the grid into its folder; says what was done.
 
     Raises:
+        ConfigError: a number that cannot work.
         DataError: the run or its recording cannot be read.
-        OutputError: a dense map is there already and overwrite is False, or it cannot be written.
+        OutputError: a dense map is there already and is not to be replaced, or it cannot be written.
     """
+    run, config = options.run, options.config
     present = [name for name in RESULTS if (run / name).exists()]
-    if present and not overwrite:
+    if present and not options.overwrite:
         raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
-    driven, config = read_run(run, source), DenseMapConfig()
+    driven = read_run(run, options.source)
     groups = choose_frames(driven.odometry, driven.key_frames, config.submap_frames)
     total = sum(map(len, groups))
     with tempfile.TemporaryDirectory() as folder:

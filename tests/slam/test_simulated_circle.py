@@ -9,8 +9,8 @@ import open3d
 import pytest
 from rich.console import Console
 
-from slam.dense_command import RESULTS, map_densely, read_run
-from slam.errors import DataError, OutputError
+from slam.dense_command import RESULTS, DenseOptions, map_densely, read_run
+from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.trajectory import umeyama
 from slam.mapping.dense_map import DenseMapper, choose_frames
 from slam.mapping.submaps import SubmapStore
@@ -113,14 +113,14 @@ def short(circle: Path, tmp_path: Path) -> Path:
 
 def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(short: Path):
     before = {path.name for path in short.iterdir()}
-    assert "key frames in 2 submaps" in map_densely(short, None, False, QUIET)
+    assert "key frames in 2 submaps" in map_densely(DenseOptions(short), QUIET)
     assert {path.name for path in short.iterdir()} - before == set(RESULTS)
     clouds = {name: open3d.io.read_point_cloud(short / name) for name in RESULTS if name.endswith(".ply")}
     assert len(clouds["dense_before.ply"].points) == len(clouds["mesh_after.ply"].points) > 1000
     first = (short / "mesh_after.ply").read_bytes()
     with pytest.raises(OutputError, match="dense map already; give --overwrite"):
-        map_densely(short, None, False, QUIET)
-    map_densely(short, None, True, QUIET)
+        map_densely(DenseOptions(short), QUIET)
+    map_densely(DenseOptions(short, overwrite=True), QUIET)
     assert (short / "mesh_after.ply").read_bytes() == first
 
 
@@ -129,7 +129,12 @@ def test_a_recording_that_is_not_the_runs_own_is_refused(circle: Path, short: Pa
     calibration = other / "sequences" / "00" / "calib.txt"
     calibration.write_text(calibration.read_text().replace("3.59", "3.49"))
     with pytest.raises(DataError, match=r"other: expected the pair that .* was made with, found another camera"):
-        map_densely(short, other, False, QUIET)
+        map_densely(DenseOptions(short, other), QUIET)
     (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(DataError, match="found 40, 1, 40 and"):
-        map_densely(short, None, False, QUIET)
+        map_densely(DenseOptions(short), QUIET)
+
+
+def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
+    with pytest.raises(ConfigError, match="--voxel, --depth: expected positive numbers"):
+        map_densely(DenseOptions(tmp_path, voxel_m=0.0), QUIET)

@@ -91,6 +91,7 @@ def test_nothing_seen_is_an_empty_surface() -> None:
     assert surface.moved(np.eye(4)).points.shape == (0, 3)
 
 
-def test_a_config_that_cannot_work_is_refused() -> None:
+@pytest.mark.parametrize("voxel_m", [0.0, -1.0, np.nan, np.inf])
+def test_a_config_that_cannot_work_is_refused(voxel_m: float) -> None:
     with pytest.raises(ValueError, match="positive"):
-        FusionConfig(voxel_m=0.0)
+        FusionConfig(voxel_m=voxel_m)
