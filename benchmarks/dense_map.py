@@ -1,9 +1,9 @@
 """How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
 
 Run from the root, on a run of a drive that `revisit simulate` has rendered:
-`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at most 25 m, to
-the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is laid on the
-truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at
+most 25 m, to the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is
+laid on the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
 
 import json
@@ -57,13 +57,17 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
 
 
 def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
-    """Plan views of what stands 0.3 to 3 m above the road's height at the start, on each trajectory."""
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    for axes, (name, poses) in zip(figure.subplots(1, len(trajectories)), trajectories.items(), strict=True):
-        for placed in store.placed(poses):
-            x, y, z = placed.points[(placed.points[:, 1] > -1.5) & (placed.points[:, 1] < 1.2)].T
-            axes.plot(x, z, ",", color="black", alpha=0.3)
-        axes.set(title=name, aspect="equal", xlim=(-95, -60), ylim=(10, 50), xlabel="x [m]", ylabel="z [m]")
+    """Draw what crosses the street within half a metre of where the drive ends, on each trajectory."""
+    T_camera_world = se3.inverse(trajectories["corrected"][-1])
+    figure = Figure(figsize=(9, 2.4), layout="constrained")
+    for axes, (name, poses) in zip(
+        figure.subplots(1, len(trajectories), sharey=True), trajectories.items(), strict=True
+    ):
+        for surface in store.placed(poses):
+            across, down, ahead = se3.transform(T_camera_world, surface.points).T
+            near = np.abs(ahead) < 0.5
+            axes.plot(across[near], -down[near], ".", color="black", markersize=1.5)
+        axes.set(title=name, aspect="equal", xlim=(-10, 10), ylim=(-2.5, 1.5), xlabel="to the right [m]")
     figure.savefig(path, dpi=100)
 
 
