@@ -21,15 +21,19 @@ from rich.table import Table
 
 from odometry import se3
 from slam.dense_command import DrivenRun, read_run
-from slam.evaluation.trajectory import umeyama
+from slam.evaluation.trajectory import Similarity, umeyama
 from slam.mapping.dense_map import DenseMapper, choose_frames
+from slam.mapping.occupancy import FREE, OCCUPIED, Grid, draw_grid
 from slam.mapping.submaps import SubmapStore
+from slam.provenance import peak_memory_mb
 from slam.simulation.drive import MANIFEST
+from slam.simulation.routes import plan_drive
 from slam.simulation.spec import DriveSpec
 from slam.simulation.surfaces import true_surfaces
 
 Array = NDArray[np.float64]
 REACH_M = 25.0
+HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is compared
 
 
 def fused(run: DrivenRun, folder: Path) -> tuple[SubmapStore, str]:
@@ -56,6 +60,22 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
     return np.concatenate(out)
 
 
+def agreement(grid: Grid, fit: Similarity, spec: DriveSpec, scene: open3d.t.geometry.RaycastingScene) -> str:
+    """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
+    T_town_world = plan_drive(spec).T_town_camera[0]
+    shares = {}
+    for value, near in ((OCCUPIED, 0.3), (FREE, 0.1)):
+        rows, columns = np.nonzero(grid.cells[::-1] == value)
+        x, y = ((np.stack([columns, rows], axis=1) + 0.5) * grid.resolution_m + grid.origin).T
+        cells = se3.transform(T_town_world, fit.apply(np.stack([-y, 0 * x, x], axis=1)))
+        nearest = np.full(len(cells), np.inf)
+        for cells[:, 2] in HEIGHTS_M:  # the town's road lies at zero
+            world = se3.transform(se3.inverse(T_town_world), cells).astype(np.float32)
+            nearest = np.minimum(nearest, scene.compute_distance(open3d.core.Tensor(world)).numpy())
+        shares[value] = np.mean(nearest < near)
+    return f"occupied cells with something there: {shares[OCCUPIED]:.1%}, free ones: {shares[FREE]:.1%}"
+
+
 def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
     """Draw what crosses the street within half a metre of where the drive ends, on each trajectory."""
     T_camera_world = se3.inverse(trajectories["corrected"][-1])
@@ -76,7 +96,8 @@ def main() -> None:
     folder = Path(sys.argv[1])
     run = read_run(folder, None)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
-    corners = true_surfaces(DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])).astype(np.float32)
+    spec = DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])
+    corners = true_surfaces(spec).astype(np.float32)
     scene = open3d.t.geometry.RaycastingScene()
     rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
     scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
@@ -94,12 +115,16 @@ def main() -> None:
                 quartiles = np.percentile(found, [50, 75, 90])
                 medians[name, how] = quartiles[0]
                 table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+        fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
+        cells = agreement(draw_grid(store, run.corrected), fit, spec, scene)
         if len(sys.argv) > 2:
             draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
     Console().print(table)
     for how in ("first camera", "alignment"):
         Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")
+    Console().print(cells)
     Console().print(cost)
+    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, of which the benchmark's own town is a part")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """`revisit dense`: the dense map of a run, before and after correction, and what of it can be driven on."""
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +26,7 @@ from slam.mapping.surface_file import write_surfaces
 from slam.progress import progress_bar
 from slam.storage.calibration import read_calibration
 from slam.storage.metrics import read_metrics
+from slam.storage.run_folder import STAGING
 from slam.storage.tables import read_frames
 from slam.storage.trajectory import read_tum
 
@@ -133,13 +136,24 @@ def map_densely(options: DenseOptions, messages: Console) -> str:
     driven = read_run(run, options.source)
     groups = choose_frames(driven.odometry, driven.key_frames, config.submap_frames)
     total = sum(map(len, groups))
-    with tempfile.TemporaryDirectory() as folder:
-        store, mapper = SubmapStore(Path(folder)), DenseMapper(driven.calibration, config)
+    with _folder_in(run) as folder:
+        store, mapper = SubmapStore(folder), DenseMapper(driven.calibration, config)
         with progress_bar(messages, "Fusing") as progress:
             for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
                 progress(done, total)
         _write(run, store, driven)
     return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(RESULTS)}"
+
+
+@contextmanager
+def _folder_in(run: Path) -> Iterator[Path]:
+    """Make a folder for submaps where there is room for their results, not where temporary files eat up memory."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=STAGING, dir=run)
+    except OSError as error:
+        raise OutputError(f"{run}: cannot be written, {error.strerror}; copy the run to another folder") from error
+    with folder as name:
+        yield Path(name)
 
 
 def _write(run: Path, store: SubmapStore, driven: DrivenRun) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.fusion import Surface
+from slam.storage.atomic import atomic_writer
 
 Array = NDArray[np.float64]
 
@@ -40,17 +41,22 @@ class SubmapStore:
         return self._count
 
     def add(self, submap: Submap) -> None:
-        """Keep one more."""
+        """Keep one more.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
         surface = submap.surface
-        np.savez(
-            self._path(self._count),
-            anchor=submap.anchor,
-            frames=submap.frames,
-            T_anchor_camera=submap.T_anchor_camera,
-            points=surface.points.astype(np.float32),
-            grey=surface.grey,
-            triangles=surface.triangles,
-        )
+        with atomic_writer(self._path(self._count), "wb") as file:
+            np.savez(
+                file,
+                anchor=submap.anchor,
+                frames=submap.frames,
+                T_anchor_camera=submap.T_anchor_camera,
+                points=surface.points.astype(np.float32),
+                grey=surface.grey,
+                triangles=surface.triangles,
+            )
         self._count += 1
 
     def __iter__(self) -> Iterator[Submap]:

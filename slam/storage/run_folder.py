@@ -9,7 +9,7 @@ from uuid import uuid4
 
 from slam.errors import OutputError
 
-_STAGING = ".unfinished-"
+STAGING = ".unfinished-"
 _EARLIER = ".earlier-"
 
 # Whatever the commands write. Only these go when a run is overwritten; other files were put there by somebody
@@ -60,7 +60,7 @@ class RunFolder:
             raise OutputError(
                 f"{path}: expected a new or empty folder, found {what}; choose another folder or give --overwrite"
             )
-        staging = path / f"{_STAGING}{uuid4().hex[:8]}"
+        staging = path / f"{STAGING}{uuid4().hex[:8]}"
         try:
             staging.mkdir(parents=True)
         except OSError as error:
@@ -123,4 +123,4 @@ def _move_all(moves: list[tuple[Path, Path]]) -> None:
 
 def _is_ours(item: Path) -> bool:
     # What a killed run left behind is no reason to refuse the next one.
-    return item.name.startswith((_STAGING, _EARLIER))
+    return item.name.startswith((STAGING, _EARLIER))

@@ -8,6 +8,7 @@ import open3d
 import pytest
 
 from odometry import se3
+from slam.errors import OutputError
 from slam.keyframes import KeyFrameConfig, KeyFrameSelector
 from slam.mapping.dense_map import Odometry, choose_frames
 from slam.mapping.fusion import Surface
@@ -42,6 +43,11 @@ def test_a_corrected_graph_moves_each_submap_with_its_anchor_and_rewrites_nothin
         np.testing.assert_allclose(new.points, se3.transform(T_after_before, old.points), atol=1e-12)
         np.testing.assert_array_equal(new.triangles, submap.surface.triangles)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == files
+
+
+def test_a_folder_that_is_gone_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"gone/000000\.npz: cannot be written"):
+        filled(tmp_path / "gone", (0,))
 
 
 def test_a_drive_is_cut_into_submaps_and_none_reaches_across_a_frame_that_measured_nothing() -> None:
