@@ -47,6 +47,11 @@ class Drive:
             )
             yield left, right
 
+    def lefts(self) -> Iterator[Array]:
+        """Decode the left images."""
+        for file in self._files():
+            yield cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+
     def truth(self) -> Array:
         """True T_first_camera (N, 4, 4), metres."""
         poses = np.tile(np.eye(4), (len(self), 1, 1))

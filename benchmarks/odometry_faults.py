@@ -1,11 +1,12 @@
-"""What faults of the recording do to the stereo odometry: one finite pose each, flags, and the way kept.
+"""What faults of the recording do to the odometry: one finite pose each, flags, and the way kept.
 
-    python benchmarks/odometry_faults.py ROOT 05 06 01 [--frames 60]
+    python benchmarks/odometry_faults.py ROOT 05 06 01 [--frames 60] [--mono]
 
 ROOT holds drives in KITTI's layout with `poses/NN.txt`. Each fault strikes after two fifths of the drive.
 "predicted" counts the frames that are flagged; "error" is that of the last position over the way driven, unaligned;
 "after" counts only the way after the fault: how well it drives on; the row "none" is the drive without fault.
 Images that were dropped in a bend show nothing of what came before: the way is extrapolated, flagged, and wrong.
+With `--mono` the left images are used alone, and their scale is that of the way before the fault.
 """
 
 import argparse
@@ -15,9 +16,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from odometry_drives import Array, Drive, Pair, chained, end_error
+from odometry_drives import Array, Drive, Pair, chained, end_error, way
 
-from odometry import StereoCamera, StereoOdometry, se3
+from odometry import MonoOdometry, StereoCamera, StereoOdometry, se3
 
 Frames = list[tuple[float, Pair, Array]]  # time in seconds, images, true pose
 _SECONDS = 0.1  # between images
@@ -98,29 +99,44 @@ _LONGEST = 11  # frames until every fault but missing images is over, which are 
 
 
 def run(camera: StereoCamera, frames: Frames) -> list[Any]:
-    """Run the odometry: one motion a frame."""
+    """Run the stereo odometry: one motion a frame."""
     odometry = StereoOdometry(camera)
     return [odometry.track(*pair, time) for time, pair, _ in frames]
 
 
-def errors(motions: list[Any], frames: Frames, recovered: int) -> tuple[float, float]:
+def run_mono(camera: StereoCamera, frames: Frames) -> list[Any]:
+    """Run the monocular odometry: one motion a frame."""
+    odometry = MonoOdometry(camera)
+    return [odometry.track(left, time) for time, (left, _), _ in frames]
+
+
+def errors(poses: Array, frames: Frames, recovered: int) -> tuple[float, float]:
     """Error at the end, per cent of the way: from the start, and from the frame where the fault was over."""
-    poses, truth = chained(motions), np.array([pose for _, _, pose in frames])
+    truth = np.array([pose for _, _, pose in frames])
     rest, rest_truth = (se3.inverse(each[recovered]) @ each[recovered:] for each in (poses, truth))
     return end_error(poses, truth), end_error(rest, rest_truth)
 
 
-def report(drive: Drive) -> None:
+def in_metres(poses: Array, frames: Frames, at: int) -> Array:
+    """Poses (N, 4, 4) with the scale of the way before a frame."""
+    truth = np.array([pose for _, _, pose in frames])
+    poses = poses.copy()
+    poses[:, :3, 3] *= way(truth[:at]) / way(poses[:at])
+    return poses
+
+
+def report(drive: Drive, mono: bool) -> None:
     """Print one table: a row for each fault."""
     frames, camera = read(drive), drive.camera()
     at = len(frames) * 2 // 5
     print(f"\n{drive.name}: {len(frames)} frames\n    {'fault':<12} predicted  finite  error %  after %  reasons")
     for fault, strike in FAULTS.items():
         struck = strike(frames, at)
-        motions = run(camera, struck)
+        motions = (run_mono if mono else run)(camera, struck)
         finite = np.isfinite(chained(motions)).all() and len(motions) == len(struck)
         flagged, reasons = sum(m.predicted for m in motions), "; ".join(sorted({m.reason for m in motions} - {""}))
-        total, after = errors(motions, struck, max(at, min(at + _LONGEST, len(struck) - 5)))
+        poses = in_metres(chained(motions), struck, at) if mono else chained(motions)
+        total, after = errors(poses, struck, max(at, min(at + _LONGEST, len(struck) - 5)))
         print(f"    {fault:<12} {flagged:9d}  {finite!s:>6}  {total:7.2f}  {after:7.2f}  {reasons}", flush=True)
 
 
@@ -130,9 +146,10 @@ def main() -> None:
     parser.add_argument("root", type=Path)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--mono", action="store_true")
     arguments = parser.parse_args()
     for name in arguments.sequences:
-        report(Drive(arguments.root, name, arguments.frames))
+        report(Drive(arguments.root, name, arguments.frames), arguments.mono)
 
 
 if __name__ == "__main__":

@@ -6,15 +6,23 @@ from odometry.camera import StereoCamera
 from odometry.motion import Motion
 
 if TYPE_CHECKING:
+    from odometry.mono import MonoOdometry, MonoOdometryConfig
     from odometry.stereo import StereoOdometry, StereoOdometryConfig
 
-__all__ = ["Motion", "StereoCamera", "StereoOdometry", "StereoOdometryConfig"]
+__all__ = [
+    "MonoOdometry",
+    "MonoOdometryConfig",
+    "Motion",
+    "StereoCamera",
+    "StereoOdometry",
+    "StereoOdometryConfig",
+]
 
 
 def __getattr__(name: str) -> Any:
     """Import the odometry itself, and the compiler it needs, when it is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from odometry import stereo
+    from odometry import mono, stereo
 
-    return getattr(stereo, name)
+    return getattr(mono if name.startswith("Mono") else stereo, name)

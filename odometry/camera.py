@@ -1,15 +1,35 @@
-"""Rectified stereo cameras: pixels to points and back.
+"""Pinhole cameras and rectified stereo pairs: pixels to points and back.
 
 Camera frame: x right, y down, z forward, metres, origin at the left camera. Pixel (0, 0) is the centre of the
 top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline, 0, 0).
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+class PinholeCamera(Protocol):
+    """Intrinsics of one camera, pixels; a stereo pair has them, and so has a single camera."""
+
+    @property
+    def fx(self) -> float: ...  # noqa: D102
+    @property
+    def fy(self) -> float: ...  # noqa: D102
+    @property
+    def cx(self) -> float: ...  # noqa: D102
+    @property
+    def cy(self) -> float: ...  # noqa: D102
+    @property
+    def width(self) -> int: ...  # noqa: D102
+    @property
+    def height(self) -> int: ...  # noqa: D102
+    @property
+    def K(self) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.calibration import Calibration
+from odometry.light import in_light_of
 from odometry.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.tracking import TrackingConfig, detect, follow, inside
 from odometry.two_views import StereoTracks
@@ -61,7 +61,7 @@ class FrontEnd:
         points, tracking = view.points, self._tracking.wider() if wide else self._tracking
         ahead, shift = _predict(points, guess, calibration, pair[0])
         # Looking more widely also means in other light: behind a tunnel's mouth, with the exposure lagging.
-        left = _in_light_of(view.pair[0], pair[0]) if wide else pair[0]
+        left = in_light_of(view.pair[0], pair[0]) if wide else pair[0]
         second_left = follow((view.pair[0], left), points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
@@ -83,13 +83,6 @@ class FrontEnd:
 
 _CLEAR_PX = 2.0  # disparities that no calibration error explains
 _FEWEST = 20  # points that show it
-
-
-def _in_light_of(model: Image, image: Image) -> Image:
-    """An image with the mean and the contrast of another, (H, W) uint8."""
-    (mean, deviation), (mean_model, deviation_model) = (cv2.meanStdDev(each) for each in (image, model))
-    gain = float(deviation_model[0, 0] / max(deviation[0, 0], 1.0))
-    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=float(mean_model[0, 0] - gain * mean[0, 0])))
 
 
 def _predict(points: Sighted, guess: Array, calibration: Calibration, image: Image) -> tuple[Array, Array]:

@@ -1,14 +1,38 @@
 """Whether a measured motion can be believed."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.two_views import TwoViewEstimate
 
 Array = NDArray[np.float64]
+
+
+class Estimate(Protocol):
+    """A motion that was measured, and how well: see `odometry.two_views.TwoViewEstimate`."""
+
+    @property
+    def T_first_second(self) -> Array:
+        """(4, 4), metres."""
+        ...
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of the right perturbation."""
+        ...
+
+    @property
+    def inliers(self) -> NDArray[np.bool_]:
+        """(N,) the tracks that agree."""
+        ...
+
+    @property
+    def noise_px(self) -> float:
+        """Of a measurement, pixels."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,7 +89,7 @@ class Expectation:
 STOPS = "most of the view does not move although the camera was driving a moment ago"
 
 
-def doubt(estimate: TwoViewEstimate | None, expected: Expectation | None, config: PlausibilityConfig) -> str:
+def doubt(estimate: Estimate | None, expected: Expectation | None, config: PlausibilityConfig) -> str:
     """Why an estimate is not to be believed, in words; empty if it is.
 
     No estimate stands for too few tracks; no expectation for a motion that nothing is known about.

@@ -1,12 +1,14 @@
-"""What motion is measured from: an earlier pair, and where the camera has been since."""
+"""What motion is measured from: an earlier view, and where the camera has been since."""
 
 from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.front_end import View
+
+ViewT = TypeVar("ViewT")
 
 Array = NDArray[np.float64]
 
@@ -20,11 +22,11 @@ def _certain() -> Array:
 
 
 @dataclass(frozen=True)
-class Reference:
+class Reference(Generic[ViewT]):
     """A view and the images since.
 
     Attributes:
-        view: the pair and its points.
+        view: what was seen, and its points.
         T_reference_previous: (4, 4) where the previous image was taken, metres.
         T_reference_measured: (4, 4) where the last image was taken that was measured from here.
         covariance_previous: (6, 6) of `T_reference_previous`, as far as it was not measured from here.
@@ -32,21 +34,21 @@ class Reference:
 
     """
 
-    view: View
+    view: ViewT
     T_reference_previous: Array = field(default_factory=_here)
     T_reference_measured: Array = field(default_factory=_here)
     covariance_previous: Array = field(default_factory=_certain)
     age: int = 0
 
-    def older(self, images: int) -> "Reference":
+    def older(self, images: int) -> "Reference[ViewT]":
         """Count the images that have been taken since."""
         return replace(self, age=self.age + images)
 
-    def measured(self, T_reference_current: Array) -> "Reference":
+    def measured(self, T_reference_current: Array) -> "Reference[ViewT]":
         """Take over where the current image was taken, (4, 4): the next one's previous."""
         return Reference(self.view, T_reference_current, T_reference_current)
 
-    def bridged(self, T_previous_current: Array, covariance: Array) -> "Reference":
+    def bridged(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
         """Go on by a motion (4, 4) that was not measured from here, with its covariance (6, 6)."""
         return replace(
             self,

@@ -38,6 +38,13 @@ def inverse(T: Array) -> Array:
     return out
 
 
+def exact(T: Array) -> Array:
+    """Poses (..., 4, 4) with exact rotations again: in `T @ inverse(T) @ T` rounding errors treble, round by round."""
+    T = T.copy()
+    T[..., :3, :3] = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_matrix().reshape(T[..., :3, :3].shape)
+    return T
+
+
 def transform(T_a_b: Array, points_b: Array) -> Array:
     """Points (N, 3) of frame b expressed in frame a."""
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]

@@ -86,8 +86,8 @@ class StereoOdometry:
         self._locator = Locator(self._front_end, self._config.adjustment, self._config.plausibility)
         self._window = SlidingWindow(self._config.window)
         self._ticks = Ticks()
-        self._reference: Reference | None = None
-        self._lost: Reference | None = None  # an earlier reference that its successor was not measured from
+        self._reference: Reference[View] | None = None
+        self._lost: Reference[View] | None = None  # an earlier reference that its successor was not measured from
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
@@ -153,7 +153,7 @@ class StereoOdometry:
                 break
         return self._extrapolate(pair, motion, reason)
 
-    def _expect(self, reference: Reference, pair: Pair, motion: Array) -> Expectation | None:
+    def _expect(self, reference: Reference[View], pair: Pair, motion: Array) -> Expectation | None:
         """Expect the motion (4, 4) since the previous image, where one was ever measured."""
         if np.array_equal(pair[0], reference.view.pair[0]):  # the same image again was taken at the same place
             return Expectation(np.eye(4))
@@ -163,7 +163,7 @@ class StereoOdometry:
         way = reference.age * min(self._speeds)
         return Expectation(T_reference_current, reference.age, self._unmeasured, self._ticks.interval, way)
 
-    def _accept(self, reference: Reference, pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
+    def _accept(self, reference: Reference[View], pair: Pair, located: Located, estimate: TwoViewEstimate) -> Motion:
         """Take over what was measured; a pair far enough from the reference takes its place."""
         T_reference_current = estimate.T_first_second
         self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0

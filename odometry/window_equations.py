@@ -50,7 +50,7 @@ def accumulate(
     for i in range(len(inverse_depth)):
         curvature, slope, anchor = 0.0, 0.0, frame[first[i]]
         for m in range(first[i], first[i + 1]):
-            _relate(poses[anchor], poses[frame[m]], relative)
+            relate(poses[anchor], poses[frame[m]], relative)
             _see(camera, places[first[i]], places[m], inverse_depth[i], relative, now)
             if m == first[i]:  # where a point is anchored does not depend on the pose
                 now[:, _ANCHOR:_DEPTH] = 0.0
@@ -78,7 +78,7 @@ def _dot(a: Array, b: Array) -> float:
 
 
 @njit(cache=True)
-def _relate(A: Array, F: Array, out: Array) -> None:
+def relate(A: Array, F: Array, out: Array) -> None:
     """Pose (3, 4) of the anchor A in the frame F, both (4, 4) in the window."""
     for j in range(3):
         for k in range(4):
@@ -101,18 +101,16 @@ def _see(camera: Array, first: Array, place: Array, d: float, T: Array, out: Arr
     out[0, _ERROR], out[1, _ERROR] = place[0] - (fx * x + cx), place[2] - (fy * y + cy)
     out[2, _ERROR] = fx * baseline * near - (place[0] - place[1])
     point, ray = (X, Y, Z), (rx, ry)
-    _gradient(out, 0, (-fx / Z, 0.0, fx * x / Z), T, point, ray, d)
-    _gradient(out, 1, (0.0, -fy / Z, fy * y / Z), T, point, ray, d)
-    _gradient(out, 2, (0.0, 0.0, -fx * baseline * near / Z), T, point, ray, d)
+    gradient(out, 0, (-fx / Z, 0.0, fx * x / Z), T, point, ray, d)
+    gradient(out, 1, (0.0, -fy / Z, fy * y / Z), T, point, ray, d)
+    gradient(out, 2, (0.0, 0.0, -fx * baseline * near / Z), T, point, ray, d)
     out[0, _DEPTH] = -fx * (T[0, 3] - x * T[2, 3]) / Z
     out[1, _DEPTH] = -fy * (T[1, 3] - y * T[2, 3]) / Z
     out[2, _DEPTH] = fx * baseline * (1.0 - near * T[2, 3]) / Z
 
 
 @njit(cache=True)
-def _gradient(
-    out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float
-) -> None:
+def gradient(out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float) -> None:
     """Turn a gradient by the point, over its depth, in the present frame into those of row r by both poses."""
     (gx, gy, gz), (X, Y, Z), (rx, ry) = gradient, point, ray
     out[r, 7], out[r, 8], out[r, 9] = gy * Z - gz * Y, gz * X - gx * Z, gx * Y - gy * X

@@ -113,13 +113,17 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
     view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
+    mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.")] = False,
+    camera_height: Annotated[
+        float | None, typer.Option(help="With --mono: metres above the road; gives the scale. KITTI: 1.65.")
+    ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
     kind: Kind = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
     topic: Topic = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Run the whole chain on a recorded stereo drive: odometry, places, loops, pose graph, map, report.
+    """Run the whole chain on a recorded drive: odometry, places, loops, pose graph, map, report.
 
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
@@ -134,6 +138,8 @@ def run(
         "robust": robust,
         "seed": seed,
         "record": False if no_record else None,
+        "mono": mono or None,
+        "camera_height": camera_height,
     }
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_recorded(options, settings, Console(stderr=True), Console())

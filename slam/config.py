@@ -5,12 +5,13 @@ Written beside the results as `config.toml` and read back from it.
 
 import dataclasses
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_origin, get_type_hints
 
 import tomli_w
 
+from odometry.mono_config import MonoOdometryConfig
 from odometry.stereo import StereoOdometryConfig
 from place_recognition.paradigms.catalogue import ParadigmsConfig
 from slam.errors import ConfigError
@@ -18,9 +19,26 @@ from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
 from slam.mapping.landmarks import LandmarkMapConfig
 from slam.pose_graph import PoseGraphConfig
+from slam.pose_graph_drift import DriftBudget
 from slam.robust import DEFAULT
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class OneCameraConfig:
+    """What is different with one camera.
+
+    Attributes:
+        odometry: of one camera.
+        drift: how wrong it may be.
+        unit_drift: change of the logarithm of its unit of length, one standard deviation over a metre of way,
+            that grows with the square root of the way.
+    """
+
+    odometry: MonoOdometryConfig = field(default_factory=MonoOdometryConfig)
+    drift: DriftBudget = field(default_factory=lambda: DriftBudget(translation=0.03))
+    unit_drift: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -32,18 +50,28 @@ class RunConfig:
         robust: back end of the final optimisation, by name.
         seed: of every random generator.
         record: write `recording.rrd`.
+        mono: use the left camera alone.
     """
 
     paradigm: str = "tracked-words"
     robust: str = DEFAULT
     seed: int = 0
     record: bool = True
+    mono: bool = False
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
+    one_camera: OneCameraConfig = field(default_factory=OneCameraConfig)
     places: ParadigmsConfig = field(default_factory=ParadigmsConfig)
     loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     key_frames: KeyFrameConfig = field(default_factory=KeyFrameConfig)
     landmarks: LandmarkMapConfig = field(default_factory=LandmarkMapConfig)
+
+    @property
+    def graph(self) -> PoseGraphConfig:
+        """What the graph believes, with so many cameras."""
+        if not self.mono:
+            return self.pose_graph
+        return replace(self.pose_graph, drift=self.one_camera.drift, unit_drift=self.one_camera.unit_drift)
 
 
 def to_toml(config: RunConfig) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,17 @@ from odometry.camera import StereoCamera
 from odometry.stereo_matching import match_rows
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import SharedFeatures
-from slam.loop_geometry import GeometryConfig, RelativePose, relative_pose
+from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, relative_pose
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Disparity = Callable[[Image, Image, Array], Array]
+Disparity = Callable[[Image, Any, Array], Array]  # of left image, right image or None, and pixels (N, 2)
+Compare = Callable[[StereoCamera, Array, Array, GeometryConfig], Unit]  # of points (K, 3) of a match and of a query
+
+
+def same_unit(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Unit:
+    """Two images of a stereo pair have one unit, the metre."""
+    return SAME_UNIT
 
 
 def _no_pixels() -> NDArray[np.float32]:
@@ -28,11 +35,12 @@ class LoopClosure:
 
     Attributes:
         query, match: frame indices, match < query.
-        T_match_query: (4, 4) query camera in the match camera's frame, metres.
+        T_match_query: (4, 4) query camera in the match camera's frame, metres, or the unit of the match's depths.
         covariance: (6, 6) of the right perturbation `T_match_query @ exp(xi)`, rotation first (rad, m).
         inliers: landmarks that agree with the motion.
         matches: landmarks whose descriptors matched; 0 where that is not known.
         pixels_query, pixels_match: (K, 2) where the two left images show the agreeing landmarks.
+        unit: of the query's depths, in that of the match's: with one camera the two need not be the same.
     """
 
     query: int
@@ -43,6 +51,7 @@ class LoopClosure:
     matches: int = 0
     pixels_query: NDArray[np.float32] = field(default_factory=_no_pixels)
     pixels_match: NDArray[np.float32] = field(default_factory=_no_pixels)
+    unit: Unit = SAME_UNIT
 
 
 @dataclass(frozen=True)
@@ -104,13 +113,14 @@ class LoopCloser:
         features: SharedFeatures,
         config: LoopCloserConfig | None = None,
         disparity: Disparity = match_rows,
+        compare: Compare = same_unit,
     ) -> None:
         self._camera, self._features = camera, features
         self._config = config or LoopCloserConfig()
-        self._disparity = disparity
+        self._disparity, self._compare = disparity, compare
         self._known: dict[int, Landmarks] = {}
 
-    def remember(self, index: int, left: Image, right: Image) -> Landmarks:
+    def remember(self, index: int, left: Image, right: Image | None) -> Landmarks:
         """Find and keep the landmarks of frame `index` from its rectified grey images (H, W)."""
         found = self._features.of(index, left)
         pixels = np.asarray(found.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
@@ -141,6 +151,8 @@ class LoopCloser:
             return Rejection(f"{len(pairs)} landmarks match, expected at least {least}", len(pairs))
         points_match = then.points[pairs[:, 0]].astype(np.float64)
         points_query = now.points[pairs[:, 1]].astype(np.float64)
+        unit = self._compare(self._camera, points_match, points_query, self._config.geometry)
+        points_query *= unit.length
         forward = relative_pose(self._camera, points_match, points_query, self._config.geometry)
         backward = relative_pose(self._camera, points_query, points_match, self._config.geometry)
         reason = self._doubt(forward, backward, now.pixels[pairs[:, 1]])
@@ -155,6 +167,7 @@ class LoopCloser:
             covariance=forward.covariance,
             inliers=len(agreeing),
             matches=len(pairs),
+            unit=unit,
             pixels_query=pixels_query,
             pixels_match=pixels_match,
         )

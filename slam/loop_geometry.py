@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 
 _MEDIAN_3 = 2.366  # median of chi-square, 3 degrees of freedom
 _LIMIT_3 = 16.27  # its 99.9 % quantile
+_MAD_TO_SIGMA = 1.4826  # of Gauss
 _MIN_LANDMARKS = 6  # below this a pose has nothing to be checked against
 _ROUNDS = 15  # of reweighting at most
 _SETTLED = 1e-5  # rad and m: a step below this ends it
@@ -37,6 +38,7 @@ class GeometryConfig:
     systematic_rad_per_m: float = 4e-4  # and for each metre between the cameras
     systematic_m: float = 0.005  # of translation, metres
     systematic_m_per_m: float = 0.01  # and for each metre between the cameras
+    systematic_unit: float = 0.01  # of the logarithm of a unit
     systematic_disparity_px: float = 0.2  # of all disparities alike; what it does depends on how far landmarks are
 
     def systematic(self, T_a_b: Array) -> Array:
@@ -45,6 +47,27 @@ class GeometryConfig:
         rotation = self.systematic_rad + self.systematic_rad_per_m * way
         translation = self.systematic_m + self.systematic_m_per_m * way
         return np.diag(np.repeat([rotation**2, translation**2], 3))
+
+
+@dataclass(frozen=True)
+class Unit:
+    """How long one unit of length is in another.
+
+    Attributes:
+        log: natural logarithm of that.
+        sigma: its standard deviation; 0 where it is known.
+    """
+
+    log: float
+    sigma: float
+
+    @property
+    def length(self) -> float:
+        """Of one in the other."""
+        return float(np.exp(self.log))
+
+
+SAME_UNIT = Unit(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -73,6 +96,26 @@ def relative_pose(
     """
     start = _ransac(camera, points_a, points_b, config)
     return None if start is None else _refined(camera, points_a, points_b, start, config)
+
+
+def compare_units(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Unit:
+    """Unit of b's landmarks (K, 3) in that of a's, each in its own camera's frame, by their depths.
+
+    Where b is seen from a is found by a's landmarks and b's pixels, to which b's unit does not matter; how far
+    away b then sees a's landmarks tells it. Unknown, so the same, where they do not agree on a pose.
+    """
+    T_a_b = _ransac(camera, points_a, points_b, config)
+    if T_a_b is None:
+        return SAME_UNIT
+    seen = se3.transform(se3.inverse(T_a_b), points_a)
+    off = _stereo_pixels(camera, seen)[:, :2] - _stereo_pixels(camera, points_b)[:, :2]
+    good = (np.linalg.norm(off, axis=1) < config.ransac_error_px) & (seen[:, 2] > 0)
+    if good.sum() < _MIN_LANDMARKS:
+        return SAME_UNIT
+    logs = np.log(seen[good, 2] / points_b[good, 2])
+    middle = float(np.median(logs))
+    spread = _MAD_TO_SIGMA * float(np.median(np.abs(logs - middle)))
+    return Unit(middle, float(np.hypot(spread / np.sqrt(good.sum()), config.systematic_unit)))
 
 
 def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Array | None:

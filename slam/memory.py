@@ -9,7 +9,7 @@ UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # no
 def held_mb(parts: Parts) -> dict[str, float | None]:
     """Megabytes of the arrays that each stage has gathered, by its name; `map` are the landmarks drawn."""
     held = {
-        "odometry": array_bytes(parts.odometry),
+        "odometry": array_bytes(parts.eyes.odometry),
         "features": array_bytes(parts.features),
         "landmarks": array_bytes(parts.loop_closer),
         "place recognition": map_size(parts.recognizer).bytes,

@@ -1,6 +1,7 @@
 """The parts of the system, built from a configuration: the one place where names become classes."""
 
 from odometry.camera import StereoCamera
+from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.features import SharedFeatures
@@ -8,8 +9,10 @@ from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, bu
 from place_recognition.recognizer import PlaceRecognizer, RowSink
 from slam.config import RunConfig
 from slam.errors import ConfigError, DataError
+from slam.eyes import Eyes, OneEye, TwoEyes
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import LoopCloser
+from slam.loop_closing import LoopCloser, same_unit
+from slam.loop_geometry import compare_units
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
 from slam.robust import back_end
@@ -60,13 +63,17 @@ def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = 
     The rows of the recogniser's matrix go to `rows`, where there is one.
     """
     features = SharedFeatures(local_features(config.places))
-    odometry = StereoOdometry(camera, config.odometry)
+    eyes: Eyes
+    if config.mono:
+        eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), compare_units
+    else:
+        eyes, compare = TwoEyes(StereoOdometry(camera, config.odometry)), same_unit
     return Parts(
-        odometry=odometry,
+        eyes=eyes,
         features=features,
         recognizer=build_recognizer(config.paradigm, features, config.places, rows),
-        loop_closer=LoopCloser(camera, features, config.loop_closing, odometry.disparity),
-        graph=PoseGraph(config.pose_graph),
+        loop_closer=LoopCloser(camera, features, config.loop_closing, eyes.disparity, compare),
+        graph=PoseGraph(config.graph),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),
     )

@@ -16,12 +16,14 @@ from slam import robust as robust_ends
 from slam.errors import GraphError
 from slam.loop_closing import LoopClosure
 from slam.loop_trust import Admission, Change, LoopTrust, TrustConfig
-from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.pose_graph_drift import DriftBudget, OdometryChain, chained
 from slam.pose_graph_edges import stacked
 from slam.pose_graph_keys import KeyChain, KeySpacing
 from slam.pose_graph_marginals import marginal_covariances
 from slam.pose_graph_online import IncrementalConfig, IncrementalMap
+from slam.pose_graph_units import corrected, levelled
 from slam.robust import LoopGate, Optimized
+from slam.scale_levels import unit_logs
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,7 @@ class PoseGraphConfig:
     """What the graph believes about odometry and loops."""
 
     drift: DriftBudget = field(default_factory=DriftBudget)  # how wrong odometry may be over a distance
+    unit_drift: float = 0.0  # growth of the logarithm of its unit of length, for a square root of a metre
     # Added to every loop: one stated to be exact bends odometry round itself, be it true or false.
     loop_sigma_rad: float = 2e-3  # of rotation, radians
     loop_sigma_m: float = 0.05  # of translation, metres
@@ -147,26 +150,48 @@ class PoseGraph:
             ConfigError: the name is not known.
         """
         start = time.perf_counter()
-        problem = self._problem()
-        outcome = robust_ends.solved(problem, robust)
+        units = self._units()
+        outcome = robust_ends.solved(self._problem(units), robust)
+        poses, units = self._with_scale(outcome, units)
+        problem = self._problem(units)
         return Optimized(
-            poses=outcome.poses,
+            poses=poses,
             weights=outcome.weights,
-            residuals=np.sqrt(problem.loops.chi2(outcome.poses)),
+            residuals=np.sqrt(problem.loops.chi2(poses)),
             kept=outcome.kept,
             reasons=outcome.reasons,
             error_initial=problem.error(outcome.kept, problem.start),
-            error_final=problem.error(outcome.kept, outcome.poses),
+            error_final=problem.error(outcome.kept, poses),
             seconds=time.perf_counter() - start,
+            units=units,
         )
 
-    def _problem(self) -> robust_ends.LoopProblem:
+    def _units(self) -> Array:
+        """Unit of length (N,) of each frame in that of the first, by what the loops tell."""
+        steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
+        return np.exp(unit_logs(steps, self._loops, self.config.unit_drift))
+
+    def _with_scale(self, outcome: robust_ends.Outcome, units: Array) -> tuple[Array, Array]:
+        """Poses and units after the last word of the kept loops: with one camera they correct both together."""
+        kept = [loop for loop, keep in zip(self._loops, outcome.kept, strict=True) if keep]
+        if not self.config.unit_drift or not kept:
+            return outcome.poses, units
         real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in self._edges]
-        soft = [self.config.softened(loop) for loop in self._loops]
+        soft = [self.config.softened(loop) for loop in kept]
+        return corrected(real, soft, outcome.poses, units, self.config.unit_drift)
+
+    def levelled(self, units: Array) -> tuple[list[tuple[Array, Array]], list[LoopClosure]]:
+        """Motions with their covariances, and loops, in one unit, of which each frame's is so much, (N,)."""
+        return levelled(self._edges, self._loops, units)
+
+    def _problem(self, units: Array) -> robust_ends.LoopProblem:
+        edges, closures = self.levelled(units)
+        real = [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in edges]
+        soft = [self.config.softened(loop) for loop in closures]
         before, ends = np.arange(len(real)), [(loop.match, loop.query) for loop in soft]
         chain = stacked(np.column_stack([before, before + 1]), real)
         loops = stacked(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in soft])
-        return robust_ends.LoopProblem(chain, loops, self._chain.poses)
+        return robust_ends.LoopProblem(chain, loops, chained([T for T, _ in edges]))
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):

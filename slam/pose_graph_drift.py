@@ -6,6 +6,7 @@ way. The last two are needed because frame-to-frame covariances know nothing of 
 drives the squared error after fifty frames is ten to a thousand times what they add up to.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +49,14 @@ class Between:
     T_first_second: Array
     covariance: Array
     way: float
+
+
+def chained(motions: Sequence[Array]) -> Array:
+    """Poses (N, 4, 4), the first the identity, of N - 1 motions (4, 4)."""
+    poses = [np.eye(4)]
+    for T_previous_current in motions:
+        poses.append(poses[-1] @ T_previous_current)
+    return np.array(poses)
 
 
 class OdometryChain:

@@ -17,7 +17,14 @@ from slam.datasets.dataset import Dataset
 from slam.drive_log import DriveLog
 from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
-from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors, unknown_errors
+from slam.evaluation.trajectory import (
+    Alignment,
+    TrajectoryErrors,
+    path_length,
+    trajectory_errors,
+    umeyama,
+    unknown_errors,
+)
 from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.memory import UNKNOWN, held_mb
@@ -63,12 +70,18 @@ class Finished:
     interrupted: bool
     wall_seconds: float
 
+    @property
+    def alignment(self) -> Alignment:
+        """How trajectories are compared with ground truth: one camera does not know how long a metre is."""
+        return "sim3" if self.config.mono else "se3"
+
 
 def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecord:
     """Gather everything known about the drive, compared with ground truth where there is one."""
     drive, log, optimized = finished.drive, finished.drive_log, finished.optimized
     table, landmarks, graph = log.table(), finished.slam.parts.landmarks, finished.slam.parts.graph
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
+    metres = None if truth is None else _metres(optimized, truth, finished.alignment)
     odometry = np.array(log.odometry)
     places = _places(finished, truth)
     record = DriveRecord(
@@ -80,10 +93,10 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         ground_truth=truth,
         predicted=table.predicted,
         inliers=table.inliers,
-        loops=write_ledger(log.attempts, optimized, judge_by(truth)),
+        loops=write_ledger(log.attempts, optimized, judge_by(truth, metres)),
         stage_ms=dict(table.stage_ms),
         map_before=landmarks.cloud(odometry),
-        map_after=landmarks.cloud(optimized.poses),
+        map_after=landmarks.cloud(optimized.similarities),
         metrics={},
         stages=stage_rows(log.attempts, graph.gates, graph.history),
         matched=matched_pixels(log.attempts),
@@ -96,15 +109,23 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
     return record
 
 
-def judge_by(truth: Array | None) -> Judge:
-    """Tell true revisits from false ones by ground truth (N, 4, 4), or not at all."""
+def _metres(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
+    """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
+    fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
+    return fit.scale * optimized.lengths
+
+
+def judge_by(truth: Array | None, metres: Array | None) -> Judge:
+    """Tell true revisits from false ones by ground truth (N, 4, 4) and the units (N,) of frames, or not at all."""
 
     def judge(query: int, match: int, closure: LoopClosure | None) -> bool | None:
-        if truth is None:
+        if truth is None or metres is None:
             return None
         if closure is None:
             return is_same_place(truth, query, match)
-        return is_true_loop(truth, query, match, closure.T_match_query)
+        T_match_query = closure.T_match_query.copy()
+        T_match_query[:3, 3] *= metres[match]
+        return is_true_loop(truth, query, match, T_match_query)
 
     return judge
 
@@ -139,16 +160,17 @@ def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
 
 
 def _write_calibration(folder: Path, finished: Finished) -> None:
-    odometry = finished.slam.parts.odometry
+    odometry = finished.slam.parts.eyes.odometry
     if isinstance(odometry, StereoOdometry):  # others learn none
         write_calibration(folder / "calibration.toml", odometry.calibration)
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
-    graph, kept = finished.slam.parts.graph, finished.optimized.kept
-    closed = [loop for loop, keep in zip(graph.loops, kept, strict=True) if keep]
+    graph, optimized = finished.slam.parts.graph, finished.optimized
+    motions, loops = graph.levelled(optimized.lengths)
+    closed = [loop for loop, keep in zip(loops, optimized.kept, strict=True) if keep]
     write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
-    write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, graph.odometry, closed))
+    write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, motions, closed))
 
 
 def _write_maps(folder: Path, record: DriveRecord) -> None:
@@ -159,7 +181,10 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
 
 
 def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> dict[str, object]:
-    errors = {name: _errors(getattr(record, name), record.ground_truth) for name in ("odometry", "online", "corrected")}
+    errors = {
+        name: _errors(getattr(record, name), record.ground_truth, finished.alignment)
+        for name in ("odometry", "online", "corrected")
+    }
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
     notes = places.notes | _notes("loops", loops) | UNKNOWN
     for name, error in errors.items():
@@ -189,8 +214,10 @@ def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:
     return judge_places(finished.config.paradigm, beliefs, truth, size)
 
 
-def _errors(estimate: Array, truth: Array | None) -> TrajectoryErrors:
-    return unknown_errors("there is no ground truth") if truth is None else trajectory_errors(estimate, truth)
+def _errors(estimate: Array, truth: Array | None, alignment: Alignment) -> TrajectoryErrors:
+    if truth is None:
+        return unknown_errors("there is no ground truth")
+    return trajectory_errors(estimate, truth, alignment)
 
 
 def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:

@@ -56,6 +56,7 @@ class Optimized:
         reasons: (L,) the verdicts in plain words.
         error_initial, error_final: half chi-square of chain and kept loops, at odometry and at `poses`.
         seconds: wall clock of the optimisation.
+        units: (N,) length of each frame's own unit, in that of `poses`; None where there is but one.
     """
 
     poses: Array
@@ -66,6 +67,19 @@ class Optimized:
     error_initial: float
     error_final: float
     seconds: float
+    units: Array | None = None
+
+    @property
+    def lengths(self) -> Array:
+        """(N,) length of each frame's unit in that of `poses`."""
+        return np.ones(len(self.poses)) if self.units is None else self.units
+
+    @property
+    def similarities(self) -> Array:
+        """(N, 4, 4) what takes points from a camera, in its own unit, to the world: scale, rotation, translation."""
+        out = self.poses.copy()
+        out[:, :3, :3] *= self.lengths[:, None, None]
+        return out
 
 
 def _plain(problem: LoopProblem, screening: Screening) -> Outcome:

@@ -34,6 +34,7 @@ log = logging.getLogger("revisit")
 _WARM_UP_FRAMES = 3  # the first with a motion, and one after it
 _MATRIX_ROWS = 1500  # of the recogniser's matrix, for a picture of it: 9 MB
 _OF_PLACES = ("features", "vocabulary", "descriptor")  # settings that belong to place recognition
+_HEIGHT = "camera_height"  # of the one camera
 VIEWS = ("none", "native", "web")
 
 
@@ -86,8 +87,10 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     """
     config = configure(options, settings)
     drive = open_source(options.recording)
-    if not drive.has_right:
-        raise DataError(f"{options.source}: expected left and right images, found left ones only; stereo is needed")
+    if not drive.has_right and not config.mono:
+        raise DataError(
+            f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
+        )
     with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):
         viewer = open_viewer(options, config, drive, folder.path)
         try:
@@ -114,10 +117,21 @@ def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
     base = read_config(options.config) if options.config else RunConfig()
-    own = {name: value for name, value in settings.items() if name not in _OF_PLACES}
+    own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
-    return check_names(changed)
+    return check_names(_with_height(changed, settings[_HEIGHT]) if _HEIGHT in settings else changed)
+
+
+def _with_height(config: RunConfig, height: object) -> RunConfig:
+    """Give the one camera's height above the road, metres."""
+    if not config.mono:
+        raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
+    try:
+        odometry = replace(config.one_camera.odometry, height_m=float(height))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ConfigError(f"--camera-height: {error}") from error
+    return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
 
 
 def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:

@@ -1,7 +1,6 @@
 """The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry proves, the graph corrects."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.clock import StageClock
 from slam.datasets.dataset import Frame
+from slam.eyes import Eyes
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing import Landmarks, LoopCloser, LoopClosure, Rejection
 from slam.loop_trust import Admission
@@ -21,19 +21,11 @@ from slam.robust import Optimized
 Array = NDArray[np.float64]
 
 
-class Odometry(Protocol):
-    """Answers how the camera moved since the previous image."""
-
-    def track(self, left: NDArray[np.uint8], right: NDArray[np.uint8], timestamp: float) -> Motion:
-        """Motion from the previous pair of images (H, W) uint8 to this one; always finite. Timestamp in seconds."""
-        ...
-
-
 @dataclass(frozen=True)
 class Parts:
     """The interchangeable parts of the system."""
 
-    odometry: Odometry
+    eyes: Eyes
     features: SharedFeatures
     recognizer: PlaceRecognizer
     loop_closer: LoopCloser
@@ -105,7 +97,7 @@ class Slam:
         self._frames = 0
 
     def process(self, frame: Frame) -> Processed:
-        """Process the next frame of a stereo drive; `frame.index` counts from 0 without gaps."""
+        """Process the next frame of a drive; `frame.index` counts from 0 without gaps."""
         motion = self._move(frame)
         landmarks = self._look(frame)
         beliefs = self._recognise(frame)
@@ -130,9 +122,8 @@ class Slam:
         return attempts, self.parts.graph.optimize(robust)
 
     def _move(self, frame: Frame) -> Motion:
-        assert frame.right is not None  # the run has refused drives without right images
         with self.clock.stage("odometry"):
-            motion = self.parts.odometry.track(frame.left, frame.right, frame.timestamp)
+            motion = self.parts.eyes.track(frame)
         if self._frames:
             self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
             self._travelled += float(np.linalg.norm(motion.T_previous_current[:3, 3]))
@@ -142,7 +133,6 @@ class Slam:
         return motion
 
     def _look(self, frame: Frame) -> Landmarks:
-        assert frame.right is not None
         with self.clock.stage("features"):
             self.parts.features.of(frame.index, frame.left)
         with self.clock.stage("landmarks"):

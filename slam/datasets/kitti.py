@@ -22,6 +22,9 @@ from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
 
+# A camera alone gets a right one 0.5 m beside it, of which there are no images: depth is told by its disparities.
+_BESIDE = np.array([[0.0, 0.0, 0.0, 0.5], [0.0] * 4, [0.0] * 4])
+
 
 @dataclass(frozen=True)
 class KittiDrive:
@@ -94,7 +97,7 @@ def open_kitti(root: Path, sequence: str | None = None) -> KittiDrive:
     """
     folder = find_sequence(root, sequence)
     files = find_images(folder)
-    P_left, P_right = _read_projections(folder / "calib.txt", files.cameras)
+    P_left, P_right = _read_projections(folder / "calib.txt", files)
     height, width = read_grey(files.left[0]).shape
     return KittiDrive(
         name=folder.absolute().name,
@@ -105,7 +108,7 @@ def open_kitti(root: Path, sequence: str | None = None) -> KittiDrive:
     )
 
 
-def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Array]:
+def _read_projections(path: Path, files: StereoFiles) -> tuple[Array, Array]:
     import pykitti.utils  # late: it brings pandas along
 
     try:
@@ -114,8 +117,12 @@ def _read_projections(path: Path, cameras: tuple[int, int]) -> tuple[Array, Arra
         raise DataError(f"{path}: expected the calibration, found {error.strerror}; unpack it there") from None
     except ValueError:
         raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found others; remove them") from None
-    P_left, P_right = (_projection(path, f"P{camera}", lines) for camera in cameras)
-    _check_pair(path, cameras, P_left, P_right)
+    left, right = (f"P{camera}" for camera in files.cameras)
+    P_left = _projection(path, left, lines)
+    if files.right is None and right not in lines:
+        return P_left, P_left - _BESIDE * P_left[0, 0]
+    P_right = _projection(path, right, lines)
+    _check_pair(path, files.cameras, P_left, P_right)
     return P_left, P_right
 
 

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Size = tuple[int, int]  # width, height
 
-NOMINAL_BASELINE = 0.5  # m, of a camera that is alone: the class asks for one, and nothing is measured with it
+NOMINAL_BASELINE = 0.5  # m, of a camera that is alone: depth from motion is told as the disparities of such a pair
 
 _SAME_PX, _SAME_RAD = 1e-3, 1e-6  # closer than that, cameras are a rectified pair already
 _MOST_TURN = np.radians(45.0)  # between the rows and the line to the right camera

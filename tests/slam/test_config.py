@@ -48,3 +48,12 @@ def test_a_wrong_file_is_named_with_the_setting(tmp_path: Path, text: str, messa
 def test_a_missing_file_is_named(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"nothing\.toml: expected a TOML file"):
         read_config(tmp_path / "nothing.toml")
+
+
+def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
+    config = replace(RunConfig(), mono=True)
+    odometry = replace(config.one_camera.odometry, height_m=1.65)
+    config = replace(config, one_camera=replace(config.one_camera, odometry=odometry))
+    assert read_config(written(tmp_path, to_toml(config))) == config
+    assert config.graph.unit_drift > 0
+    assert RunConfig().graph == RunConfig().pose_graph

@@ -12,7 +12,7 @@ from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from slam.loop_closing import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
-from slam.loop_geometry import GeometryConfig, relative_pose
+from slam.loop_geometry import SAME_UNIT, GeometryConfig, compare_units, relative_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
 UNBIASED = GeometryConfig(
@@ -289,3 +289,27 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
         assert np.abs(error[:3]).max() < 5e-3
         assert np.abs(error[3:]).max() < 0.1
         assert error @ np.linalg.solve(answer.covariance, error) < 30.0
+
+
+@pytest.mark.parametrize("unit", [0.6, 1.0, 1.7])
+def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -> None:
+    """The query's depths are in a unit of its own: the loop is in the match's, and says how long the other is."""
+    scene = world()
+
+    def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
+        return scene.disparity(left, left, pixels) * (unit if left[0, 0] == 1 else 1.0)
+
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, depths_in_own_unit, compare_units)
+    for index, pose in enumerate([np.eye(4), MOTION]):
+        closer.remember(index, scene.look(pose), None)
+    loop = closer.close(1, 0)
+    assert isinstance(loop, LoopClosure)
+    np.testing.assert_allclose(se3.log(se3.inverse(MOTION) @ loop.T_match_query), 0, atol=0.05)
+    assert abs(loop.unit.log - np.log(unit)) < 4 * loop.unit.sigma
+    assert loop.unit.sigma < 0.05
+
+
+def test_units_of_places_that_are_not_the_same_are_not_compared() -> None:
+    rng = np.random.default_rng(4)
+    one, other = (rng.uniform([-10, -4, 4], [10, 2, 40], (4, 3)) for _ in range(2))
+    assert compare_units(CAMERA, one, other, GeometryConfig()) == SAME_UNIT

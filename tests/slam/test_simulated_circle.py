@@ -15,21 +15,20 @@ from slam.evaluation.trajectory import umeyama
 from slam.mapping.dense_map import DenseMapper, choose_frames
 from slam.mapping.submaps import SubmapStore
 from slam.run import RunOptions, run_recorded
-from slam.simulation import DriveSpec, simulate
+from slam.simulation import DriveSpec
+from slam.simulation.drive import MANIFEST
 from slam.simulation.surfaces import true_surfaces
 from slam.storage.tables import read_loops
 
-SPEC = DriveSpec(shape="circle", laps=2, length=160.0, width=620, height=188, seed=3)
 QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
-def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run over two laps of 160 m, images at half of KITTI's size."""
-    folder = tmp_path_factory.mktemp("circle")
-    source = simulate(SPEC, folder / "drive")
-    run_recorded(RunOptions(source, None, folder / "run"), {"record": False}, QUIET, QUIET)
-    return folder / "run"
+    out = tmp_path_factory.mktemp("circle") / "run"
+    run_recorded(RunOptions(circle_drive, None, out), {"record": False}, QUIET, QUIET)
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +66,9 @@ def test_all_that_was_kept_was_first_proved(circle: Path):
 
 
 @pytest.fixture(scope="module")
-def town() -> open3d.t.geometry.RaycastingScene:
-    corners = true_surfaces(SPEC).astype(np.float32).reshape(-1, 3)
+def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
+    spec = DriveSpec(**json.loads((circle_drive / MANIFEST).read_text())["spec"])
+    corners = true_surfaces(spec).astype(np.float32).reshape(-1, 3)
     rows = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(open3d.core.Tensor(corners), open3d.core.Tensor(rows))
@@ -124,8 +124,8 @@ def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(sh
     assert (short / "mesh_after.ply").read_bytes() == first
 
 
-def test_a_recording_that_is_not_the_runs_own_is_refused(circle: Path, short: Path, tmp_path: Path):
-    other = shutil.copytree(circle.parent / "drive", tmp_path / "other")
+def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, short: Path, tmp_path: Path):
+    other = shutil.copytree(circle_drive, tmp_path / "other")
     calibration = other / "sequences" / "00" / "calib.txt"
     calibration.write_text(calibration.read_text().replace("3.59", "3.49"))
     with pytest.raises(DataError, match=r"other: expected the pair that .* was made with, found another camera"):

@@ -187,3 +187,11 @@ def test_left_images_more_than_right_ones_name_both_folders(root: Path, folder: 
         shutil.copy(folder / "image_0/000000.png", folder / f"image_0/{index:06d}.png")
     with pytest.raises(DataError, match=r"image_1: expected 5 images as in image_0, found 3"):
         open_kitti(root)
+
+
+def test_a_camera_alone_needs_no_calibration_of_another(root: Path, folder: Path) -> None:
+    shutil.rmtree(folder / "image_1")
+    calib(P0)(folder)
+    drive = open_kitti(root)
+    assert not drive.has_right
+    assert (drive.camera.fx, drive.camera.cx, drive.camera.baseline) == (50.0, 31.5, 0.5)

@@ -1,0 +1,109 @@
+"""Drift and time of the monocular odometry, stage by stage, on drives in KITTI's layout; left images alone.
+
+    revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
+    python benchmarks/mono_odometry.py blocks31 00
+    python benchmarks/mono_odometry.py CLIPS 05 06 01 07
+
+ATE and the error of the last position after Sim(3) alignment of all poses, per cent of the way. "unit" is how long
+a metre is in the odometry's unit, in each eighth of the drive: how far it drifts. Images are decoded before the
+clock starts; "cpu" is the processor time of all threads, which a busy machine disturbs less than the clock.
+"""
+
+import argparse
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from odometry_drives import Array, Drive, chained, way
+
+from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
+from odometry.bundle import Bundle
+from slam.evaluation.trajectory import trajectory_errors
+
+STAGES = (
+    (mono_tracks, "detect", "detection"),
+    (mono_tracks, "follow", "following"),
+    (mono_locating, "place", "motion"),
+    (Bundle, "add", "bundle"),
+)
+_PARTS = 8
+times: dict[str, list[float]] = defaultdict(list)  # stage: milliseconds of every frame
+
+
+def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a stage so that its time is added to the frame's."""
+
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            times[name][-1] += 1e3 * (time.perf_counter() - start)
+
+    return wrapper
+
+
+def track(drive: Drive) -> list[Motion]:
+    """Run the odometry over a drive, noting times."""
+    odometry, motions = MonoOdometry(drive.camera()), []
+    for image in drive.lefts():
+        for stage in ("frame", "cpu", *(label for _, _, label in STAGES)):
+            times[stage].append(0.0)
+        cpu = time.process_time()
+        motions.append(timed("frame", odometry.track)(image))
+        times["cpu"][-1] = 1e3 * (time.process_time() - cpu)
+    return motions
+
+
+def unit(poses: Array, truth: Array) -> str:
+    """Length of a metre in each part of the drive."""
+    lengths = [np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1) for each in (poses, truth)]
+    parts = np.array_split(np.arange(len(lengths[0])), _PARTS)
+    return " ".join(f"{lengths[0][part].sum() / lengths[1][part].sum():.3f}" for part in parts)
+
+
+def report(drive: Drive) -> None:
+    """Measure one sequence and print its rows."""
+    times.clear()
+    motions, truth = track(drive), drive.truth()
+    poses, measured = chained(motions), [m for m in motions[2:] if not m.predicted]
+    errors = trajectory_errors(poses, truth, "sim3")
+    print(f"\n{drive.root.name} {drive.name}: {len(drive)} frames, {way(truth):.0f} m")
+    print(
+        f"    ATE {errors.ate_m:.2f} m, {100 * (errors.ate_m or 0.0) / way(truth):.2f} %"
+        f"  end {errors.end_error_percent:.2f} %  t_rel {errors.t_rel_percent or np.nan:.2f} %"
+        f"  r_rel {errors.r_rel_deg_per_100m or np.nan:.3f} deg/100 m\n    unit {unit(poses, truth)}"
+    )
+    print(
+        f"    predicted {sum(m.predicted for m in motions)}  tracks {np.mean([len(m.inliers) for m in measured]):.0f}"
+        f"  inliers {100 * np.mean([m.inliers.mean() for m in measured]):.0f} %"
+        f"  residual {np.nanmedian([m.residual_px for m in measured]):.3f} px"
+    )
+    for stage, values in times.items():
+        spent = np.array(values[1:])
+        print(f"    {stage:<12} median {np.median(spent):6.2f} ms   p99 {np.percentile(spent, 99):6.2f} ms", flush=True)
+
+
+def main() -> None:
+    """Parse the command line and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", type=Path)
+    parser.add_argument("sequences", nargs="+")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(arguments.threads)
+    for owner, name, label in STAGES:
+        setattr(owner, name, timed(label, getattr(owner, name)))
+    times.clear()
+    track(Drive(arguments.root, arguments.sequences[0], 20))  # compiles and warms up
+    for name in arguments.sequences:
+        report(Drive(arguments.root, name, arguments.frames))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""Where a second image was taken, up to scale, before anything is known of depth."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.lens import Lens
+from odometry.triangulation import triangulate
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_AGREEMENT_PX = 1.0  # epipolar error of a point that agrees; what is left of the distortion must fit
+_ROUNDS = 1000
+_NO_DEPTH = "the camera has not moved far enough to see depth"
+
+
+@dataclass(frozen=True)
+class BeginningConfig:
+    """What two images must show for depth to be believed.
+
+    Attributes:
+        tracks: fewest points that agree.
+        ratio: least share of them.
+        parallax_rad: least median angle between the rays to one point.
+
+    """
+
+    tracks: int = 50
+    ratio: float = 0.5
+    parallax_rad: float = 0.01
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """A second camera, seen from the first.
+
+    Attributes:
+        T_first_second: (4, 4), the unit is the way between the two.
+        inliers: (N,) bool, the points that agree.
+
+    """
+
+    T_first_second: Array
+    inliers: Mask
+
+
+def begin(lens: Lens, first: Array, second: Array, config: BeginningConfig) -> Beginning | str:
+    """Find the motion between pixels (N, 2) of one image and of another, or say why there is none.
+
+    By the essential matrix: that of a plane is found as well, by five points, and where the camera only turned
+    there is no parallax.
+    """
+    if len(first) < config.tracks:
+        return f"fewer than {config.tracks} points could be followed"
+    rays = lens.rays(first), lens.rays(second)
+    if float(np.median(_angles(*rays))) < config.parallax_rad:
+        return _NO_DEPTH
+    found = _essential(*rays, lens.camera.fx)
+    if found is None:
+        return "no motion stands out among the points"
+    T, inliers = found
+    if inliers.sum() < max(config.tracks, config.ratio * len(first)):
+        return f"only {inliers.sum()} of {len(first)} points agree on one motion"
+    parallax = float(np.median(_angles(rays[0][inliers], rays[1][inliers] @ T[:3, :3].T)))
+    if parallax < config.parallax_rad:
+        return _NO_DEPTH
+    return Beginning(T, inliers)
+
+
+def _essential(first: Array, second: Array, focal: float) -> tuple[Array, Mask] | None:
+    """T_first_second (4, 4) of unit length and the points (N,) in front of both cameras."""
+    K = np.diag([focal, focal, 1.0])
+    pixels = focal * first[:, :2], focal * second[:, :2]
+    E, mask = cv2.findEssentialMat(
+        *pixels, K, method=cv2.USAC_MAGSAC, prob=0.9999, threshold=_AGREEMENT_PX, maxIters=_ROUNDS
+    )
+    if E is None or E.shape != (3, 3):
+        return None
+    _, R, t, good, _ = cv2.recoverPose(E, *pixels, K, distanceThresh=1e4, mask=mask)
+    T = se3.inverse(se3.pose(R, t.ravel()))
+    depth, _ = triangulate(first, second, se3.inverse(T))
+    return T, (good.ravel() > 0) & (depth > 0)
+
+
+def _angles(first: Array, second: Array) -> Array:
+    """Angles (N,) between directions (N, 3), radians."""
+    cross = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.arctan2(cross, np.sum(first * second, axis=1))

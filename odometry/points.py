@@ -1,0 +1,156 @@
+"""Points of a window of key frames, each on the ray of the frame that saw it first."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.camera import within_sight
+from odometry.lens import Lens
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_USUAL = 1.0 / 15.0  # inverse depth while nothing is known: a median depth of 15 is also the unit of a map at first
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The points that one key frame shows.
+
+    Attributes:
+        ids: (N,) growing names of the tracks.
+        pixels: (N, 2).
+
+    """
+
+    ids: Indices
+    pixels: Array
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """All sightings in a window, sorted by point and then by frame.
+
+    Attributes:
+        ids: (N,) names of the points, growing.
+        first: (N + 1,) where the sightings of each point begin, and where the last one's end.
+        frame: (M,) frame of each sighting.
+        places: (M, 2) pixels.
+
+    """
+
+    ids: Indices
+    first: Indices
+    frame: Indices
+    places: Array
+
+    @classmethod
+    def of(cls, frames: list[Seen]) -> "Sightings":
+        """Sort the sightings of all frames by point."""
+        ids = np.concatenate([seen.ids for seen in frames])
+        frame = np.repeat(np.arange(len(frames)), [len(seen.ids) for seen in frames])
+        order = np.argsort(ids, kind="stable")  # stable: each point's sightings stay in the order of frames
+        names, counts = np.unique(ids, return_counts=True)
+        places = np.concatenate([seen.pixels for seen in frames])
+        return cls(names, np.concatenate([[0], np.cumsum(counts)]), frame[order], places[order])
+
+    @property
+    def anchor(self) -> Indices:
+        """(N,) the frame that saw each point first."""
+        return self.frame[self.first[:-1]]
+
+    @property
+    def counts(self) -> Indices:
+        """(N,) frames that saw each point."""
+        return np.diff(self.first)
+
+    def followed(self) -> Mask:
+        """Which of the sightings (M,) are not a point's first."""
+        followed = np.ones(len(self.frame), dtype=bool)
+        followed[self.first[:-1]] = False
+        return followed
+
+
+@dataclass(frozen=True)
+class Points:
+    """What is known of points.
+
+    Attributes:
+        ids: (N,) names, growing.
+        frame: (N,) frame of the window that each is anchored in.
+        place: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
+        depth: (N,) inverse depth there.
+        trust: (N,) information about it, pixels squared over its unit squared; 0 where nothing is known.
+
+    """
+
+    ids: Indices
+    frame: Indices
+    place: Array
+    depth: Array
+    trust: Array
+
+    @classmethod
+    def none(cls) -> "Points":
+        """No points."""
+        empty = np.zeros(0)
+        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), empty, empty)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def usual(self) -> float:
+        """Inverse depth of most points."""
+        known = self.trust > 0
+        return float(np.median(self.depth[known])) if known.any() else _USUAL
+
+    def at(self, ids: Indices) -> "Points":
+        """Points of these names (M,), in this order; those that are not here without trust or place."""
+        index = np.searchsorted(self.ids, ids).clip(0, max(len(self) - 1, 0))
+        if not len(self):
+            nothing = np.zeros(len(ids))
+            return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _USUAL, nothing)
+        known = self.ids[index] == ids
+        return Points(
+            ids, self.frame[index], self.place[index],
+            np.where(known, self.depth[index], self.usual), np.where(known, self.trust[index], 0.0),
+        )  # fmt: skip
+
+    def joined(self, other: "Points") -> "Points":
+        """These and others whose names are larger."""
+        return Points(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS))
+
+    def scaled(self, factor: float) -> "Points":
+        """Make everything larger by a factor."""
+        return replace(self, depth=self.depth / factor, trust=self.trust * factor**2)
+
+    def anchored(self, sightings: Sightings, poses: Array, lens: Lens) -> "Points":
+        """Move points to the frames that see them first now.
+
+        Args:
+            sightings: without those of the frame that has left; its frames count from the next one.
+            poses: (K, 4, 4) T_map_frame, that of the frame that has left first.
+            lens: of the camera.
+
+        """
+        old, anchor = self.at(sightings.ids), sightings.anchor + 1
+        T = se3.inverse(poses[anchor]) @ poses[old.frame]
+        ray = lens.rays(old.place)
+        seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.depth[:, None]
+        z = np.maximum(seen[:, 2], 1e-3)
+        moved = anchor != old.frame
+        place = np.where(moved[:, None], lens.pixels(np.column_stack([seen[:, :2], z])), old.place)
+        depth = np.where(moved, within_sight(old.depth / z), old.depth)
+        return Points(sightings.ids, sightings.anchor, place, depth, old.trust)
+
+
+def settled(state: Array) -> Array:
+    """Points (N, 3), two pixels and an inverse depth, that a camera can see."""
+    return np.column_stack([state[:, :2], within_sight(state[:, 2])])
+
+
+_FIELDS = ("ids", "frame", "place", "depth", "trust")
