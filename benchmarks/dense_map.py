@@ -94,7 +94,7 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
 def main() -> None:
     """Print both maps' distances and the price."""
     folder = Path(sys.argv[1])
-    run = read_run(folder, None)
+    run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
     spec = DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])
     corners = true_surfaces(spec).astype(np.float32)

@@ -17,7 +17,7 @@ from slam.datasets.dataset import Dataset
 from slam.datasets.open import open_source
 from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError, OutputError
-from slam.keyframes import KeyFrameSelector
+from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
 from slam.mapping.fusion import FusionConfig
 from slam.mapping.occupancy import draw_grid, write_grid
@@ -84,10 +84,10 @@ class DrivenRun:
     calibration: Calibration
     odometry: Odometry
     corrected: Array
-    key_frames: KeyFrameSelector
+    key_frames: KeyFrameConfig
 
 
-def read_run(run: Path, source: Path | None) -> DrivenRun:
+def read_run(run: Path, source: Path | None = None) -> DrivenRun:
     """Read what a run has left, and open its recording, which may have moved to `source`.
 
     Raises:
@@ -106,8 +106,8 @@ def read_run(run: Path, source: Path | None) -> DrivenRun:
             f"{run}: expected one pose in both trajectories for each line of frames.csv, and an image for each, found"
             f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(drive)}; run again"
         )
-    selector = KeyFrameSelector(read_config(run / "config.toml").key_frames)
-    return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, selector)
+    key_frames = read_config(run / "config.toml").key_frames
+    return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, key_frames)
 
 
 def _recording(run: Path, source: Path | None) -> Source:

@@ -15,7 +15,7 @@ from odometry import se3
 from odometry.calibration import Calibration
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.prefetch import prefetch
-from slam.keyframes import KeyFrameSelector
+from slam.keyframes import KeyFrameConfig, KeyFrameSelector
 from slam.mapping.dense_depth import DenseStereo
 from slam.mapping.fusion import FusionConfig, Volume
 from slam.mapping.landmarks import LandmarkMapConfig
@@ -50,9 +50,9 @@ class Odometry:
     predicted: NDArray[np.bool_]
 
 
-def choose_frames(odometry: Odometry, selector: KeyFrameSelector, size: int) -> list[list[int]]:
+def choose_frames(odometry: Odometry, key_frames: KeyFrameConfig, size: int) -> list[list[int]]:
     """Key frames, in submaps of like length and at most `size`; what was predicted is left out and parts submaps."""
-    stretches: list[list[int]] = [[]]
+    selector, stretches = KeyFrameSelector(key_frames), [list[int]()]
     for index, (pose, predicted) in enumerate(zip(odometry.T_world_camera, odometry.predicted, strict=True)):
         if predicted:
             stretches.append([])

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from slam.errors import RevisitError
 from slam.mapping.dense_depth import DepthImage
 
 Array = NDArray[np.float64]
@@ -70,10 +71,13 @@ class Volume:
     """The distance field of one submap, in the frame of its anchor."""
 
     def __init__(self, config: FusionConfig) -> None:
-        import open3d
+        """Begin with nothing known.
 
+        Raises:
+            RevisitError: Open3D cannot be loaded.
+        """
         self._config, self._empty = config, True
-        self._o3d: Any = open3d  # its stubs know no numpy
+        self._o3d = _open3d()
         kind = self._o3d.core.float32
         self._grid = self._o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight", "color"), (kind, kind, kind), ((1), (1), (3)), config.voxel_m, _BLOCK, _BLOCKS
@@ -102,6 +106,14 @@ class Volume:
             return NOTHING
         grey = np.clip(np.rint(mesh.vertex.colors.numpy()[:, 0]), 0, 255).astype(np.uint8)
         return _in_order(Surface(mesh.vertex.positions.numpy(), grey, mesh.triangle.indices.numpy()))
+
+
+def _open3d() -> Any:  # its stubs know no numpy
+    try:
+        import open3d
+    except (ImportError, OSError) as error:  # on a bare server its wheel misses libraries
+        raise RevisitError(f"open3d: expected a library that loads, {error}; type: revisit doctor") from error
+    return open3d
 
 
 def _in_order(surface: Surface) -> Surface:

@@ -76,7 +76,7 @@ def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
 
 
 def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.geometry.RaycastingScene, tmp_path: Path):
-    run, store = read_run(circle, None), SubmapStore(tmp_path)
+    run, store = read_run(circle), SubmapStore(tmp_path)
     groups = choose_frames(run.odometry, run.key_frames, 20)
     chosen = [groups[1], groups[-2]]  # one of each lap
     assert list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, chosen, store))[-1] == len(

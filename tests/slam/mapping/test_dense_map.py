@@ -9,7 +9,7 @@ import pytest
 
 from odometry import se3
 from slam.errors import OutputError
-from slam.keyframes import KeyFrameConfig, KeyFrameSelector
+from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_map import Odometry, choose_frames
 from slam.mapping.fusion import Surface
 from slam.mapping.submaps import Submap, SubmapStore
@@ -54,8 +54,8 @@ def test_a_drive_is_cut_into_submaps_and_none_reaches_across_a_frame_that_measur
     predicted = np.zeros(12, dtype=bool)
     predicted[[5, 6]] = True
     odometry = Odometry(ahead(*range(12)), predicted)
-    assert choose_frames(odometry, KeyFrameSelector(), 4) == [[0, 1, 2], [3, 4], [7, 8, 9], [10, 11]]
-    every_second = KeyFrameSelector(KeyFrameConfig(min_distance_m=2.0))
+    assert choose_frames(odometry, KeyFrameConfig(), 4) == [[0, 1, 2], [3, 4], [7, 8, 9], [10, 11]]
+    every_second = KeyFrameConfig(min_distance_m=2.0)
     assert choose_frames(odometry, every_second, 4) == [[0, 2, 4], [7, 9, 11]]
 
 

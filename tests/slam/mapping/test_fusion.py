@@ -1,11 +1,13 @@
 """Surfaces fused from depth of known geometry."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from odometry import se3
+from slam.errors import RevisitError
 from slam.mapping.fusion import FusionConfig, Surface, Volume
 
 from .scenes import CAMERA_HEIGHT, ahead, seen
@@ -95,3 +97,9 @@ def test_nothing_seen_is_an_empty_surface() -> None:
 def test_a_config_that_cannot_work_is_refused(voxel_m: float) -> None:
     with pytest.raises(ValueError, match="positive"):
         FusionConfig(voxel_m=voxel_m)
+
+
+def test_where_open3d_does_not_load_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(RevisitError, match=r"open3d: .*; type: revisit doctor"):
+        Volume(FusionConfig())
