@@ -95,7 +95,8 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         viewer = open_viewer(options, config, drive, folder.path)
         try:
             finished = drive_through(drive, config, viewer, messages)
-            record = make_record(finished, provenance(options.source, drive.name))
+            origin = provenance(options.source, drive.name) | {"recording": options.recording.as_metrics()}
+            record = make_record(finished, origin)
             viewer.finish(record)
         finally:
             viewer.close()
