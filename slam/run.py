@@ -153,7 +153,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     cv2.setRNGSeed(config.seed)
     rows = MatrixRows(_MATRIX_ROWS)
     slam = Slam(build_parts(drive.camera, config, rows))
-    watcher, drive_log, start = Watcher(slam, viewer, drive), DriveLog(), time.perf_counter()
+    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
         for frame in timed(prefetch(drive), slam.clock):
             processed = slam.process(frame)
