@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 LENS = 3  # radial, decentering along x, decentering along y
 FIELD = 6  # 1, x, y, x², xy, y² of the ray (x, y, 1), for each of the two axes of the rectification
 COEFFICIENTS = LENS + 2 * FIELD
+_ITERATIONS = 15  # of a fixed point whose error falls tenfold or more in each: distortion changes slowly over the image
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,14 @@ class Calibration:
         """Where a perfect pair would show matches, (N, 2) pixels left and right."""
         return self.straighten(pixels_left), self.straighten(pixels_right) - self._field(pixels_left)
 
+    def seen(self, pixels: Array) -> tuple[Array, Array]:
+        """Where this pair shows what is far away and a perfect pair shows at pixels (N, 2): left and right (N, 2).
+
+        The inverse of `perfect` where there is no disparity.
+        """
+        left = self._distort(pixels)
+        return left, self._distort(pixels + self._field(left))
+
     def correct(self, pixels_left: Array, disparity: Array) -> Array:
         """Disparity (N,), pixels, that a perfect pair would have shown at pixels (N, 2) of the left image."""
         pixels_right = np.stack([pixels_left[:, 0] - disparity, pixels_left[:, 1]], axis=1)
@@ -106,6 +115,13 @@ class Calibration:
         known = np.linalg.inv(self.covariance) + information / config.repeats
         covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(COEFFICIENTS)
         return Calibration(self.camera, coefficients, 0.5 * (covariance + covariance.T))
+
+    def _distort(self, pixels: Array) -> Array:
+        """Undo `straighten`, of pixels (N, 2)."""
+        distorted = pixels
+        for _ in range(_ITERATIONS):
+            distorted = distorted + pixels - self.straighten(distorted)
+        return distorted
 
     def _field(self, pixels_left: Array) -> Array:
         """Rectification errors (N, 2), column and row, pixels, of the matches of pixels (N, 2) of the left image."""

@@ -370,6 +370,28 @@ def export(
 
 
 @app.command()
+def dense(
+    run: Annotated[Path, typer.Argument(help="Folder of a run with two cameras.")],
+    source: Annotated[
+        Path | None, typer.Argument(help="Its recording, where that has moved since.", show_default=False)
+    ] = None,
+    voxel: Annotated[float, typer.Option(help="Distance between points of the map, metres.")] = 0.15,
+    depth: Annotated[float, typer.Option(help="Leave out what is farther from the camera, metres.")] = 25.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dense map that is there.")] = False,
+) -> None:
+    """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
+
+    Writes into the folder of the run. Images are read once; the corrected graph moves finished submaps.
+
+    Example: revisit dense runs/kitti05
+    """
+    from slam.dense_command import DenseOptions, map_densely
+
+    message = map_densely(DenseOptions(run, source, voxel, depth, overwrite), Console(stderr=True))
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
 def doctor(
     licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from odometry.stereo import StereoOdometry
 from place_recognition.evaluation.map_size import map_size
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import timing_ms
@@ -34,6 +35,7 @@ from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
+from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
 from slam.storage.metrics import write_metrics
@@ -142,6 +144,7 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     write_loops(folder / "loops.csv", record.loops)
     write_stages(folder / "loop_stages.csv", record.stages)
     write_covariances(folder / "covariances.npz", record)
+    _write_calibration(folder, finished)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
     save_png(before_after(record), folder / "before_after.png")
@@ -154,6 +157,12 @@ def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
         return drive[index].left
     except DataError:
         return None
+
+
+def _write_calibration(folder: Path, finished: Finished) -> None:
+    odometry = finished.slam.parts.eyes.odometry
+    if isinstance(odometry, StereoOdometry):  # others learn none
+        write_calibration(folder / "calibration.toml", odometry.calibration)
 
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:

@@ -97,7 +97,8 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         viewer = open_viewer(options, config, drive, folder.path)
         try:
             finished = drive_through(drive, config, viewer, messages)
-            record = make_record(finished, provenance(options.source, drive.name, options.command))
+            origin = provenance(options.source, drive.name, options.command)
+            record = make_record(finished, origin | {"recording": options.recording.as_metrics()})
             viewer.finish(record)
         finally:
             viewer.close()
@@ -154,7 +155,7 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     cv2.setRNGSeed(config.seed)
     rows = MatrixRows(_MATRIX_ROWS)
     slam = Slam(build_parts(drive.camera, config, rows))
-    watcher, drive_log, start = Watcher(slam, viewer, drive), DriveLog(), time.perf_counter()
+    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
         for frame in timed(prefetch(drive), slam.clock):
             processed = slam.process(frame)

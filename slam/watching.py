@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from place_recognition.evaluation.matrix import MatrixRows
 from slam.datasets.dataset import Dataset, Frame
 from slam.loop_closing import LoopClosure
 from slam.system import LoopAttempt, Processed, Slam
@@ -14,14 +15,15 @@ from slam.viewer.viewer import ClosedLoop, Step, Viewer
 Array = NDArray[np.float64]
 
 _PAIR_EVERY = 10  # frames between two image pairs shown: the earlier image has to be read again
+_MATRIX_EVERY = 100  # frames between two pictures of the recogniser's matrix
 _NO_PIXELS = np.empty((0, 2))
 
 
 class Watcher:
-    """Shows each processed frame, and what became of the loops proposed with it, in a viewer."""
+    """Shows each frame, what became of the loops proposed with it, and the matrix of the recogniser, in a viewer."""
 
-    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset) -> None:
-        self._slam, self._viewer, self._drive = slam, viewer, drive
+    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRows) -> None:
+        self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
         self._last_pair = -_PAIR_EVERY
 
     def show(self, processed: Processed) -> dict[str, float]:
@@ -31,6 +33,8 @@ class Watcher:
         for attempt in processed.attempts:
             if attempt.geometry is not None:
                 self._show_loop(attempt, processed)
+        if processed.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
+            self._viewer.matrix(self._rows.matrix(processed.frame.index + 1))
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
     def _show_loop(self, attempt: LoopAttempt, processed: Processed) -> None:

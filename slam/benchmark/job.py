@@ -120,13 +120,22 @@ def check_job(job: Job) -> None:
     config, done = job.config, finished(job)
     if done is None:
         return
-    same_source = done.metrics.get("source") == str(job.source.path)
+    same_source = _source(done) == job.source
     if not same_source or read_config(job.folder / "config.toml") != config:
-        found = "one with other settings" if same_source else f"one of {done.metrics.get('source')}"
+        found = "one with other settings" if same_source else f"one of {done.metrics.get('recording')}"
         raise OutputError(
             f"{job.folder}: expected what {shlex.join(['revisit', *job.command])} gives, found {found};"
             " remove it or choose another folder with --out"
         )
+
+
+def _source(done: Outcome) -> Source | None:
+    """What a finished run has read; None where it does not say so."""
+    recording = done.metrics.get("recording")
+    try:
+        return Source.from_metrics(recording) if isinstance(recording, Mapping) else None
+    except (KeyError, TypeError):
+        return None
 
 
 def run_job(job: Job) -> Outcome:

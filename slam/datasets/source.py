@@ -1,7 +1,9 @@
 """What the user asks to be read."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,3 +36,17 @@ class Source:
             raise ConfigError(f"--fps: expected images a second above 0, found {self.fps}")
         if len(self.topics) > 2:
             raise ConfigError(f"--topic: expected one, or left and right, found {len(self.topics)}")
+
+    def as_metrics(self) -> dict[str, object]:
+        """What was asked, for metrics.json; what was not is left out."""
+        return {name: value for name, value in asdict(self).items() if value not in (None, ())}
+
+    @classmethod
+    def from_metrics(cls, asked: Mapping[str, Any]) -> "Source":
+        """What `as_metrics` said.
+
+        Raises:
+            KeyError, TypeError: it was not said.
+        """
+        known = dict(asked)
+        return cls(Path(known.pop("path")), topics=tuple(known.pop("topics", ())), **known)

@@ -9,17 +9,18 @@ from uuid import uuid4
 
 from slam.errors import OutputError
 
-_STAGING = ".unfinished-"
+STAGING = ".unfinished-"
 _EARLIER = ".earlier-"
 
 # Whatever the commands write. Only these go when a run is overwritten; other files were put there by somebody
 # else.
 _RESULTS = """
 metrics.json config.toml run.log report.html recording.rrd before_after.png
-frames.csv loops.csv loop_stages.csv covariances.npz
+frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
 pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply
+dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
 matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
 """
 RESULTS = frozenset(_RESULTS.split())
@@ -59,7 +60,7 @@ class RunFolder:
             raise OutputError(
                 f"{path}: expected a new or empty folder, found {what}; choose another folder or give --overwrite"
             )
-        staging = path / f"{_STAGING}{uuid4().hex[:8]}"
+        staging = path / f"{STAGING}{uuid4().hex[:8]}"
         try:
             staging.mkdir(parents=True)
         except OSError as error:
@@ -122,4 +123,4 @@ def _move_all(moves: list[tuple[Path, Path]]) -> None:
 
 def _is_ours(item: Path) -> bool:
     # What a killed run left behind is no reason to refuse the next one.
-    return item.name.startswith((_STAGING, _EARLIER))
+    return item.name.startswith((STAGING, _EARLIER))

@@ -22,6 +22,8 @@ def blueprint(width: int, height: int, positions: Array | None) -> rrb.Blueprint
     pair = rrb.Horizontal(
         _image("Latest loop: query", "loop/query", (width / 2, height / 2)),
         _image("Latest loop: match", "loop/match", (width / 2, height / 2)),
+        rrb.Spatial2DView(origin="places", name="Votes: query down, match across", background=_DARK),
+        column_shares=[3, 3, 2],
     )
     right = rrb.Vertical(
         _image("Camera and tracks", "world/camera/image", (width, height)),

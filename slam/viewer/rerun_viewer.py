@@ -1,7 +1,8 @@
 """A run as a rerun recording: written to a file, watched in a window, or in a browser on this machine.
 
 Entities: `world` (right, down, forward) with camera, tracks, trajectories, landmarks and loops; `loop` with
-the image pair of the latest accepted loop; `plots`. Timelines: `frame` and `time` (seconds since the first).
+the image pair of the latest accepted loop; `places` with the recogniser's matrix; `plots`. Timelines: `frame`
+and `time` (seconds since the first).
 """
 
 import logging
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
+from place_recognition.evaluation.matrix import Matrix
 from slam.errors import OutputError
 from slam.record import DriveRecord, LoopRow
 from slam.report import colours
@@ -99,6 +101,11 @@ class RerunViewer:
         if closed.accepted:
             self._log_matched("loop/query", closed.image_query, closed.pixels_query)
             self._log_matched("loop/match", closed.image_match, closed.pixels_match)
+
+    def matrix(self, matrix: Matrix) -> None:
+        """Show what the recogniser thinks of all pairs of images so far."""
+        if len(matrix.values):
+            self._recording.log("places/matrix", shapes.matrix(matrix))
 
     def finish(self, record: DriveRecord) -> None:
         """Show the final trajectories, loops and maps, and the errors over the whole drive."""

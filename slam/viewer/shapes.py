@@ -7,6 +7,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from place_recognition.evaluation.matrix import Matrix
 from slam.record import Cloud
 from slam.report import colours
 from slam.viewer.viewer import Step
@@ -17,6 +18,7 @@ Image = NDArray[np.uint8]
 _JPEG_QUALITY = 60  # 54 kB for a 1241 x 376 image of a street; 75 would take 70 kB
 _TRACKS = 400  # drawn in an image
 _MAP_POINTS = 300_000  # of either map
+_MATRIX_SIDE = 500  # pixels
 _DASHES = 300  # of the ground truth
 _LIFT = np.array([0.0, 0.5, 0.0])  # metres; up is -y; dots float above the line that they would sink into
 
@@ -25,6 +27,24 @@ def jpeg(image: Image) -> rr.EncodedImage:
     """Compress an image (H, W) uint8."""
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+
+
+def matrix(matrix: Matrix) -> rr.EncodedImage:
+    """Draw a matrix, row = query, column = earlier image, the larger the brighter; of many images the largest.
+
+    Nine in ten of the compared pairs are dark: what is left are the lines of the revisits.
+    """
+    images = len(matrix.values)
+    fold = max(-(-images // _MATRIX_SIDE), 1)  # images that share a cell
+    side = -(-images // fold)
+    padded = np.full((side * fold, side * fold), np.nan, np.float32)
+    padded[:images, :images] = matrix.values
+    cells = np.fmax.reduce(np.fmax.reduce(padded.reshape(side, fold, side, fold), axis=3), axis=1)
+    known = cells[np.isfinite(cells)]
+    low, high = np.percentile(known, [90.0, 99.8]) if len(known) else (0.0, 1.0)
+    grey = np.clip((np.nan_to_num(cells, nan=low) - low) / max(high - low, 1e-9), 0.0, 1.0)
+    _, data = cv2.imencode(".png", (255 * grey).astype(np.uint8))
+    return rr.EncodedImage(contents=data.tobytes(), media_type="image/png")
 
 
 def line(colour: str) -> Callable[[Array], rr.LineStrips3D]:

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.evaluation.matrix import Matrix
 from slam.record import DriveRecord
 
 Array = NDArray[np.float64]
@@ -81,6 +82,10 @@ class Viewer(Protocol):
         """
         ...
 
+    def matrix(self, matrix: Matrix) -> None:
+        """Show what the recogniser thinks of all pairs of images so far."""
+        ...
+
     def finish(self, record: DriveRecord) -> None:
         """Show the end of the drive: final trajectories, maps and errors."""
         ...
@@ -97,6 +102,9 @@ class NullViewer:
         """Do nothing."""
 
     def loop(self, closed: ClosedLoop, poses: Array) -> None:
+        """Do nothing."""
+
+    def matrix(self, matrix: Matrix) -> None:
         """Do nothing."""
 
     def finish(self, record: DriveRecord) -> None:

@@ -24,6 +24,7 @@ FILES = {
     "loops.csv",
     "loop_stages.csv",
     "covariances.npz",
+    "calibration.toml",
     "pose_graph_before.g2o",
     "pose_graph_after.g2o",
     "map_before.ply",

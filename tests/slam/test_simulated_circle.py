@@ -1,20 +1,33 @@
 """The promise of the first page, on a small simulated drive: two laps drift apart, and closing loops joins them."""
 
 import json
+import shutil
 from pathlib import Path
 
+import numpy as np
+import open3d
 import pytest
 from rich.console import Console
 
+from slam.dense_command import RESULTS, DenseOptions, map_densely, read_run
+from slam.errors import ConfigError, DataError, OutputError
+from slam.evaluation.trajectory import umeyama
+from slam.mapping.dense_map import DenseMapper, choose_frames
+from slam.mapping.submaps import SubmapStore
 from slam.run import RunOptions, run_recorded
+from slam.simulation import DriveSpec
+from slam.simulation.drive import MANIFEST
+from slam.simulation.surfaces import true_surfaces
 from slam.storage.tables import read_loops
+
+QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
 def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run over two laps of 160 m, images at half of KITTI's size."""
-    out, quiet = tmp_path_factory.mktemp("circle") / "run", Console(quiet=True)
-    run_recorded(RunOptions(circle_drive, None, out), {"record": False}, quiet, quiet)
+    out = tmp_path_factory.mktemp("circle") / "run"
+    run_recorded(RunOptions(circle_drive, None, out), {"record": False}, QUIET, QUIET)
     return out
 
 
@@ -50,3 +63,78 @@ def test_every_belief_has_a_row_with_a_reason(circle: Path):
 
 def test_all_that_was_kept_was_first_proved(circle: Path):
     assert all(row.accepted and row.verified for row in read_loops(circle / "loops.csv") if row.in_graph)
+
+
+@pytest.fixture(scope="module")
+def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
+    spec = DriveSpec(**json.loads((circle_drive / MANIFEST).read_text())["spec"])
+    corners = true_surfaces(spec).astype(np.float32).reshape(-1, 3)
+    rows = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(open3d.core.Tensor(corners), open3d.core.Tensor(rows))
+    return scene
+
+
+def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.geometry.RaycastingScene, tmp_path: Path):
+    run, store = read_run(circle), SubmapStore(tmp_path)
+    groups = choose_frames(run.odometry, run.key_frames, 20)
+    chosen = [groups[1], groups[-2]]  # one of each lap
+    assert list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, chosen, store))[-1] == len(
+        [*chosen[0], *chosen[1]]
+    )
+    truth = run.drive.ground_truth
+    assert truth is not None
+    poses = umeyama(run.corrected[:, :3, 3], truth[:, :3, 3]).apply_poses(run.corrected)
+    points = np.concatenate([surface.points for surface in store.placed(poses)]).astype(np.float32)
+    distances = town.compute_distance(open3d.core.Tensor(points)).numpy()
+    assert len(points) > 10000
+    assert np.median(distances) < 0.1
+    assert np.percentile(distances, 80) < 0.3
+
+
+def test_true_surfaces_are_where_the_camera_sees_them(town: open3d.t.geometry.RaycastingScene):
+    """Under the car is road, a camera's height below, and nothing stands within a metre of it."""
+    down = town.cast_rays(open3d.core.Tensor([[0, 0, 0, 0, 1, 0]], dtype=open3d.core.float32))["t_hit"].numpy()
+    assert down == pytest.approx([1.65], abs=0.05)
+    assert town.compute_distance(open3d.core.Tensor([[0, 0, 0]], dtype=open3d.core.float32)).numpy() > 1.0
+
+
+@pytest.fixture
+def short(circle: Path, tmp_path: Path) -> Path:
+    """Make a run that was interrupted after 40 frames."""
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("calibration.toml", "config.toml", "metrics.json"):
+        shutil.copy(circle / name, run)
+    for name, lines in (("trajectory_odometry.tum", 40), ("trajectory_corrected.tum", 40), ("frames.csv", 41)):
+        (run / name).write_text("".join((circle / name).read_text().splitlines(keepends=True)[:lines]))
+    return run
+
+
+def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(short: Path):
+    before = {path.name for path in short.iterdir()}
+    assert "key frames in 2 submaps" in map_densely(DenseOptions(short), QUIET)
+    assert {path.name for path in short.iterdir()} - before == set(RESULTS)
+    clouds = {name: open3d.io.read_point_cloud(short / name) for name in RESULTS if name.endswith(".ply")}
+    assert len(clouds["dense_before.ply"].points) == len(clouds["mesh_after.ply"].points) > 1000
+    first = (short / "mesh_after.ply").read_bytes()
+    with pytest.raises(OutputError, match="dense map already; give --overwrite"):
+        map_densely(DenseOptions(short), QUIET)
+    map_densely(DenseOptions(short, overwrite=True), QUIET)
+    assert (short / "mesh_after.ply").read_bytes() == first
+
+
+def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, short: Path, tmp_path: Path):
+    other = shutil.copytree(circle_drive, tmp_path / "other")
+    calibration = other / "sequences" / "00" / "calib.txt"
+    calibration.write_text(calibration.read_text().replace("3.59", "3.49"))
+    with pytest.raises(DataError, match=r"other: expected the pair that .* was made with, found another camera"):
+        map_densely(DenseOptions(short, other), QUIET)
+    (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
+    with pytest.raises(DataError, match="found 40, 1, 40 and"):
+        map_densely(DenseOptions(short), QUIET)
+
+
+def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
+    with pytest.raises(ConfigError, match="--voxel, --depth: expected positive numbers"):
+        map_densely(DenseOptions(tmp_path, voxel_m=0.0), QUIET)

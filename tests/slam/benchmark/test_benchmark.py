@@ -84,7 +84,7 @@ def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluste
 
 def figures(folder: Path) -> dict:
     metrics = json.loads((folder / "metrics.json").read_text())
-    metrics["source"] = Path(metrics["source"]).name
+    metrics["source"] = metrics["recording"]["path"] = Path(metrics["source"]).name
     metrics["graph"].pop("seconds")
     return {key: value for key, value in metrics.items() if key not in TIMES}
 
@@ -193,9 +193,11 @@ def test_finished_runs_of_other_settings_are_refused(sweep: Path, alone: Path):
 
 
 def test_finished_runs_of_another_source_are_refused(alone: Path, sweep: Path, tmp_path: Path):
-    job = replace(make_jobs(read_sweep(sweep), alone)[0], source=Source(tmp_path / "other"))
-    with pytest.raises(OutputError, match=f"found one of {alone}"):
-        check_job(job)
+    job = make_jobs(read_sweep(sweep), alone)[0]
+    check_job(job)
+    for other in (Source(tmp_path / "other"), replace(job.source, sequence="01"), replace(job.source, kind="kitti")):
+        with pytest.raises(OutputError, match=r"found one of .*street"):
+            check_job(replace(job, source=other))
 
 
 def landmark_setting() -> str:

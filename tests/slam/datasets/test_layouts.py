@@ -15,6 +15,7 @@ from slam.datasets.kinds import KINDS, kind_of
 from slam.datasets.open import open_drive, open_left_images, open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
+from slam.storage.metrics import read_metrics, write_metrics
 from slam.storage.trajectory import write_kitti, write_tum
 
 from .layouts import (
@@ -242,3 +243,14 @@ def test_the_kind_is_recognised_and_its_left_images_are_the_drives(tmp_path: Pat
     drive, images = open_source(source), open_left_images(source)
     np.testing.assert_array_equal(images[2], drive[2].left)
     np.testing.assert_array_equal(images.timestamps, drive.timestamps)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [Source(Path("a b")), Source(Path("c"), "00", "bag", 12.5, ("/left", "/right"))],
+)
+def test_how_a_recording_was_read_comes_back_from_the_metrics(source: Source, tmp_path: Path):
+    write_metrics(tmp_path / "metrics.json", {"recording": source.as_metrics()})
+    metrics = read_metrics(tmp_path / "metrics.json")
+    assert Source.from_metrics(metrics["recording"]) == source
+    assert metrics["notes"] == {}

@@ -1,8 +1,11 @@
+import cv2
 import numpy as np
 import pytest
 
 from odometry.camera import StereoCamera
+from place_recognition.evaluation.matrix import Matrix
 from slam.errors import OutputError
+from slam.viewer import shapes
 from slam.viewer.rerun_viewer import RerunViewer
 from slam.viewer.viewer import ClosedLoop, NullViewer, Step
 
@@ -15,7 +18,7 @@ FRAMES = 160
 ALWAYS = {
     "/world", "/world/camera", "/world/camera/image", "/world/camera/image/tracks", "/world/odometry",
     "/world/corrected", "/world/landmarks", "/world/map_before", "/world/map_after", "/world/loops/accepted",
-    "/world/loops/rejected", "/loop/query", "/loop/match", "/plots/inliers", "/plots/score",
+    "/world/loops/rejected", "/places/matrix", "/loop/query", "/loop/match", "/plots/inliers", "/plots/score",
 }  # fmt: skip
 
 
@@ -39,6 +42,7 @@ def drive(viewer, record, seed=1):
             row = rows[index]
             closed = ClosedLoop(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
             viewer.loop(closed, record.online[: index + 1])
+    viewer.matrix(Matrix(rng.random((len(rows), len(rows)), np.float32)))
     viewer.finish(record)
     viewer.close()
 
@@ -118,3 +122,17 @@ def test_a_loop_without_poses_leaves_the_lines_as_they_are(tmp_path):
     assert rows(chunks, "/world/corrected") == 3
     assert rows(chunks, "/world/loops/accepted") == 0
     assert rows(chunks, "/loop/log") == 1
+
+
+@pytest.mark.parametrize("size", [1, 30, 501, 1300])
+def test_a_revisit_shows_in_the_matrix_however_many_images_share_a_cell(size):
+    values = np.full((size, size), np.nan, np.float32)
+    rows_, columns = np.tril_indices(size, -1)
+    values[rows_, columns] = 1.0
+    values[size - 1, size // 3] = 50.0
+    data = shapes.matrix(Matrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
+    image = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image.shape[0] == image.shape[1] <= 500
+    if size > 1:
+        fold = -(-size // image.shape[0])
+        assert image[(size - 1) // fold, size // 3 // fold] == image.max() > 0

@@ -1,0 +1,131 @@
+"""How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
+
+Run from the root, on a run of a drive that `revisit simulate` has rendered:
+`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at
+most 25 m, to the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is
+laid on the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import open3d
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from odometry import se3
+from slam.dense_command import DrivenRun, read_run
+from slam.evaluation.trajectory import Similarity, umeyama
+from slam.mapping.dense_map import DenseMapper, choose_frames
+from slam.mapping.occupancy import FREE, OCCUPIED, Grid, draw_grid
+from slam.mapping.submaps import SubmapStore
+from slam.provenance import peak_memory_mb
+from slam.simulation.drive import MANIFEST
+from slam.simulation.routes import plan_drive
+from slam.simulation.spec import DriveSpec
+from slam.simulation.surfaces import true_surfaces
+
+Array = NDArray[np.float64]
+REACH_M = 25.0
+HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is compared
+
+
+def fused(run: DrivenRun, folder: Path) -> tuple[SubmapStore, str]:
+    """Fuse a run's drive; its submaps, and what that cost."""
+    store, groups = SubmapStore(folder), choose_frames(run.odometry, run.key_frames, 20)
+    wall, processor = time.perf_counter(), time.process_time()
+    done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
+    wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
+    held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
+    cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"
+    return store, f"{done} key frames in {len(store)} submaps, {held:.0f} MB: {cost}"
+
+
+def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.RaycastingScene) -> Array:
+    """Distance (N,), metres, of each point of a map on a trajectory (F, 4, 4) to the nearest true surface."""
+    out = []
+    for submap in store:
+        points = submap.surface.points.astype(np.float64)
+        near = np.zeros(len(points), dtype=bool)
+        for T_anchor_camera in submap.T_anchor_camera:
+            near |= np.linalg.norm(points - T_anchor_camera[:3, 3], axis=1) <= REACH_M
+        world = se3.transform(poses[submap.anchor], points[near])
+        out.append(scene.compute_distance(open3d.core.Tensor(world.astype(np.float32))).numpy())
+    return np.concatenate(out)
+
+
+def agreement(grid: Grid, fit: Similarity, spec: DriveSpec, scene: open3d.t.geometry.RaycastingScene) -> str:
+    """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
+    T_town_world = plan_drive(spec).T_town_camera[0]
+    shares = {}
+    for value, near in ((OCCUPIED, 0.3), (FREE, 0.1)):
+        rows, columns = np.nonzero(grid.cells[::-1] == value)
+        x, y = ((np.stack([columns, rows], axis=1) + 0.5) * grid.resolution_m + grid.origin).T
+        cells = se3.transform(T_town_world, fit.apply(np.stack([-y, 0 * x, x], axis=1)))
+        nearest = np.full(len(cells), np.inf)
+        for cells[:, 2] in HEIGHTS_M:  # the town's road lies at zero
+            world = se3.transform(se3.inverse(T_town_world), cells).astype(np.float32)
+            nearest = np.minimum(nearest, scene.compute_distance(open3d.core.Tensor(world)).numpy())
+        shares[value] = np.mean(nearest < near)
+    return f"occupied cells with something there: {shares[OCCUPIED]:.1%}, free ones: {shares[FREE]:.1%}"
+
+
+def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
+    """Draw what crosses the street within half a metre of where the drive ends, on each trajectory."""
+    T_camera_world = se3.inverse(trajectories["corrected"][-1])
+    figure = Figure(figsize=(9, 2.4), layout="constrained")
+    for axes, (name, poses) in zip(
+        figure.subplots(1, len(trajectories), sharey=True), trajectories.items(), strict=True
+    ):
+        for surface in store.placed(poses):
+            across, down, ahead = se3.transform(T_camera_world, surface.points).T
+            near = np.abs(ahead) < 0.5
+            axes.plot(across[near], -down[near], ".", color="black", markersize=1.5)
+        axes.set(title=name, aspect="equal", xlim=(-10, 10), ylim=(-2.5, 1.5), xlabel="to the right [m]")
+    figure.savefig(path, dpi=100)
+
+
+def main() -> None:
+    """Print both maps' distances and the price."""
+    folder = Path(sys.argv[1])
+    run = read_run(folder)
+    source = Path(json.loads((folder / "metrics.json").read_text())["source"])
+    spec = DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])
+    corners = true_surfaces(spec).astype(np.float32)
+    scene = open3d.t.geometry.RaycastingScene()
+    rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
+    truth = run.drive.ground_truth
+    assert truth is not None
+    trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
+    table = Table("map on", "laid on the truth by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
+    medians = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        store, cost = fused(run, Path(temporary))
+        for name, poses in trajectories.items():
+            fit = umeyama(poses[:, :3, 3], truth[: len(poses), :3, 3])
+            for how, laid in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
+                found = distances(store, laid, scene)
+                quartiles = np.percentile(found, [50, 75, 90])
+                medians[name, how] = quartiles[0]
+                table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+        fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
+        cells = agreement(draw_grid(store, run.corrected), fit, spec, scene)
+        if len(sys.argv) > 2:
+            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
+    Console().print(table)
+    for how in ("first camera", "alignment"):
+        Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")
+    Console().print(cells)
+    Console().print(cost)
+    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, of which the benchmark's own town is a part")
+
+
+if __name__ == "__main__":
+    main()

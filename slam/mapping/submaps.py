@@ -1,0 +1,74 @@
+"""Finished submaps wait on disk, each in the frame of its anchor, and are never rewritten: a graph moves anchors."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.mapping.fusion import Surface
+from slam.storage.atomic import atomic_writer
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Submap:
+    """What a short stretch of the drive saw.
+
+    Attributes:
+        anchor: frame whose camera holds the submap.
+        frames: (K,) the frames that saw it.
+        T_anchor_camera: (K, 4, 4) metres, where their cameras were.
+        surface: in the frame of the anchor.
+    """
+
+    anchor: int
+    frames: NDArray[np.int64]
+    T_anchor_camera: Array
+    surface: Surface
+
+
+class SubmapStore:
+    """Submaps in a folder, one file each; only one is in memory at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, submap: Submap) -> None:
+        """Keep one more.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        surface = submap.surface
+        with atomic_writer(self._path(self._count), "wb") as file:
+            np.savez(
+                file,
+                anchor=submap.anchor,
+                frames=submap.frames,
+                T_anchor_camera=submap.T_anchor_camera,
+                points=surface.points.astype(np.float32),
+                grey=surface.grey,
+                triangles=surface.triangles,
+            )
+        self._count += 1
+
+    def __iter__(self) -> Iterator[Submap]:
+        for index in range(self._count):
+            with np.load(self._path(index)) as file:
+                surface = Surface(file["points"], file["grey"], file["triangles"])
+                yield Submap(int(file["anchor"]), file["frames"], file["T_anchor_camera"], surface)
+
+    def placed(self, T_world_camera: Array) -> Iterator[Surface]:
+        """Each surface in the world, where poses (F, 4, 4) of all frames, metres, put its anchor."""
+        for submap in self:
+            yield submap.surface.moved(T_world_camera[submap.anchor])
+
+    def _path(self, index: int) -> Path:
+        return self._folder / f"{index:06d}.npz"

@@ -1,0 +1,52 @@
+"""`calibration.toml`: the pair, and what its odometry has learned of the error of its calibration."""
+
+import tomllib
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+
+from odometry.calibration import COEFFICIENTS, FIELD, LENS, Calibration
+from odometry.camera import StereoCamera
+from slam.errors import DataError
+from slam.storage.atomic import atomic_writer
+
+_GROUPS = {"lens": slice(0, LENS), "column": slice(LENS, LENS + FIELD), "row": slice(LENS + FIELD, COEFFICIENTS)}
+_REMEDY = "make the run again with: revisit run SOURCE --out DIR"
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write camera and coefficients, pixels, each with its standard deviation (without their correlations).
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    sigmas = np.sqrt(np.diag(calibration.covariance))
+    values = {
+        "camera": asdict(calibration.camera),
+        "error_px": {name: calibration.coefficients[group].tolist() for name, group in _GROUPS.items()},
+        "sigma_px": {name: sigmas[group].tolist() for name, group in _GROUPS.items()},
+    }
+    with atomic_writer(path) as file:
+        file.write(tomli_w.dumps(values))
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration back; its coefficients count as independent.
+
+    Raises:
+        DataError: missing or damaged.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        error, sigma = (np.concatenate([values[kind][name] for name in _GROUPS]) for kind in ("error_px", "sigma_px"))
+        camera = StereoCamera(**values["camera"])
+    except OSError as problem:
+        found = f"{problem.strerror}; {_REMEDY}, of a drive with two cameras"
+        raise DataError(f"{path}: expected the calibration that a run has learned, found {found}") from None
+    except (ValueError, KeyError, TypeError) as problem:
+        raise DataError(f"{path}: expected camera, error_px and sigma_px, found {problem!r}; {_REMEDY}") from None
+    if len(error) != COEFFICIENTS or len(sigma) != COEFFICIENTS or not np.isfinite([error, sigma]).all():
+        raise DataError(f"{path}: expected {COEFFICIENTS} finite coefficients, found others; {_REMEDY}")
+    return Calibration(camera, error.astype(np.float64), np.diag(np.square(sigma.astype(np.float64))))
