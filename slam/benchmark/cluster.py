@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
@@ -14,6 +14,7 @@ from slam.errors import ConfigError
 
 _LOOPBACK = "127.0.0.1"
 _ALLOWED_DEATHS = 2  # of processes of our own that do the same job
+_TRIES = 5  # to greet a scheduler
 _PATIENCE_S = 20  # until a scheduler that does not answer is given up
 
 
@@ -75,7 +76,7 @@ class Cluster:
         address = self._scheduler
         try:
             where = self._open.enter_context(self._own()) if address is None else address
-            self._client = self._open.enter_context(self._distributed.Client(where, timeout=_PATIENCE_S))
+            self._client = self._open.enter_context(self._greeted(where))
         except (OSError, ValueError) as error:
             self._open.close()
             reason = " ".join(str(error).split())
@@ -89,6 +90,16 @@ class Cluster:
     ) -> None:
         """End the processes, or leave the scheduler."""
         self._open.close()
+
+    def _greeted(self, where: Any) -> Any:
+        """A client of a scheduler.
+
+        Dask asserts that the greeting comes alone, which it does not where news for all clients leave at that moment.
+        """
+        for _ in range(_TRIES - 1):
+            with suppress(AssertionError):
+                return self._distributed.Client(where, timeout=_PATIENCE_S)
+        return self._distributed.Client(where, timeout=_PATIENCE_S)
 
     def _own(self) -> Any:
         """Processes with one thread each. Their memory is what runs need, not what dask would have them share."""

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import distributed
 import psutil
 import pytest
 from rich.console import Console
@@ -122,6 +123,22 @@ def test_an_existing_scheduler_is_used_and_left_running(tmp_path: Path, cluster:
         with Cluster(0, cluster.address) as guest:
             (done,) = guest.run(tells_its_process, some_jobs(tmp_path, 1))
         assert done.metrics["process"] in {child.pid for child in psutil.Process().children(recursive=True)}
+
+
+def test_a_scheduler_whose_greeting_comes_with_other_news_is_greeted_again(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+):
+    client, calls = distributed.Client, []
+
+    def disturbed_once(*arguments: object, **settings: object) -> distributed.Client:
+        calls.append(arguments)
+        assert len(calls) > 1
+        return client(*arguments, **settings)
+
+    monkeypatch.setattr(distributed, "Client", disturbed_once)
+    with Cluster(0, cluster.address) as guest:
+        (done,) = guest.run(lambda job: Outcome(job.name, {}), some_jobs(tmp_path, 1))
+    assert (done.name, len(calls)) == ("job0", 2)
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch):
