@@ -10,15 +10,11 @@ clock starts; "cpu" is the processor time of all threads, which a busy machine d
 """
 
 import argparse
-import time
-from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from odometry_drives import Array, Drive, chained, way
+from odometry_drives import Array, Drive, StageTimes, chained, way
 
 from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
 from odometry.bundle import Bundle
@@ -31,31 +27,13 @@ STAGES = (
     (Bundle, "add", "bundle"),
 )
 _PARTS = 8
-times: dict[str, list[float]] = defaultdict(list)  # stage: milliseconds of every frame
 
 
-def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a stage so that its time is added to the frame's."""
-
-    def wrapper(*args: Any, **kwargs: Any) -> Any:
-        start = time.perf_counter()
-        try:
-            return function(*args, **kwargs)
-        finally:
-            times[name][-1] += 1e3 * (time.perf_counter() - start)
-
-    return wrapper
-
-
-def track(drive: Drive) -> list[Motion]:
+def track(drive: Drive, times: StageTimes) -> list[Motion]:
     """Run the odometry over a drive, noting times."""
     odometry, motions = MonoOdometry(drive.camera()), []
     for image in drive.lefts():
-        for stage in ("frame", "cpu", *(label for _, _, label in STAGES)):
-            times[stage].append(0.0)
-        cpu = time.process_time()
-        motions.append(timed("frame", odometry.track)(image))
-        times["cpu"][-1] = 1e3 * (time.process_time() - cpu)
+        motions.append(times.frame(odometry.track, image))
     return motions
 
 
@@ -66,10 +44,10 @@ def unit(poses: Array, truth: Array) -> str:
     return " ".join(f"{lengths[0][part].sum() / lengths[1][part].sum():.3f}" for part in parts)
 
 
-def report(drive: Drive) -> None:
+def report(drive: Drive, times: StageTimes) -> None:
     """Measure one sequence and print its rows."""
     times.clear()
-    motions, truth = track(drive), drive.truth()
+    motions, truth = track(drive, times), drive.truth()
     poses, measured = chained(motions), [m for m in motions[2:] if not m.predicted]
     errors = trajectory_errors(poses, truth, "sim3")
     print(f"\n{drive.root.name} {drive.name}: {len(drive)} frames, {way(truth):.0f} m")
@@ -83,9 +61,7 @@ def report(drive: Drive) -> None:
         f"  inliers {100 * np.mean([m.inliers.mean() for m in measured]):.0f} %"
         f"  residual {np.nanmedian([m.residual_px for m in measured]):.3f} px"
     )
-    for stage, values in times.items():
-        spent = np.array(values[1:])
-        print(f"    {stage:<12} median {np.median(spent):6.2f} ms   p99 {np.percentile(spent, 99):6.2f} ms", flush=True)
+    times.print()
 
 
 def main() -> None:
@@ -97,12 +73,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1_000_000)
     arguments = parser.parse_args()
     cv2.setNumThreads(arguments.threads)
-    for owner, name, label in STAGES:
-        setattr(owner, name, timed(label, getattr(owner, name)))
-    times.clear()
-    track(Drive(arguments.root, arguments.sequences[0], 20))  # compiles and warms up
+    times = StageTimes(STAGES)
+    track(Drive(arguments.root, arguments.sequences[0], 20), times)  # compiles and warms up
     for name in arguments.sequences:
-        report(Drive(arguments.root, name, arguments.frames))
+        report(Drive(arguments.root, name, arguments.frames), times)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,13 @@ an idle one.
 """
 
 import argparse
-import time
-from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from odometry_drives import Drive, chained, end_error, way
+from odometry_drives import Drive, StageTimes, chained, end_error, way
 
-from odometry import StereoOdometry, front_end, locating, se3
+from odometry import Motion, StereoOdometry, front_end, locating, se3
 from odometry.window import SlidingWindow
 
 STAGES = (
@@ -33,38 +29,20 @@ STAGES = (
     (locating, "associate", "descriptors"),
 )
 LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
-times: dict[str, list[float]] = defaultdict(list)  # stage: milliseconds of every frame
 
 
-def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a stage so that its time is added to the frame's."""
-
-    def wrapper(*args: Any, **kwargs: Any) -> Any:
-        start = time.perf_counter()
-        try:
-            return function(*args, **kwargs)
-        finally:
-            times[name][-1] += 1e3 * (time.perf_counter() - start)
-
-    return wrapper
-
-
-def track(drive: Drive) -> list[Any]:
+def track(drive: Drive, times: StageTimes) -> list[Motion]:
     """Run the odometry over a drive, noting times."""
     odometry, motions = StereoOdometry(drive.camera()), []
     for left, right in drive.pairs():
-        for stage in ("frame", "cpu", *(label for _, _, label in STAGES)):
-            times[stage].append(0.0)
-        cpu = time.process_time()
-        motions.append(timed("frame", odometry.track)(left, right))
-        times["cpu"][-1] = 1e3 * (time.process_time() - cpu)
+        motions.append(times.frame(odometry.track, left, right))
     return motions
 
 
-def report(drive: Drive) -> None:
+def report(drive: Drive, times: StageTimes) -> None:
     """Measure one sequence and print its rows."""
     times.clear()
-    motions, truth = track(drive), drive.truth()
+    motions, truth = track(drive, times), drive.truth()
     poses, measured = chained(motions), [m for m in motions[1:] if not m.predicted]
     turn = np.degrees(se3.angle(se3.inverse(poses[-1]) @ truth[-1]))
     peer = f"  (LIBVISO2 {LIBVISO2[drive.name]})" if drive.name in LIBVISO2 else ""
@@ -75,9 +53,7 @@ def report(drive: Drive) -> None:
         f"  inliers {100 * np.mean([m.inliers.mean() for m in measured]):.0f} %"
         f"  residual {np.median([m.residual_px for m in measured]):.3f} px"
     )
-    for stage, values in times.items():
-        spent = np.array(values[1:])
-        print(f"    {stage:<20} median {np.median(spent):6.2f} ms   p99 {np.percentile(spent, 99):6.2f} ms")
+    times.print()
 
 
 def main() -> None:
@@ -89,12 +65,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1_000_000)
     arguments = parser.parse_args()
     cv2.setNumThreads(arguments.threads)
-    for owner, name, label in STAGES:
-        setattr(owner, name, timed(label, getattr(owner, name)))
-    times.clear()
-    track(Drive(arguments.root, arguments.sequences[0], 20))  # compiles and warms up
+    times = StageTimes(STAGES)
+    track(Drive(arguments.root, arguments.sequences[0], 20), times)  # compiles and warms up
     for name in arguments.sequences:
-        report(Drive(arguments.root, name, arguments.frames))
+        report(Drive(arguments.root, name, arguments.frames), times)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
 """Reading drives in KITTI's layout for the benchmarks of the odometry, and running it over them."""
 
-from collections.abc import Iterator
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -57,6 +60,54 @@ class Drive:
         poses = np.tile(np.eye(4), (len(self), 1, 1))
         poses[:, :3] = np.loadtxt(self.root / "poses" / f"{self.name}.txt").reshape(-1, 3, 4)[: len(self)]
         return np.asarray(se3.inverse(poses[0]) @ poses)
+
+
+class StageTimes:
+    """Milliseconds of every frame: of all of it, by the clock and by the processor, and of each of its stages.
+
+    Args of the constructor:
+        stages: functions that are watched from now on: their owner, their name there, and what to call the stage.
+    """
+
+    def __init__(self, stages: tuple[tuple[Any, str, str], ...]) -> None:
+        self._labels = ("frame", "cpu", *(label for _, _, label in stages))
+        self._spent: dict[str, list[float]] = defaultdict(list)
+        for owner, name, label in stages:
+            setattr(owner, name, self._timed(label, getattr(owner, name)))
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._spent.clear()
+
+    def frame(self, track: Callable[..., Motion], *images: Array) -> Motion:
+        """Have a frame tracked, noting its times."""
+        for label in self._labels:
+            self._spent[label].append(0.0)
+        cpu = time.process_time()
+        motion: Motion = self._timed("frame", track)(*images)
+        self._spent["cpu"][-1] = 1e3 * (time.process_time() - cpu)
+        return motion
+
+    def print(self) -> None:
+        """Print a row a stage; the first frame, which only begins, does not count."""
+        for label, values in self._spent.items():
+            spent = np.array(values[1:])
+            print(
+                f"    {label:<20} median {np.median(spent):6.2f} ms   p99 {np.percentile(spent, 99):6.2f} ms",
+                flush=True,
+            )
+
+    def _timed(self, label: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Wrap a stage so that its time is added to the frame's."""
+
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                self._spent[label][-1] += 1e3 * (time.perf_counter() - start)
+
+        return wrapper
 
 
 def run(drive: Drive, config: StereoOdometryConfig | None = None) -> tuple[Array, list[Motion]]:

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from odometry import lens
 from odometry.camera import StereoCamera
 
 Array = NDArray[np.float64]
 
-LENS = 3  # radial, decentering along x, decentering along y
+LENS = lens.COEFFICIENTS  # of both cameras
 FIELD = 6  # 1, x, y, x², xy, y² of the ray (x, y, 1), for each of the two axes of the rectification
 COEFFICIENTS = LENS + 2 * FIELD
 _ITERATIONS = 15  # of a fixed point whose error falls tenfold or more in each: distortion changes slowly over the image
@@ -81,16 +82,7 @@ class Calibration:
 
     def straighten(self, pixels: Array) -> Array:
         """Where a lens without distortion would show pixels (N, 2) of either image."""
-        x, y = self._rays(pixels)
-        radial, across, down = self.coefficients[:LENS]
-        squared = x * x + y * y
-        return pixels + np.stack(
-            [
-                radial * squared * x + across * (squared + 2 * x * x) + down * 2 * x * y,
-                radial * squared * y + across * 2 * x * y + down * (squared + 2 * y * y),
-            ],
-            axis=1,
-        )
+        return lens.straighten(self.camera, self.coefficients[:LENS], pixels)
 
     def perfect(self, pixels_left: Array, pixels_right: Array) -> tuple[Array, Array]:
         """Where a perfect pair would show matches, (N, 2) pixels left and right."""

@@ -1,7 +1,7 @@
 """What undistortion has left of a lens's distortion, learned while driving, for one camera.
 
-Radial and decentering distortion (Brown, Decentering Distortion of Lenses, 1966), the three coefficients that
-`odometry.calibration` learns for a pair. It is seen by points that move through the image.
+Radial and decentering distortion (Brown, Decentering Distortion of Lenses, 1966), which `odometry.calibration` learns
+for a pair as well. It is seen by points that move through the image.
 """
 
 from dataclasses import dataclass

@@ -22,7 +22,7 @@ from odometry.lens import Lens
 from odometry.mono_config import MonoOdometryConfig
 from odometry.mono_locating import Known, MonoLocator
 from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
-from odometry.motion import Motion
+from odometry.motion import FIRST_VARIANCE, Motion, unmeasured
 from odometry.motion_stereo import Depths, Shot, earlier, see_depth
 from odometry.placing import Placed
 from odometry.plausibility import Expectation, jump
@@ -36,7 +36,6 @@ __all__ = ["MonoOdometry", "MonoOdometryConfig"]
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
 _NEW_MAP = "lost; a new map goes on at the speed before"
 
 
@@ -80,7 +79,7 @@ class MonoOdometry:
         first, self._unmeasured = self._unmeasured == 0 and self._reference is None, self._unmeasured + steps
         if first:
             self._propose(image)
-            return Motion(np.eye(4), _FIRST_VARIANCE * np.eye(6), False, "")
+            return Motion(np.eye(4), FIRST_VARIANCE * np.eye(6), False, "")
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference and self._reference.older(steps)
         self._candidate = self._candidate and self._candidate.older(steps)
@@ -235,9 +234,8 @@ class MonoOdometry:
         return max(float(np.linalg.norm(self.bundle.poses[1, :3, 3] - self.bundle.poses[0, :3, 3])), 1e-9)
 
     def _extrapolated(self, images: int) -> Array:
-        """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
-        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * images
-        return np.diag(deviation**2)
+        """Covariance (6, 6) of a motion that was not measured for so many images."""
+        return unmeasured(self._config.extrapolated_rad, self._config.extrapolated_m, images)
 
     def _extrapolate(self, image: Image, T_previous_current: Array, reason: str) -> Motion:
         """Go on at constant velocity; a new map may begin with this image."""

@@ -8,6 +8,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
+
+
+def unmeasured(sigma_rad: float, sigma_m: float, images: int) -> Array:
+    """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was.
+
+    Args:
+        sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
+        sigma_m: standard deviation of the change of translation from one image to the next, metres.
+        images: since the last measurement.
+    """
+    deviation = np.repeat([sigma_rad, sigma_m], 3) * images
+    return np.diag(deviation**2)
+
+
 def _no_pixels() -> Array:
     return np.zeros((0, 2))
 

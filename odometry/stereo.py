@@ -19,7 +19,7 @@ from odometry.calibration import Calibration, CalibrationConfig
 from odometry.camera import StereoCamera
 from odometry.front_end import FrontEnd, Pair, View
 from odometry.locating import SWAPPED, Located, Locator
-from odometry.motion import Motion
+from odometry.motion import FIRST_VARIANCE, Motion, unmeasured
 from odometry.plausibility import Expectation, PlausibilityConfig
 from odometry.reference import Reference
 from odometry.stereo_matching import StereoMatchingConfig, match_rows
@@ -30,8 +30,6 @@ from odometry.window import Sighted, SlidingWindow, WindowConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-_FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ class StereoOdometry:
     def _begin(self, pair: Pair) -> Motion:
         """Take the first pair as the reference, unless its images are swapped."""
         first = self._unmeasured == 1
-        covariance = _FIRST_VARIANCE * np.eye(6) if first else self._extrapolated(self._unmeasured)
+        covariance = FIRST_VARIANCE * np.eye(6) if first else self._extrapolated(self._unmeasured)
         if self._front_end.swapped(pair):
             return Motion(np.eye(4), covariance, True, SWAPPED)
         self._restart(self._front_end.observe(pair))
@@ -213,9 +211,8 @@ class StereoOdometry:
         return self._window.refine(view.points, estimate.T_first_second, self.calibration)
 
     def _extrapolated(self, images: int) -> Array:
-        """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was."""
-        deviation = np.repeat([self._config.extrapolated_rad, self._config.extrapolated_m], 3) * images
-        return np.diag(deviation**2)
+        """Covariance (6, 6) of a motion that was not measured for so many images."""
+        return unmeasured(self._config.extrapolated_rad, self._config.extrapolated_m, images)
 
     def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
         """Go on at constant velocity; this pair is the new reference if it shows enough."""

@@ -97,11 +97,13 @@ class Hindsight:
     def __init__(self, config: HindsightConfig | None = None) -> None:
         self.config = config or HindsightConfig()
         self._opinions: deque[Opinion] = deque(maxlen=2 * self.config.window + 1)
+        self._surest: deque[list[Proof]] = deque(maxlen=2 * self.config.window + 1)  # of each: what it says of others
         self._waiting = 0  # of the latest opinions
 
     def add(self, opinion: Opinion) -> list[Belief]:
         """Take an opinion; the belief that is settled now, if one is."""
         self._opinions.append(opinion)
+        self._surest.append(_surest(opinion.proofs, self.config.window))
         self._waiting += 1
         return [self._settle()] if self._waiting > self.config.window else []
 
@@ -113,8 +115,8 @@ class Hindsight:
         """The belief about the image that has waited longest."""
         centre = len(self._opinions) - self._waiting
         opinion = self._opinions[centre]
-        others = (o for k, o in enumerate(self._opinions) if k != centre and abs(k - centre) <= self.config.window)
-        around = [proof for other in others for proof in _surest(other.proofs, self.config.window)]
+        others = (s for k, s in enumerate(self._surest) if k != centre and abs(k - centre) <= self.config.window)
+        around = [proof for other in others for proof in other]
         self._waiting -= 1
         if not opinion.proofs:
             return opinion.beliefs[0]

@@ -87,12 +87,7 @@ class BagImages:
             IndexError: no such image.
             DataError: it cannot be read.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
-        image = self._cursors[index]
-        if image is None:
-            raise DataError(f"{self.where(index)}: expected an image, found none; copy the bag again")
-        return image
+        return self._cursors.image(index, len(self), self.where, "bag")
 
     def where(self, index: int) -> str:
         """The bag, the topic and the message's number in it."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.errors import DataError
+
 Image = NDArray[np.uint8]
 
 _CURSORS = 2  # one goes along with the drive, the other looks back at what a loop was closed with
@@ -42,6 +44,20 @@ class Cursors:
             image = next(cursor.images, None)
             cursor.next = index + 1 if image is not None else -1
             return image
+
+    def image(self, index: int, count: int, where: Callable[[int], str], kind: str) -> Image:
+        """Image (H, W) uint8 of so many of a source of this kind, which tells where each one is.
+
+        Raises:
+            IndexError: no such image.
+            DataError: it cannot be read.
+        """
+        if not 0 <= index < count:
+            raise IndexError(f"expected an image from 0 to {count - 1}, got {index}")
+        image = self[index]
+        if image is None:
+            raise DataError(f"{where(index)}: expected an image, found none; copy the {kind} again")
+        return image
 
     def _moved(self, index: int) -> _Cursor:
         if len(self._cursors) == _CURSORS:

@@ -42,12 +42,7 @@ class Video:
             IndexError: no such image.
             DataError: it cannot be read any more.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
-        image = self._cursors[index]
-        if image is None:
-            raise DataError(f"{self.where(index)}: expected an image, found none; copy the video again")
-        return image
+        return self._cursors.image(index, len(self), self.where, "video")
 
     def where(self, index: int) -> str:
         """The file and the image's number in it."""
