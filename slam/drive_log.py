@@ -1,11 +1,13 @@
 """What a run remembers of each frame: numbers, never an image."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
+from slam.map_store.rows import StoredFrame
 from slam.storage.tables import FrameTable
 from slam.system import LoopAttempt, Processed
 
@@ -38,6 +40,15 @@ class DriveLog:
         self.attempts.extend(processed.attempts)
         self.stage_ms.append(processed.stage_ms | outside_ms)
         self._motions.append(_summary(processed.motion))
+
+    def recall(self, frame: StoredFrame, attempts: Iterable[LoopAttempt]) -> None:
+        """Remember a frame of an earlier run that goes on."""
+        self.timestamps.append(frame.timestamp)
+        self.odometry.append(frame.T_world_odometry)
+        self.online.append(frame.T_world_online)
+        self.attempts.extend(attempts)
+        self.stage_ms.append(dict(frame.stage_ms))
+        self._motions.append(_summary(frame.motion))
 
     def table(self) -> FrameTable:
         """Everything that `frames.csv` holds."""

@@ -72,6 +72,9 @@ class Rejection:
     pixels_match: NDArray[np.float32] = field(default_factory=_no_pixels)
 
 
+Geometry = LoopClosure | Rejection | None  # what geometry said of a belief; None where it was not asked
+
+
 @dataclass(frozen=True)
 class LoopCloserConfig:
     """When two images show one place, and what is kept of each image to find out."""
@@ -135,6 +138,10 @@ class LoopCloser:
             descriptors=found.descriptors[: self._config.max_landmarks][seen].astype(np.float16),
         )
         return self._known[index]
+
+    def recall(self, index: int, landmarks: Landmarks) -> None:
+        """Know frame `index` by landmarks that were found before."""
+        self._known[index] = landmarks
 
     def close(self, query: int, match: int) -> LoopClosure | Rejection:
         """Prove or reject that frame `query` shows the place of the earlier frame `match`.

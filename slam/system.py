@@ -1,5 +1,6 @@
 """The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry proves, the graph corrects."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,9 @@ from slam.clock import StageClock
 from slam.datasets.dataset import Frame
 from slam.eyes import Eyes
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import Landmarks, LoopCloser, LoopClosure, Rejection
+from slam.loop_closing import Geometry, Landmarks, LoopCloser, LoopClosure, Rejection
 from slam.loop_trust import Admission
+from slam.map_store.rows import StoredAttempt, StoredFrame
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
 from slam.robust import Optimized
@@ -45,7 +47,7 @@ class LoopAttempt:
     """
 
     belief: Belief
-    geometry: LoopClosure | Rejection | None
+    geometry: Geometry
     admission: Admission | None
 
     @property
@@ -116,6 +118,19 @@ class Slam:
             self.clock.lap(),
         )
 
+    def recall(self, frame: StoredFrame, attempts: Iterable[StoredAttempt]) -> tuple[LoopAttempt, ...]:
+        """Take over what was found out about the next frame before; no image is looked at.
+
+        Graph and map become what they were. Odometry and recogniser do not: they go on where a checkpoint has
+        left them.
+        """
+        self._advance(frame.motion)
+        self.parts.loop_closer.recall(frame.image, frame.landmarks)
+        recalled = tuple(self._enter(attempt.belief, attempt.geometry) for attempt in attempts)
+        if frame.key_frame:
+            self._draw(frame.image, frame.landmarks)
+        return recalled
+
     def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], Optimized]:
         """End the drive: answer the beliefs still open, then optimise everything with the named robust back end."""
         attempts = tuple(self._close(belief) for belief in self.parts.recognizer.finish())
@@ -124,13 +139,16 @@ class Slam:
     def _move(self, frame: Frame) -> Motion:
         with self.clock.stage("odometry"):
             motion = self.parts.eyes.track(frame)
+        self._advance(motion)
+        return motion
+
+    def _advance(self, motion: Motion) -> None:
         if self._frames:
             self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
             self._travelled += float(np.linalg.norm(motion.T_previous_current[:3, 3]))
             with self.clock.stage("pose graph"):
                 self.parts.graph.add_odometry(motion.T_previous_current, motion.covariance)
         self._frames += 1
-        return motion
 
     def _look(self, frame: Frame) -> Landmarks:
         with self.clock.stage("features"):
@@ -147,7 +165,10 @@ class Slam:
             return LoopAttempt(belief, None, None)
         with self.clock.stage("loop closing"):
             geometry = self.parts.loop_closer.close(belief.query, belief.match)
-        if isinstance(geometry, Rejection):
+        return self._enter(belief, geometry)
+
+    def _enter(self, belief: Belief, geometry: Geometry) -> LoopAttempt:
+        if not isinstance(geometry, LoopClosure):
             return LoopAttempt(belief, geometry, None)
         with self.clock.stage("pose graph"):
             return LoopAttempt(belief, geometry, self.parts.graph.add_loop(geometry))
@@ -155,5 +176,8 @@ class Slam:
     def _map(self, index: int, landmarks: Landmarks) -> bool:
         is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)
         if is_key_frame:
-            self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)
+            self._draw(index, landmarks)
         return is_key_frame
+
+    def _draw(self, index: int, landmarks: Landmarks) -> None:
+        self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)

@@ -34,3 +34,7 @@ class GrowingArray(Generic[Scalar]):
             self._storage = larger
         self._storage[self._count : needed] = rows
         self._count = needed
+
+    def __getstate__(self) -> dict[str, object]:
+        """The rows, without the room for more."""
+        return {"_storage": self.rows, "_count": self._count}

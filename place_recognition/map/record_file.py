@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,20 @@ class RecordFile:
             return self._latest[index % len(self._latest)]
         size = self.dtype.itemsize
         return np.frombuffer(os.pread(self._file.fileno(), size, index * size), self.dtype)[0]
+
+    def __getstate__(self) -> dict[str, object]:
+        """All records, wherever they are now; the file itself is not to be had."""
+        early = max(self._count - len(self._latest), 0)
+        older = [self.read(index) for index in range(early)]
+        latest = np.roll(self._latest, -(early % len(self._latest)))[: self._count - early]
+        records = np.concatenate([np.array(older, self.dtype), latest])
+        return {"in_memory": len(self._latest), "records": records}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Keep the same records in a file of one's own."""
+        self.__init__(state["records"].dtype, state["in_memory"])  # type: ignore[misc]
+        for record in state["records"]:
+            self.append(record)
 
     def _write(self, index: int, record: Record) -> None:
         size = self.dtype.itemsize

@@ -1,0 +1,214 @@
+"""Frames, landmarks and loop attempts as rows of a map store, and back."""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.motion import Motion
+from place_recognition.recognizer import Belief
+from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
+from slam.loop_geometry import Unit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StoredFrame:
+    """What is kept of one frame of a drive.
+
+    Attributes:
+        image: its number through all sessions.
+        timestamp: seconds.
+        motion: since the previous frame; its tracks are counted, their pixels not kept.
+        T_world_odometry: (4, 4) by odometry alone.
+        T_world_online: (4, 4) as it was when the frame was seen.
+        landmarks: what was seen with depth, in the camera's frame.
+        key_frame: whether the landmarks joined the map.
+        stage_ms: milliseconds by stage.
+        T_world_camera: (4, 4) corrected; None until the drive has ended.
+        unit: of its lengths, in that of the first frame.
+    """
+
+    image: int
+    timestamp: float
+    motion: Motion
+    T_world_odometry: Array
+    T_world_online: Array
+    landmarks: Landmarks
+    key_frame: bool
+    stage_ms: Mapping[str, float]
+    T_world_camera: Array | None = None
+    unit: float = 1.0
+
+
+@dataclass(frozen=True)
+class StoredAttempt:
+    """What became of one belief, as far as geometry.
+
+    Attributes:
+        at_image: image with which the belief came.
+        belief: of the recogniser.
+        geometry: as in `LoopAttempt`.
+    """
+
+    at_image: int
+    belief: Belief
+    geometry: Geometry
+
+
+def frame_row(frame: StoredFrame, session: int) -> dict[str, Any]:
+    """Columns of table `frame` but for those known at the end."""
+    motion = frame.motion
+    return {
+        "image": frame.image,
+        "session": session,
+        "timestamp": frame.timestamp,
+        "T_previous_camera": pack(motion.T_previous_current, "<f8"),
+        "covariance": pack(motion.covariance, "<f8"),
+        "predicted": motion.predicted,
+        "reason": motion.reason,
+        "inliers": int(motion.inliers.sum()),
+        "tracks": len(motion.inliers),
+        "residual_px": None if np.isnan(motion.residual_px) else motion.residual_px,
+        "key_frame": frame.key_frame,
+        "T_world_odometry": pack(frame.T_world_odometry, "<f8"),
+        "T_world_online": pack(frame.T_world_online, "<f8"),
+        "stage_ms": json.dumps(dict(frame.stage_ms)),
+    }
+
+
+def landmark_row(frame: StoredFrame) -> dict[str, Any]:
+    """Columns of table `landmark`."""
+    seen = frame.landmarks
+    return {
+        "image": frame.image,
+        "pixels": pack(seen.pixels, "<f4"),
+        "points": pack(seen.points, "<f4"),
+        "grey": pack(seen.grey, "u1"),
+        "descriptors": pack(seen.descriptors, "<f2"),
+    }
+
+
+def attempt_row(number: int, attempt: StoredAttempt) -> dict[str, Any]:
+    """Columns of table `attempt` but for those known at the end."""
+    belief, geometry = attempt.belief, attempt.geometry
+    closed = geometry if isinstance(geometry, LoopClosure) else None
+    pixels = (np.empty((0, 2)),) * 2 if geometry is None else (geometry.pixels_query, geometry.pixels_match)
+    return {
+        "number": number,
+        "at_image": attempt.at_image,
+        "query": belief.query,
+        "match": belief.match,
+        "score": float(belief.score),
+        "accepted": bool(belief.accepted),
+        "inliers": None if belief.inliers is None else int(belief.inliers),
+        "verified": bool(belief.verified),
+        "pixels": pack(belief.pixels, "<f4"),
+        "outcome": "" if geometry is None else "rejected" if closed is None else "closed",
+        "geometry": json.dumps(_details(geometry)),
+        "T_match_query": None if closed is None else pack(closed.T_match_query, "<f8"),
+        "covariance": None if closed is None else pack(closed.covariance, "<f8"),
+        "pixels_query": pack(pixels[0], "<f4"),
+        "pixels_match": pack(pixels[1], "<f4"),
+    }
+
+
+def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> StoredFrame:
+    """A frame from its row."""
+    motion = Motion(
+        T_previous_current=unpack(row["T_previous_camera"], "<f8", 4, 4),
+        covariance=unpack(row["covariance"], "<f8", 6, 6),
+        predicted=bool(row["predicted"]),
+        reason=row["reason"],
+        inliers=np.arange(row["tracks"]) < row["inliers"],
+        residual_px=float("nan") if row["residual_px"] is None else row["residual_px"],
+    )
+    corrected = row["T_world_camera"]
+    return StoredFrame(
+        image=row["image"],
+        timestamp=row["timestamp"],
+        motion=motion,
+        T_world_odometry=unpack(row["T_world_odometry"], "<f8", 4, 4),
+        T_world_online=unpack(row["T_world_online"], "<f8", 4, 4),
+        landmarks=landmarks,
+        key_frame=bool(row["key_frame"]),
+        stage_ms=json.loads(row["stage_ms"]),
+        T_world_camera=None if corrected is None else unpack(corrected, "<f8", 4, 4),
+        unit=1.0 if row["unit"] is None else row["unit"],
+    )
+
+
+def read_landmarks(row: sqlite3.Row) -> Landmarks:
+    """What a frame saw, from its row."""
+    pixels = unpack(row["pixels"], "<f4", -1, 2)
+    count = len(pixels)
+    return Landmarks(
+        pixels=pixels,
+        points=unpack(row["points"], "<f4", count, 3),
+        grey=unpack(row["grey"], "u1", count),
+        descriptors=unpack(row["descriptors"], "<f2", count, len(row["descriptors"]) // (2 * count) if count else 0),
+    )
+
+
+def read_attempt(row: sqlite3.Row) -> StoredAttempt:
+    """An attempt from its row."""
+    belief = Belief(
+        query=row["query"],
+        match=row["match"],
+        score=row["score"],
+        accepted=bool(row["accepted"]),
+        inliers=row["inliers"],
+        verified=bool(row["verified"]),
+        pixels=unpack(row["pixels"], "<f4", -1, 4),
+    )
+    return StoredAttempt(row["at_image"], belief, _geometry(row))
+
+
+def _details(geometry: Geometry) -> dict[str, Any]:
+    if geometry is None:
+        return {}
+    counts = {"matches": int(geometry.matches), "inliers": int(geometry.inliers)}
+    if isinstance(geometry, Rejection):
+        return counts | {"reason": geometry.reason}
+    return counts | {"unit_log": float(geometry.unit.log), "unit_sigma": float(geometry.unit.sigma)}
+
+
+def _geometry(row: sqlite3.Row) -> Geometry:
+    details = json.loads(row["geometry"])
+    seen: dict[str, Any] = {
+        "pixels_query": unpack(row["pixels_query"], "<f4", -1, 2),
+        "pixels_match": unpack(row["pixels_match"], "<f4", -1, 2),
+    }
+    if row["outcome"] == "":
+        return None
+    if row["outcome"] == "rejected":
+        return Rejection(**details, **seen)
+    unit = Unit(details.pop("unit_log"), details.pop("unit_sigma"))
+    return LoopClosure(
+        query=row["query"],
+        match=row["match"],
+        T_match_query=unpack(row["T_match_query"], "<f8", 4, 4),
+        covariance=unpack(row["covariance"], "<f8", 6, 6),
+        unit=unit,
+        **details,
+        **seen,
+    )
+
+
+def pack(array: NDArray[Any], dtype: str) -> bytes:
+    """Bytes of an array, row by row."""
+    return np.ascontiguousarray(array, dtype).tobytes()
+
+
+def unpack(content: bytes, dtype: str, *shape: int) -> NDArray[Any]:
+    """The array (shape) of bytes; it may be written to.
+
+    Raises:
+        ValueError: there are too few bytes, or too many.
+    """
+    return np.frombuffer(bytearray(content), dtype).reshape(shape)

@@ -1,0 +1,143 @@
+"""The tables of a map store, its version, and opening one."""
+
+import sqlite3
+from pathlib import Path
+
+from slam.errors import DataError, OutputError
+
+VERSION = 1
+_APPLICATION = 0x52565354  # "RVST": tells our files from other SQLite files
+_BUSY_S = 5.0  # another reader or writer is waited for so long
+
+# Images are numbered through all sessions. Poses, covariances and pixels are little-endian arrays, row by row.
+_TABLES = """
+CREATE TABLE session (
+    number INTEGER PRIMARY KEY,           -- from 0
+    first_image INTEGER NOT NULL,
+    name TEXT NOT NULL,
+    camera TEXT NOT NULL,                 -- JSON: intrinsics, pixels; baseline, metres
+    config TEXT NOT NULL,                 -- TOML, as config.toml
+    provenance TEXT NOT NULL,             -- JSON: source, recording, command, versions
+    finished INTEGER NOT NULL DEFAULT 0,  -- 1 when the drive has ended and was optimised
+    world INTEGER NOT NULL DEFAULT 0      -- sessions of one world are in one frame of reference
+);
+CREATE TABLE frame (
+    image INTEGER PRIMARY KEY,
+    session INTEGER NOT NULL REFERENCES session(number),
+    timestamp REAL NOT NULL,              -- seconds
+    T_previous_camera BLOB NOT NULL,      -- (4, 4) float64, metres
+    covariance BLOB NOT NULL,             -- (6, 6) float64, rotation first
+    predicted INTEGER NOT NULL,           -- 1 where the motion could not be measured, and why
+    reason TEXT NOT NULL,
+    inliers INTEGER NOT NULL,
+    tracks INTEGER NOT NULL,
+    residual_px REAL,
+    key_frame INTEGER NOT NULL,
+    T_world_odometry BLOB NOT NULL,       -- (4, 4) float64, of the session's first camera
+    T_world_online BLOB NOT NULL,
+    T_world_camera BLOB,                  -- corrected; NULL until the drive has ended
+    unit REAL,                            -- of length, in that of the first frame; 1 with a stereo pair
+    stage_ms TEXT NOT NULL                -- JSON
+);
+CREATE TABLE landmark (
+    image INTEGER PRIMARY KEY REFERENCES frame(image),
+    pixels BLOB NOT NULL,                 -- (N, 2) float32
+    points BLOB NOT NULL,                 -- (N, 3) float32, camera frame, metres
+    grey BLOB NOT NULL,                   -- (N,) uint8
+    descriptors BLOB NOT NULL             -- (N, D) float16
+);
+CREATE TABLE attempt (
+    number INTEGER PRIMARY KEY,           -- in the order in which the recogniser answered
+    at_image INTEGER NOT NULL,            -- the image with which the answer came; the last one for those at the end
+    query INTEGER NOT NULL,
+    match INTEGER,
+    score REAL NOT NULL,
+    accepted INTEGER NOT NULL,
+    inliers INTEGER,
+    verified INTEGER NOT NULL,
+    pixels BLOB NOT NULL,                 -- (K, 4) float32
+    outcome TEXT NOT NULL,                -- '' of a belief that was not accepted, 'closed' or 'rejected' by geometry
+    geometry TEXT NOT NULL,               -- JSON: reason, matches, inliers, unit
+    T_match_query BLOB,                   -- (4, 4) float64
+    covariance BLOB,                      -- (6, 6) float64
+    pixels_query BLOB NOT NULL,           -- (K, 2) float32
+    pixels_match BLOB NOT NULL,
+    kept INTEGER,                         -- 1 where the loop stands in the corrected graph; NULL until the end
+    weight REAL,
+    residual REAL,
+    verdict TEXT                          -- in plain words
+);
+CREATE INDEX attempt_at ON attempt(at_image);
+CREATE TABLE checkpoint (
+    session INTEGER PRIMARY KEY REFERENCES session(number),
+    frames INTEGER NOT NULL,              -- of the session, that the parts have seen
+    structure TEXT NOT NULL               -- JSON: the recogniser with its words and places, and the odometry
+);
+CREATE TABLE checkpoint_array (
+    session INTEGER NOT NULL,
+    number INTEGER NOT NULL,
+    dtype TEXT NOT NULL,
+    shape TEXT NOT NULL,
+    layout TEXT NOT NULL,                 -- 'C' or 'F'
+    pieces BLOB NOT NULL,                 -- digests of its pieces, one after the other
+    PRIMARY KEY (session, number)
+) WITHOUT ROWID;
+CREATE TABLE piece (
+    digest BLOB PRIMARY KEY,
+    bytes BLOB NOT NULL
+);
+"""
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """Make an empty store.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        connection = _connect(f"{path.resolve().as_uri()}?mode=rwc")
+        connection.executescript(f"BEGIN; {_TABLES}; COMMIT;")
+        connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+        connection.execute(f"PRAGMA user_version = {VERSION}")
+    except sqlite3.Error as error:
+        raise OutputError(f"{path}: the map cannot be written ({error}); make room or choose another folder") from error
+    return connection
+
+
+def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
+    """Open a store, "ro" to read or "rw" to go on writing.
+
+    Raises:
+        DataError: no such file, no map store, a damaged one, or one of another version.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: expected a map store, found none; a run writes one: revisit run SOURCE --out DIR")
+    try:
+        connection = _connect(f"{path.resolve().as_uri()}?mode={mode}")
+        (application,) = connection.execute("PRAGMA application_id").fetchone()
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+    except sqlite3.Error as error:
+        raise damaged(path, error) from error
+    if application != _APPLICATION:
+        connection.close()
+        raise DataError(f"{path}: expected a map store, found another SQLite database; give the map.db of a run")
+    if version != VERSION:
+        connection.close()
+        raise DataError(f"{path}: expected a map store of version {VERSION}, found {version}; make it anew")
+    return connection
+
+
+def damaged(path: Path, error: Exception) -> DataError:
+    """What to say of a store that cannot be read."""
+    return DataError(f"{path}: expected a map store, found a damaged one ({error}); copy it again or run again")
+
+
+def _connect(uri: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(uri, uri=True, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    if "mode=ro" not in uri:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = NORMAL")  # outlives the program, if not a power cut
+        connection.execute("PRAGMA foreign_keys = ON")
+    return connection

@@ -1,0 +1,311 @@
+"""The map store: one SQLite file, written as the drive goes, open to any number of readers.
+
+What a checkpoint says and the frames up to it are committed together, so that a store, however its writer ended, is a
+drive that stopped at its last checkpoint.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from slam.errors import OutputError
+from slam.loop_closing import Landmarks
+from slam.map_store import schema
+from slam.map_store.pieces import read_arrays, write_arrays
+from slam.map_store.rows import (
+    StoredAttempt,
+    StoredFrame,
+    attempt_row,
+    frame_row,
+    landmark_row,
+    pack,
+    read_attempt,
+    read_frame,
+    read_landmarks,
+)
+
+Array = NDArray[np.float64]
+
+MAP_FILE = "map.db"
+
+
+@dataclass(frozen=True)
+class Session:
+    """One drive of a map.
+
+    Attributes:
+        number: from 0.
+        first_image: number of its first image through all sessions.
+        name: of the drive.
+        camera: of its left images, with the pair's baseline.
+        config: TOML, as in `config.toml`.
+        provenance: source, recording, command and versions.
+        finished: the drive has ended and was optimised.
+        world: sessions with the same number are in one frame of reference.
+    """
+
+    number: int
+    first_image: int
+    name: str
+    camera: StereoCamera
+    config: str
+    provenance: Mapping[str, Any]
+    finished: bool = False
+    world: int = 0
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The parts of the system after so many frames of a session.
+
+    Attributes:
+        frames: that the parts have seen.
+        structure: what `Freezer.freeze` gave.
+        arrays: the arrays to it.
+    """
+
+    frames: int
+    structure: Any
+    arrays: list[NDArray[Any]]
+
+
+class Verdict(NamedTuple):
+    """What the final optimisation said of a loop: whether it stands, how far it is trusted, and why."""
+
+    kept: bool
+    weight: float
+    residual: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What the final optimisation said.
+
+    Attributes:
+        poses: T_world_camera (N, 4, 4) of all frames of all sessions of the world, from the first.
+        units: (N,) of length, in that of the first frame.
+        verdicts: of the closed loops, by the number of their attempts.
+    """
+
+    poses: Array
+    units: Array
+    verdicts: Mapping[int, Verdict]
+
+
+class MapStore:
+    """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self._connection, self.path = connection, path
+
+    @classmethod
+    def create(cls, path: Path) -> Self:
+        """Make an empty store.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        return cls(schema.create(path), path)
+
+    @classmethod
+    def open(cls, path: Path, writable: bool = False) -> Self:
+        """Open a store that is there.
+
+        Raises:
+            DataError: no such file, no map store, a damaged one, or one of another version.
+        """
+        return cls(schema.connect(path, "rw" if writable else "ro"), path)
+
+    def close(self) -> None:
+        """Leave one file: what waits in its log goes into it."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Keep together what is written in the block: all of it, or nothing if it fails.
+
+        Raises:
+            OutputError: the disk is full, or the file cannot be written for another reason.
+        """
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+            except BaseException:
+                if self._connection.in_transaction:  # a full disk has rolled it back already
+                    self._connection.execute("ROLLBACK")
+                raise
+            self._connection.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise OutputError(
+                f"{self.path}: the map cannot be written ({error}); make room, then go on with --resume"
+            ) from error
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Turn what a damaged file does in the block into one line about it.
+
+        Raises:
+            DataError: the file is damaged.
+        """
+        try:
+            yield
+        except (sqlite3.Error, ValueError, KeyError, TypeError) as error:
+            raise schema.damaged(self.path, error) from error
+
+    def add_session(self, session: Session) -> None:
+        """Begin a session; call within `writing`."""
+        values = {
+            "number": session.number,
+            "first_image": session.first_image,
+            "name": session.name,
+            "camera": json.dumps(asdict(session.camera)),
+            "config": session.config,
+            "provenance": json.dumps(session.provenance, default=str),
+            "finished": session.finished,
+            "world": session.world,
+        }
+        self._insert("session", values)
+
+    def add_frame(self, frame: StoredFrame, session: int) -> None:
+        """Add a frame with its landmarks; call within `writing`."""
+        self._insert("frame", frame_row(frame, session))
+        self._insert("landmark", landmark_row(frame))
+
+    def add_attempt(self, number: int, attempt: StoredAttempt) -> None:
+        """Add what became of a belief; call within `writing`."""
+        self._insert("attempt", attempt_row(number, attempt))
+
+    def set_checkpoint(self, session: int, checkpoint: Checkpoint) -> None:
+        """Put a checkpoint in the place of the session's last one; call within `writing`."""
+        text = json.dumps(checkpoint.structure, separators=(",", ":"), allow_nan=False)
+        self._connection.execute(
+            "INSERT OR REPLACE INTO checkpoint VALUES (?, ?, ?)", (session, checkpoint.frames, text)
+        )
+        write_arrays(self._connection, session, checkpoint.arrays)
+
+    def forget_answers(self, begin: int) -> None:
+        """Delete the attempts from a number on; call within `writing`."""
+        self._connection.execute("DELETE FROM attempt WHERE number >= ?", (begin,))
+
+    def finish(self, session: int, corrected: Corrected, ended: bool) -> None:
+        """Write the final poses and verdicts; call within `writing`."""
+        poses = [
+            (pack(T, "<f8"), float(unit), image)
+            for image, (T, unit) in enumerate(zip(corrected.poses, corrected.units, strict=True))
+        ]
+        self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
+        verdicts = [(*_plain(verdict), number) for number, verdict in corrected.verdicts.items()]
+        self._connection.executemany(
+            "UPDATE attempt SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
+        )
+        self._connection.execute("UPDATE session SET finished = ? WHERE number = ?", (ended, session))
+
+    def sessions(self) -> tuple[Session, ...]:
+        """All drives of the map, in order.
+
+        Raises:
+            DataError: the store is damaged; so say all methods that read.
+        """
+        with self.reading():
+            rows = self._connection.execute("SELECT * FROM session ORDER BY number").fetchall()
+            return tuple(_session(row) for row in rows)
+
+    def images(self, session: int | None = None) -> int:
+        """How many images there are, in all or of one session."""
+        return self._count("frame", session)
+
+    def frames(self) -> Iterator[StoredFrame]:
+        """All frames with their landmarks, in order, read as they are asked for."""
+        with self.reading():
+            joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
+            for row in self._connection.execute(f"{joined} ORDER BY image"):
+                yield read_frame(row, read_landmarks(row))
+
+    def poses(self) -> Array:
+        """T_world_camera (N, 4, 4) of all images, corrected where they have been, else as they were online."""
+        with self.reading():
+            best = "SELECT coalesce(T_world_camera, T_world_online) FROM frame ORDER BY image"
+            content = b"".join(row[0] for row in self._connection.execute(best))
+            return np.frombuffer(content, "<f8").reshape(-1, 4, 4)
+
+    def key_frames(self) -> tuple[int, ...]:
+        """Numbers of the images whose landmarks make the map."""
+        with self.reading():
+            found = self._connection.execute("SELECT image FROM frame WHERE key_frame ORDER BY image")
+            return tuple(row[0] for row in found)
+
+    def landmarks(self, image: int) -> Landmarks:
+        """What one image saw.
+
+        Raises:
+            DataError: there is no such image.
+        """
+        with self.reading():
+            row = self._connection.execute("SELECT * FROM landmark WHERE image = ?", (image,)).fetchone()
+            if row is None:
+                raise ValueError(f"image {image} is missing")
+            return read_landmarks(row)
+
+    def attempts(self) -> Iterator[StoredAttempt]:
+        """What became of each belief, in the order in which they came."""
+        with self.reading():
+            for row in self._connection.execute("SELECT * FROM attempt ORDER BY number"):
+                yield read_attempt(row)
+
+    def checkpoint(self, session: int) -> Checkpoint | None:
+        """The parts of the system at the last checkpoint of a session; None before the first."""
+        with self.reading():
+            found = self._connection.execute("SELECT * FROM checkpoint WHERE session = ?", (session,)).fetchone()
+            if found is None:
+                return None
+            return Checkpoint(found["frames"], json.loads(found["structure"]), read_arrays(self._connection, session))
+
+    def count(self, table: str) -> int:
+        """Rows of a table."""
+        return self._count(table, None)
+
+    def _count(self, table: str, session: int | None) -> int:
+        where, values = ("", ()) if session is None else (" WHERE session = ?", (session,))
+        with self.reading():
+            (count,) = self._connection.execute(f"SELECT count(*) FROM {table}{where}", values).fetchone()
+            return int(count)
+
+    def _insert(self, table: str, values: Mapping[str, Any]) -> None:
+        names, marks = ", ".join(values), ", ".join("?" * len(values))
+        self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", _plain(values.values()))
+
+
+def _plain(values: Iterable[Any]) -> Sequence[Any]:
+    return [value.item() if isinstance(value, np.generic) else value for value in values]
+
+
+def _session(row: sqlite3.Row) -> Session:
+    return Session(
+        number=row["number"],
+        first_image=row["first_image"],
+        name=row["name"],
+        camera=StereoCamera(**json.loads(row["camera"])),
+        config=row["config"],
+        provenance=json.loads(row["provenance"]),
+        finished=bool(row["finished"]),
+        world=row["world"],
+    )
