@@ -247,6 +247,12 @@ class MapStore:
             content = b"".join(row[0] for row in self._connection.execute(best))
             return np.frombuffer(content, "<f8").reshape(-1, 4, 4)
 
+    def units(self) -> Array:
+        """(N,) of length of each image, in that of the first."""
+        with self.reading():
+            found = self._connection.execute("SELECT coalesce(unit, 1) FROM frame ORDER BY image")
+            return np.array([row[0] for row in found], np.float64)
+
     def key_frames(self) -> tuple[int, ...]:
         """Numbers of the images whose landmarks make the map."""
         with self.reading():

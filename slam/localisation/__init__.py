@@ -1,0 +1,1 @@
+"""Where was this image taken? Single images placed in a map that was saved before."""

@@ -1,0 +1,84 @@
+"""Which key frames of a map an image is like, by visual words.
+
+The words are landmarks of the map itself, drawn by lot: nothing is trained, and they are of whatever features the map
+is made of. Sivic, Zisserman, 'Video Google', ICCV 2003.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from place_recognition.map.vocabulary_training import DescriptorSample
+from place_recognition.map.word_index import WordIndex
+from place_recognition.map.word_tree import WordTree
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class IndexConfig:
+    """How images are compared.
+
+    Attributes:
+        words: how many, at most.
+        seed: of the lot.
+    """
+
+    words: int = 10000
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class PlaceIndex:
+    """Key frames by their words.
+
+    Attributes:
+        search: finds the word of a descriptor.
+        shares: (W,) of the key frames, that have each word.
+        profiles: (F, W), each key frame's words by their weights, of unit length.
+    """
+
+    search: WordIndex
+    shares: Array
+    profiles: csr_array
+
+    @classmethod
+    def build(cls, frames: Callable[[], Iterable[Floats]], config: IndexConfig) -> Self:
+        """Draw words from the descriptors (N, D) of each key frame, and look all of them up.
+
+        Args:
+            frames: gives the key frames' descriptors anew each time; at least one in all.
+            config: how many words.
+        """
+        sample = DescriptorSample(config.words, config.seed)
+        for descriptors in frames():
+            sample.add(descriptors)
+        search = WordTree()
+        search.add(sample.descriptors)
+        found = [_distinct(search, descriptors) for descriptors in frames()]
+        columns = np.concatenate(found)
+        rows = np.repeat(np.arange(len(found)), [len(words) for words in found])
+        counts = np.bincount(columns, minlength=len(sample.descriptors))
+        shares = (counts + 0.5) / (len(found) + 1.0)
+        profiles = csr_array((-np.log(shares[columns]), (rows, columns)), shape=(len(found), len(shares)))
+        lengths = np.sqrt(profiles.power(2).sum(axis=1))
+        profiles.data /= np.repeat(np.maximum(lengths, 1e-12), np.diff(profiles.indptr))
+        return cls(search, shares, profiles)
+
+    def likeness(self, descriptors: Floats) -> Array:
+        """How alike each key frame (F,) is to an image by its descriptors (N, D): a correlation, at most 1."""
+        if len(descriptors) == 0:
+            return np.zeros(self.profiles.shape[0])
+        words, weights = _distinct(self.search, descriptors), -np.log(self.shares)
+        query = -self.shares * weights  # what most of the map shows, tells no place from another
+        query[words] += weights[words]
+        return np.asarray(self.profiles @ query) / max(float(np.linalg.norm(weights[words])), 1e-12)
+
+
+def _distinct(search: WordIndex, descriptors: Floats) -> NDArray[np.int64]:
+    return np.unique(search.nearest(descriptors)) if len(descriptors) else np.empty(0, np.int64)

@@ -1,0 +1,201 @@
+"""The pose of one camera from pixels and the points of a map that they show, and how sure it is.
+
+Errors live in pixels of the image: its own noise, and what the noise of the map's points amounts to there.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.camera import PinholeCamera
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_MEDIAN_2 = 1.386  # median of chi-square, 2 degrees of freedom
+_LIMIT_2 = 13.82  # its 99.9 % quantile
+_MIN_POINTS = 6  # below this a pose has nothing to be checked against
+_ROUNDS = 15  # of reweighting at most
+_SETTLED = 1e-5  # rad and m: a step below this ends it
+_POLISH = 2  # steps of plain least squares on the inliers
+
+
+@dataclass(frozen=True)
+class PoseConfig:
+    """What matches of an image with a map are expected to look like.
+
+    Attributes:
+        ransac_error_px: reprojection error of an inlier of the first guess.
+        ransac_iterations: enough for 20 % inliers and 4 points at 0.98.
+        sigma_px: noise of a pixel.
+        systematic_rad: error of the rotation that more points do not average out (calibration), one sigma, radians.
+        systematic_m: likewise of the translation, metres.
+    """
+
+    ransac_error_px: float = 4.0
+    ransac_iterations: int = 2500
+    sigma_px: float = 0.7
+    systematic_rad: float = 5e-4
+    systematic_m: float = 0.02
+
+
+@dataclass(frozen=True)
+class MapMatches:
+    """Pixels of an image, and the points of the map that they may show.
+
+    Attributes:
+        pixels: (K, 2).
+        points_base: (K, 3) in the frame of a base camera.
+        noise_base: (K, 3, 3) covariance of the points.
+        features: (K,) which feature of the image; one may have been found in several key frames.
+    """
+
+    pixels: Array
+    points_base: Array
+    noise_base: Array
+    features: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def only(self, chosen: Mask) -> "MapMatches":
+        """Some of them, chosen by (K,) bool."""
+        return MapMatches(self.pixels[chosen], self.points_base[chosen], self.noise_base[chosen], self.features[chosen])
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """A pose that matches agree on.
+
+    Attributes:
+        T_base_camera: (4, 4) in the frame of the base camera.
+        covariance: (6, 6) of its right perturbation, rotation first.
+        inliers: (K,) bool over the matches.
+    """
+
+    T_base_camera: Array
+    covariance: Array
+    inliers: Mask
+
+
+def camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
+    """Pose of a camera by RANSAC, refined; None without consensus."""
+    start = _ransac(camera, matches, config)
+    return None if start is None else refined_pose(camera, matches, start, config)
+
+
+def refined_pose(
+    camera: PinholeCamera, matches: MapMatches, T_base_camera: Array, config: PoseConfig
+) -> CameraPose | None:
+    """The pose near a first guess (4, 4) that most matches agree with.
+
+    Reweighted least squares, then a plain one on the inliers for an honest covariance.
+    """
+    if len(matches) < _MIN_POINTS:
+        return None
+    system = _System(camera, matches, config)
+    for _ in range(_ROUNDS):
+        chi2 = system.linearize(T_base_camera)
+        step = system.step(1.0 / (1.0 + chi2))  # Cauchy's weights
+        T_base_camera = T_base_camera @ se3.exp(step)
+        if np.abs(step).max() < _SETTLED:
+            break
+    chi2 = system.linearize(T_base_camera)
+    inliers = chi2 < _LIMIT_2 * np.clip(np.median(chi2) / _MEDIAN_2, 1.0, 4.0)
+    if np.sum(inliers) < _MIN_POINTS:
+        return None
+    weights = inliers * _shared(matches.features, inliers)
+    for _ in range(_POLISH):
+        T_base_camera = T_base_camera @ se3.exp(system.step(weights))
+        chi2 = system.linearize(T_base_camera)
+    variance = float(chi2 @ weights) / max(2 * float(weights.sum()) - 6, 1.0)
+    systematic = np.repeat(np.square([config.systematic_rad, config.systematic_m]), 3)
+    covariance = max(variance, 1.0) * np.linalg.pinv(system.information(weights)) + np.diag(systematic)
+    if not (np.isfinite(T_base_camera).all() and np.isfinite(covariance).all()):
+        return None
+    return CameraPose(se3.exact(T_base_camera), covariance, inliers)
+
+
+def _shared(features: NDArray[np.int64], inliers: Mask) -> Array:
+    """One over how often each match's feature is an inlier: what was seen twice was measured once."""
+    counts = np.bincount(features, inliers, int(features.max()) + 1)
+    return 1.0 / np.maximum(counts[features], 1.0)
+
+
+def _ransac(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> Array | None:
+    """First guess of T_base_camera (4, 4); OpenCV seeds its generator itself."""
+    if len(matches) < _MIN_POINTS:
+        return None
+    pixels, points = np.ascontiguousarray(matches.pixels), np.ascontiguousarray(matches.points_base)
+    try:
+        found, _, _, agree = cv2.solvePnPRansac(
+            points,
+            pixels,
+            camera.K,
+            None,
+            iterationsCount=config.ransac_iterations,
+            reprojectionError=config.ransac_error_px,
+            confidence=0.9999,
+            flags=cv2.SOLVEPNP_AP3P,
+        )
+        if not found or agree is None:
+            return None
+        agree = agree[:, 0]
+        found, w, t = cv2.solvePnP(points[agree], pixels[agree], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:  # thrown on degenerate configurations
+        return None
+    if not found or not np.isfinite(w).all() or not np.isfinite(t).all():
+        return None
+    return se3.inverse(se3.pose(cv2.Rodrigues(w)[0], t[:, 0]))
+
+
+class _System:
+    """The linearised errors of matches, whitened."""
+
+    def __init__(self, camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> None:
+        self._camera, self._matches = camera, matches
+        self._noise = config.sigma_px**2 * np.eye(2)
+
+    def linearize(self, T_base_camera: Array) -> Array:
+        """Errors and Jacobians at a pose; returns chi-square (K,), infinite behind the camera."""
+        points = se3.transform(se3.inverse(T_base_camera), self._matches.points_base)
+        pixels, J = _projected(self._camera, points)
+        rotated = J @ T_base_camera[:3, :3].T
+        covariance = self._noise + rotated @ self._matches.noise_base @ np.swapaxes(rotated, 1, 2)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        self._error = (whiten @ (self._matches.pixels - pixels)[:, :, None])[:, :, 0]
+        # T exp(xi) moves a point X of the camera's frame by X x w - v
+        motion = np.concatenate([_hats(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        self._jacobian = whiten @ J @ motion
+        return np.where(points[:, 2] > 0, np.sum(self._error**2, axis=1), 1e12)
+
+    def information(self, weights: Array) -> Array:
+        """Information (6, 6) of the matches under weights (K,)."""
+        J = self._jacobian.reshape(-1, 6)
+        return np.asarray((J * np.repeat(weights, 2)[:, None]).T @ J)
+
+    def step(self, weights: Array) -> Array:
+        """Gauss-Newton step (6,) under weights (K,), from where `linearize` was called last."""
+        right = self._jacobian.reshape(-1, 6).T @ (self._error * weights[:, None]).ravel()
+        return np.asarray(np.linalg.lstsq(self.information(weights), right, rcond=None)[0])
+
+
+def _projected(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
+    """Pixels (K, 2) of points (K, 3), and their derivative (K, 2, 3)."""
+    x, y, z = points.T
+    z = np.where(np.abs(z) > 1e-3, z, 1e-3)
+    pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+    J = np.zeros((len(points), 2, 3))
+    J[:, 0, 0], J[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
+    J[:, 1, 1], J[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
+    return pixels, J
+
+
+def _hats(points: Array) -> Array:
+    """Skew matrices (K, 3, 3) of points (K, 3)."""
+    x, y, z = points.T
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)
