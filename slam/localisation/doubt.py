@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from odometry.camera import PinholeCamera
 from place_recognition.image_processing.features import LocalFeatures
 from slam.localisation.pose import CameraPose
 from slam.localisation.saved_map import SavedMap
@@ -57,18 +56,23 @@ class Hypothesis:
         return len(self.agreeing)
 
 
-def doubt(found: Hypothesis, features: LocalFeatures, camera: PinholeCamera, config: DoubtConfig) -> str:
-    """Why not to believe a pose by itself, with the numbers; empty where there is no reason."""
-    if found.pose is None:
+def doubt(
+    best: Hypothesis, others: Sequence[Hypothesis], features: LocalFeatures, saved: SavedMap, config: DoubtConfig
+) -> str:
+    """Why not to believe the best hypothesis, with the numbers; empty where there is no reason."""
+    if best.pose is None:
         return "no pose stands out among the matches"
-    if len(found) < config.min_inliers:
-        return f"{len(found)} features agree with one pose, expected at least {config.min_inliers}"
-    share = explained(features, found, config.reach * camera.width)
+    if len(best) < config.min_inliers:
+        return f"{len(best)} features agree with one pose, expected at least {config.min_inliers}"
+    share = explained(features, best, config.reach * saved.camera.width)
     if share < config.min_explained:
         return f"{share:.0%} of the picture is explained, expected at least {config.min_explained:.0%}"
-    sigma = float(np.sqrt(np.trace(found.pose.covariance[3:, 3:])))
+    sigma = float(np.sqrt(np.trace(best.pose.covariance[3:, 3:])))
     if sigma > config.max_sigma_m:
         return f"the position is known to {sigma:.2f} m, expected {config.max_sigma_m} m"
+    rival = next((other for other in others if rivals(saved, best, other, config)), None)
+    if rival is not None:
+        return f"image {rival.image} of the map explains {len(rival)} features elsewhere, this one {len(best)}"
     return ""
 
 
@@ -78,22 +82,10 @@ def explained(features: LocalFeatures, found: Hypothesis, reach_px: float) -> fl
     return float(np.mean(nearest < reach_px))
 
 
-def rivalry(saved: SavedMap, hypotheses: Sequence[Hypothesis], config: DoubtConfig) -> str:
-    """Whether another place explains the image nearly as well as the first; empty where none does."""
-    best = hypotheses[0]
-    for other in hypotheses[1:]:
-        if len(other) >= config.max_rival * len(best) and _elsewhere(saved, best, other, config.elsewhere_m):
-            return f"images {best.image} and {other.image} of the map explain it alike, and lie apart"
-    return ""
-
-
-def _elsewhere(saved: SavedMap, first: Hypothesis, second: Hypothesis, least_m: float) -> bool:
-    if saved.world[first.image] != saved.world[second.image]:
-        return False  # worlds that have not met may show one place
-    positions = [_position(saved, one) for one in (first, second)]
-    return bool(np.linalg.norm(positions[0] - positions[1]) > least_m)
-
-
-def _position(saved: SavedMap, found: Hypothesis) -> Array:
-    assert found.pose is not None  # it has agreeing features
-    return np.asarray((saved.poses[found.image] @ found.pose.T_base_camera)[:3, 3])
+def rivals(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: DoubtConfig) -> bool:
+    """Whether another place explains the image nearly as well as the best, which worlds that have not met may."""
+    if best.pose is None or other.pose is None or saved.world[best.image] != saved.world[other.image]:
+        return False
+    first, second = (saved.poses[one.image] @ one.pose.T_base_camera for one in (best, other))
+    apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+    return len(other) > config.max_rival * len(best) and apart > config.elsewhere_m

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures
-from slam.localisation.doubt import DoubtConfig, Hypothesis, doubt, rivalry
+from slam.localisation.doubt import DoubtConfig, Hypothesis, doubt, rivals
 from slam.localisation.index import IndexConfig, PlaceIndex
 from slam.localisation.pose import PoseConfig, camera_pose
 from slam.localisation.saved_map import SavedMap
@@ -98,9 +98,10 @@ class Locator:
         glances.sort(key=lambda glance: -len(glance))
         if not glances or not len(glances[0]):
             return NotFound(f"none of the {len(glances)} likeliest places agrees with it on a pose")
-        best = self._look(features, glances[0].place, self._config.look)
-        reason = doubt(best, features, self._saved.camera, self._config.doubt)
-        reason = reason or rivalry(self._saved, glances, self._config.doubt)
+        worth = [glance for glance in glances if rivals(self._saved, glances[0], glance, self._config.doubt)]
+        looks = [self._look(features, glance.place, self._config.look) for glance in (glances[0], *worth)]
+        best, *others = sorted(looks, key=lambda look: -len(look))
+        reason = doubt(best, others, features, self._saved, self._config.doubt)
         if reason or best.pose is None:
             return NotFound(reason, best.image, len(best))
         T_world_camera = self._saved.poses[best.image] @ best.pose.T_base_camera

@@ -20,6 +20,7 @@ _LIMIT_2 = 13.82  # its 99.9 % quantile
 _MIN_POINTS = 6  # below this a pose has nothing to be checked against
 _ROUNDS = 15  # of reweighting at most
 _SETTLED = 1e-5  # rad and m: a step below this ends it
+_NEAREST = 0.3  # m; nothing is seen closer
 _POLISH = 2  # steps of plain least squares on the inliers
 
 
@@ -104,6 +105,7 @@ def refined_pose(
         if np.abs(step).max() < _SETTLED:
             break
     chi2 = system.linearize(T_base_camera)
+    # The better half tells the noise; where most matches are wrong it tells nothing, hence the bound.
     inliers = chi2 < _LIMIT_2 * np.clip(np.median(chi2) / _MEDIAN_2, 1.0, 4.0)
     if np.sum(inliers) < _MIN_POINTS:
         return None
@@ -111,7 +113,7 @@ def refined_pose(
     for _ in range(_POLISH):
         T_base_camera = T_base_camera @ se3.exp(system.step(weights))
         chi2 = system.linearize(T_base_camera)
-    variance = float(chi2 @ weights) / max(2 * float(weights.sum()) - 6, 1.0)
+    variance = float(chi2[inliers] @ weights[inliers]) / max(2 * float(weights.sum()) - 6, 1.0)
     systematic = np.repeat(np.square([config.systematic_rad, config.systematic_m]), 3)
     covariance = max(variance, 1.0) * np.linalg.pinv(system.information(weights)) + np.diag(systematic)
     if not (np.isfinite(T_base_camera).all() and np.isfinite(covariance).all()):
@@ -160,17 +162,20 @@ class _System:
         self._noise = config.sigma_px**2 * np.eye(2)
 
     def linearize(self, T_base_camera: Array) -> Array:
-        """Errors and Jacobians at a pose; returns chi-square (K,), infinite behind the camera."""
+        """Errors and Jacobians at a pose; returns chi-square (K,), infinite for points that it cannot see."""
         points = se3.transform(se3.inverse(T_base_camera), self._matches.points_base)
+        ahead = points[:, 2] > _NEAREST
+        points[~ahead] = [0.0, 0.0, _NEAREST]  # anything that can be seen: it does not count
         pixels, J = _projected(self._camera, points)
         rotated = J @ T_base_camera[:3, :3].T
         covariance = self._noise + rotated @ self._matches.noise_base @ np.swapaxes(rotated, 1, 2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        whiten[~ahead] = 0.0
         self._error = (whiten @ (self._matches.pixels - pixels)[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of the camera's frame by X x w - v
         motion = np.concatenate([_hats(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
-        return np.where(points[:, 2] > 0, np.sum(self._error**2, axis=1), 1e12)
+        return np.where(ahead, np.sum(self._error**2, axis=1), np.inf)
 
     def information(self, weights: Array) -> Array:
         """Information (6, 6) of the matches under weights (K,)."""
@@ -186,7 +191,6 @@ class _System:
 def _projected(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
     """Pixels (K, 2) of points (K, 3), and their derivative (K, 2, 3)."""
     x, y, z = points.T
-    z = np.where(np.abs(z) > 1e-3, z, 1e-3)
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
     J = np.zeros((len(points), 2, 3))
     J[:, 0, 0], J[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
