@@ -325,6 +325,29 @@ def explain(
 
 
 @app.command()
+def locate(
+    map: Annotated[Path, typer.Argument(help="Folder of a run, or its map.db.")],
+    images: Annotated[Path, typer.Argument(help="An image, a folder of images, a video, or a recorded drive.")],
+    sequence: Annotated[
+        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="CSV file for the poses.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Tell where single images of the map's camera were taken, or that the map does not show it.
+
+    Example: revisit locate runs/kitti05 photo.png
+    """
+    from slam.datasets.source import Source
+    from slam.localisation.command import LocateOptions, as_json, as_table
+    from slam.localisation.command import locate as place
+
+    answers = place(LocateOptions(map, Source(images, sequence), out), Console(stderr=True))
+    shown = as_json(answers) if json else as_table(answers)
+    Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
+
+
+@app.command()
 def check(
     source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
     sequence: Annotated[

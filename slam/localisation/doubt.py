@@ -86,6 +86,7 @@ def rivals(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: DoubtCo
     """Whether another place explains the image nearly as well as the best, which worlds that have not met may."""
     if best.pose is None or other.pose is None or saved.world[best.image] != saved.world[other.image]:
         return False
-    first, second = (saved.poses[one.image] @ one.pose.T_base_camera for one in (best, other))
+    first = saved.poses[best.image] @ best.pose.T_base_camera
+    second = saved.poses[other.image] @ other.pose.T_base_camera
     apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
     return len(other) > config.max_rival * len(best) and apart > config.elsewhere_m

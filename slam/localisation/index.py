@@ -68,7 +68,7 @@ class PlaceIndex:
         profiles = csr_array((-np.log(shares[columns]), (rows, columns)), shape=(len(found), len(shares)))
         lengths = np.sqrt(profiles.power(2).sum(axis=1))
         profiles.data /= np.repeat(np.maximum(lengths, 1e-12), np.diff(profiles.indptr))
-        return cls(search, shares, profiles)
+        return cls(search, np.asarray(shares, np.float64), profiles)
 
     def likeness(self, descriptors: Floats) -> Array:
         """How alike each key frame (F,) is to an image by its descriptors (N, D): a correlation, at most 1."""

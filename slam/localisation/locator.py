@@ -128,4 +128,3 @@ class Locator:
         pose = camera_pose(saved.camera, matches, self._config.pose)
         agreeing = np.empty(0, np.int64) if pose is None else np.unique(matches.features[pose.inliers])
         return Hypothesis(place, base, agreeing, pose)
-

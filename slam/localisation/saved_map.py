@@ -15,6 +15,8 @@ from slam.map_store.store import MapStore
 
 Array = NDArray[np.float64]
 
+_UNIT = 1.01  # no number of a descriptor of unit length is larger, rounding allowed for
+
 
 @dataclass(frozen=True)
 class SavedMap:
@@ -60,8 +62,16 @@ class SavedMap:
         return cls(store, sessions[0].camera, key_frames, poses, units, session, world)
 
     def landmarks(self, image: int) -> Landmarks:
-        """What an image saw, in its camera's frame and its own unit."""
-        return self.store.landmarks(int(image))  # SQLite knows no integers of numpy
+        """What an image saw, in its camera's frame and its own unit.
+
+        Raises:
+            DataError: the store is damaged.
+        """
+        seen = self.store.landmarks(int(image))  # SQLite knows no integers of numpy
+        arrays = (seen.pixels, seen.points, seen.descriptors)
+        if not all(np.isfinite(array).all() for array in arrays) or np.abs(seen.descriptors).max(initial=0) > _UNIT:
+            raise DataError(f"{self.store.path}: expected finite landmarks of image {image}, found others; run again")
+        return seen
 
     def pose_between(self, base: int, other: int) -> Array:
         """T_base_other (4, 4) of two images of one world, in its unit."""

@@ -42,9 +42,7 @@ def match_view(
     )
 
 
-def _match(
-    saved: SavedMap, base: int, image: int, features: LocalFeatures, config: ViewConfig
-) -> MapMatches:
+def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, config: ViewConfig) -> MapMatches:
     seen = saved.landmarks(image)
     pairs = mutual_matches(features.descriptors, seen.descriptors.astype(np.float32), config.ratio)
     points_there = seen.points[pairs[:, 1]].astype(np.float64)

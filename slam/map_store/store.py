@@ -300,6 +300,11 @@ class MapStore:
         self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", _plain(values.values()))
 
 
+def map_file(path: Path) -> Path:
+    """The map store that a path names: itself, or that of the run in a folder."""
+    return path / MAP_FILE if path.is_dir() else path
+
+
 def _plain(values: Iterable[Any]) -> Sequence[Any]:
     return [value.item() if isinstance(value, np.generic) else value for value in values]
 

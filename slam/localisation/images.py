@@ -1,0 +1,79 @@
+"""The images that are to be placed: one, a folder of them, a video, or what the left camera of a drive saw."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from slam.datasets.images import SUFFIXES, ImageSequence
+from slam.datasets.left_images import ImageRecording, LeftImages
+from slam.datasets.open import open_left_images
+from slam.datasets.source import Source
+from slam.errors import DataError
+
+Image = NDArray[np.uint8]
+
+_ALIKE = 0.01  # share of the image's width by which two descriptions of one camera may differ
+
+
+@dataclass(frozen=True)
+class Queries:
+    """Images of the camera of a map.
+
+    Attributes:
+        images: one after the other; that they follow one another is not made use of.
+        camera: of the map.
+    """
+
+    images: ImageRecording
+    camera: StereoCamera
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __iter__(self) -> Iterator[tuple[str, Image]]:
+        """Name and content of each image.
+
+        Raises:
+            DataError: one cannot be read, or has another size than those of the map.
+        """
+        for index in range(len(self)):
+            name, image = self._name(index), self.images[index]
+            if image.shape != (self.camera.height, self.camera.width):
+                raise DataError(
+                    f"{name}: expected {self.camera.width} x {self.camera.height} pixels as in the map, found"
+                    f" {image.shape[1]} x {image.shape[0]}; give images of the camera that made the map"
+                )
+            yield name, image
+
+    def _name(self, index: int) -> str:
+        if isinstance(self.images, ImageSequence):
+            return self.images.files[index].name
+        return f"{self.images.name}:{index}"
+
+
+def open_queries(source: Source, camera: StereoCamera) -> Queries:
+    """Open images that the camera of a map has taken.
+
+    Raises:
+        DataError: there are none, or they are said to come from another camera.
+    """
+    if source.path.is_file() and source.path.suffix.lower() in SUFFIXES:
+        return Queries(ImageSequence(source.path.stem, (source.path,), None), camera)
+    images = open_left_images(source)
+    if isinstance(images, LeftImages):
+        _compare(source.path, images.drive.camera, camera)
+    return Queries(images, camera)
+
+
+def _compare(path: Path, found: StereoCamera, expected: StereoCamera) -> None:
+    numbers = [np.array([camera.fx, camera.fy, camera.cx, camera.cy]) for camera in (found, expected)]
+    if np.abs(numbers[0] - numbers[1]).max() > _ALIKE * expected.width:
+        shown = [", ".join(f"{value:.1f}" for value in each) for each in numbers]
+        raise DataError(
+            f"{path}: expected the camera of the map, fx, fy, cx, cy = {shown[1]}, found {shown[0]};"
+            " give images of the camera that made the map"
+        )
