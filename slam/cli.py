@@ -348,8 +348,27 @@ def locate(
 
 
 @app.command()
+def info(
+    map: Annotated[Path, typer.Argument(help="Folder of a run, or its map.db.")],
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Tell what a saved map holds: its drives, loops and landmarks, and where its bytes are.
+
+    Example: revisit info runs/kitti05
+    """
+    from slam.map_store.summary import as_json, as_table, summarise
+
+    summary = summarise(map)
+    shown = as_json(summary) if json else as_table(summary)
+    Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
+
+
+@app.command()
 def check(
-    source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
+    source: Annotated[
+        Path,
+        typer.Argument(help="A recorded drive, a folder of images, a video, a bag, or a map that a run has saved."),
+    ],
     sequence: Annotated[
         str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
     ] = None,
@@ -358,14 +377,18 @@ def check(
     topic: Topic = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Look at a recording before a run: what will and what will not work with it, and why.
+    """Look at a recording before a run, or at a saved map: what will and what will not work with it, and why.
 
     Example: revisit check data/kitti --sequence 05
     """
     from slam.datasets.source import Source
     from slam.inspection.command import as_json, as_table, check_recording
+    from slam.inspection.map import inspect_map, is_map
 
-    inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
+    if is_map(source):
+        inspection = inspect_map(source)
+    else:
+        inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
     shown = as_json(inspection) if json else as_table(inspection)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
     raise typer.Exit(0 if inspection.serves else EXIT_FAILED)

@@ -1,13 +1,14 @@
 """`revisit check`: a recording in, a table or JSON of findings out, and what can be done with it."""
 
 import json
+from enum import StrEnum
 
 from rich.console import Console, Group
 from rich.markup import escape
 from rich.table import Table
 
 from slam.datasets.source import Source
-from slam.inspection.finding import Inspection, Status, Use
+from slam.inspection.finding import Inspection, Status
 from slam.inspection.recording import inspect
 from slam.progress import progress_bar
 
@@ -30,10 +31,10 @@ def as_table(inspection: Inspection) -> Group:
     for finding in inspection.findings:
         colour = _COLOURS[finding.status]
         table.add_row(f"[{colour}]{finding.status}[/{colour}]", finding.topic, escape(finding.text))
-    return Group(table, *(_verdict(inspection, use) for use in Use))
+    return Group(table, *(_verdict(inspection, use) for use in inspection.uses))
 
 
-def _verdict(inspection: Inspection, use: Use) -> str:
+def _verdict(inspection: Inspection, use: StrEnum) -> str:
     reasons = inspection.hindrances(use)
     return f"{use}: will not work: {escape('; '.join(reasons))}" if reasons else f"{use}: will work"
 
@@ -46,7 +47,7 @@ def as_json(inspection: Inspection) -> str:
         "findings": [
             {"topic": f.topic, "status": f.status, "text": f.text, "figures": f.figures} for f in inspection.findings
         ],
-        "works": {use.name.lower(): not inspection.hindrances(use) for use in Use},
-        "reasons": {use.name.lower(): inspection.hindrances(use) for use in Use},
+        "works": {use.name.lower(): not inspection.hindrances(use) for use in inspection.uses},
+        "reasons": {use.name.lower(): inspection.hindrances(use) for use in inspection.uses},
     }
     return json.dumps(table, indent=2)

@@ -23,23 +23,8 @@ from slam.map_store.store import MapStore, map_file
 from slam.progress import progress_bar
 from slam.storage.tables import write_table
 
-_COLUMNS = [
-    "image",
-    "found",
-    "x",
-    "y",
-    "z",
-    "qx",
-    "qy",
-    "qz",
-    "qw",
-    "inliers",
-    "sigma_m",
-    "sigma_deg",
-    "beside",
-    "world",
-    "reason",
-]
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
+_COLUMNS = ("image", "found", *_POSE, "inliers", "sigma_m", "sigma_deg", "beside", "world", "reason")
 
 
 @dataclass(frozen=True)
@@ -76,7 +61,7 @@ class Answer:
         if isinstance(found, NotFound):
             return values | said | {"beside": found.image, "reason": found.reason}
         numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
-        pose = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), map(float, numbers), strict=True))
+        pose = dict(zip(_POSE, map(float, numbers), strict=True))
         sigmas = {"sigma_m": found.sigma_m, "sigma_deg": found.sigma_deg}
         return values | said | pose | sigmas | {"beside": found.image, "world": found.world, "reason": ""}
 

@@ -43,16 +43,18 @@ class Queries:
         for index in range(len(self)):
             name, image = self._name(index), self.images[index]
             if image.shape != (self.camera.height, self.camera.width):
+                size = f"{self.camera.width} x {self.camera.height}"
                 raise DataError(
-                    f"{name}: expected {self.camera.width} x {self.camera.height} pixels as in the map, found"
-                    f" {image.shape[1]} x {image.shape[0]}; give images of the camera that made the map"
+                    f"{self._where(index)}: expected {size} pixels as in the map, found {image.shape[1]} x"
+                    f" {image.shape[0]}; give images of the camera that made the map"
                 )
             yield name, image
 
     def _name(self, index: int) -> str:
-        if isinstance(self.images, ImageSequence):
-            return self.images.files[index].name
-        return f"{self.images.name}:{index}"
+        return self.images.files[index].name if isinstance(self.images, ImageSequence) else self._where(index)
+
+    def _where(self, index: int) -> str:
+        return self.images.where(index) if isinstance(self.images, ImageSequence) else f"{self.images.name}:{index}"
 
 
 def open_queries(source: Source, camera: StereoCamera) -> Queries:

@@ -1,12 +1,14 @@
 """The tables of a map store, its version, and opening one."""
 
 import sqlite3
+from collections.abc import Callable, Iterable
+from contextlib import closing
 from pathlib import Path
 
 from slam.errors import DataError, OutputError
 
 VERSION = 1
-_APPLICATION = 0x52565354  # "RVST": tells our files from other SQLite files
+APPLICATION = 0x52565354  # "RVST": tells our files from other SQLite files
 _BUSY_S = 5.0  # another reader or writer is waited for so long
 
 # Images are numbered through all sessions. Poses, covariances and pixels are little-endian arrays, row by row.
@@ -88,6 +90,11 @@ CREATE TABLE piece (
 );
 """
 
+_COLUMNS = """
+SELECT tables.name || '.' || columns.name FROM sqlite_master AS tables, pragma_table_info(tables.name) AS columns
+WHERE tables.type = 'table' AND tables.name NOT LIKE 'sqlite_%'
+"""
+
 
 def create(path: Path) -> sqlite3.Connection:
     """Make an empty store.
@@ -98,7 +105,7 @@ def create(path: Path) -> sqlite3.Connection:
     try:
         connection = _connect(f"{path.resolve().as_uri()}?mode=rwc")
         connection.executescript(f"BEGIN; {_TABLES}; COMMIT;")
-        connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+        connection.execute(f"PRAGMA application_id = {APPLICATION}")
         connection.execute(f"PRAGMA user_version = {VERSION}")
     except sqlite3.Error as error:
         raise OutputError(f"{path}: the map cannot be written ({error}); make room or choose another folder") from error
@@ -119,13 +126,27 @@ def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
         (version,) = connection.execute("PRAGMA user_version").fetchone()
     except sqlite3.Error as error:
         raise damaged(path, error) from error
-    if application != _APPLICATION:
+    if application != APPLICATION:
         connection.close()
         raise DataError(f"{path}: expected a map store, found another SQLite database; give the map.db of a run")
     if version != VERSION:
         connection.close()
         raise DataError(f"{path}: expected a map store of version {VERSION}, found {version}; make it anew")
     return connection
+
+
+def columns(ask: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
+    """Columns, `table.column`, that a store has; `ask` reads from it."""
+    return [row[0] for row in ask(_COLUMNS)]
+
+
+def missing_columns(ask: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
+    """Columns that a store should have and has not."""
+    with closing(sqlite3.connect(":memory:")) as empty:
+        empty.executescript(_TABLES)
+        expected = columns(empty.execute)
+    found = set(columns(ask))
+    return [name for name in expected if name not in found]
 
 
 def damaged(path: Path, error: Exception) -> DataError:

@@ -285,6 +285,11 @@ class MapStore:
                 return None
             return Checkpoint(found["frames"], json.loads(found["structure"]), read_arrays(self._connection, session))
 
+    def ask(self, question: str, *values: Any) -> list[sqlite3.Row]:
+        """What SQL finds, for whoever wants to know more than the other methods say."""
+        with self.reading():
+            return self._connection.execute(question, values).fetchall()
+
     def count(self, table: str) -> int:
         """Rows of a table."""
         return self._count(table, None)
