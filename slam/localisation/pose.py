@@ -113,6 +113,8 @@ def refined_pose(
     for _ in range(_POLISH):
         T_base_camera = T_base_camera @ se3.exp(system.step(weights))
         chi2 = system.linearize(T_base_camera)
+    if not np.isfinite(chi2[inliers]).all():
+        return None  # the last steps have turned away from what they were to fit
     variance = float(chi2[inliers] @ weights[inliers]) / max(2 * float(weights.sum()) - 6, 1.0)
     systematic = np.repeat(np.square([config.systematic_rad, config.systematic_m]), 3)
     covariance = max(variance, 1.0) * np.linalg.pinv(system.information(weights)) + np.diag(systematic)

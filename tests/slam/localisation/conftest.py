@@ -1,0 +1,68 @@
+"""A map of a part of the first lap of a small drive."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from place_recognition.evaluation.matrix import MatrixRows
+from slam.config import RunConfig, to_toml
+from slam.datasets.open import open_drive
+from slam.drive_log import DriveLog
+from slam.localisation.saved_map import SavedMap
+from slam.map_store.keeping import MapKeeper, verdicts
+from slam.map_store.store import Corrected, MapStore, Session
+from slam.parts import build_parts
+from slam.system import Slam
+
+MAPPED = range(0, 90, 2)  # frames of the drive that are in the map
+
+
+@pytest.fixture(scope="session")
+def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the map lies; whoever changes the file takes a copy."""
+    path = tmp_path_factory.mktemp("map") / "map.db"
+    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRows(500), DriveLog()
+    slam = Slam(build_parts(drive.camera, config, rows))
+    source = {"source": str(circle_drive), "versions": {"revisit-slam": "0"}}
+    session = Session(0, 0, "circle", drive.camera, to_toml(config), source)
+    with MapStore.create(path) as store:
+        with store.writing():
+            store.add_session(session)
+        keeper = MapKeeper(store, session)
+        keeper.recall(slam, rows, log)
+        for number, frame in enumerate(MAPPED):
+            processed = slam.process(replace(drive[frame], index=number))
+            log.add(processed, {})
+            keeper.add(processed, processed.stage_ms)
+        keeper.pause()
+        late, optimized = slam.finish(config.robust)
+        log.attempts.extend(late)
+        corrected = Corrected(optimized.poses, optimized.lengths, verdicts(log.attempts, optimized))
+        keeper.finish(late, corrected, True)
+    return path
+
+
+@pytest.fixture(scope="session")
+def saved(map_path: Path) -> Iterator[SavedMap]:
+    """The map, open."""
+    with MapStore.open(map_path) as store:
+        yield SavedMap.open(store)
+
+
+@pytest.fixture
+def damaged(map_path: Path, tmp_path: Path) -> Path:
+    """A copy of the map, to be damaged."""
+    path = tmp_path / "map.db"
+    path.write_bytes(map_path.read_bytes())
+    return path
+
+
+@pytest.fixture(scope="session")
+def truth(circle_drive: Path) -> np.ndarray:
+    """T_world_camera (N, 4, 4) of all frames of the drive, metres."""
+    poses = open_drive(circle_drive).ground_truth
+    assert poses is not None
+    return poses
