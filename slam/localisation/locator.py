@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures
+from slam.errors import DataError
 from slam.localisation.doubt import DoubtConfig, Hypothesis, doubt, rivals
 from slam.localisation.index import IndexConfig, PlaceIndex
 from slam.localisation.pose import PoseConfig, camera_pose
@@ -92,8 +93,17 @@ class Locator:
         self._index = PlaceIndex.build(self._descriptors, self._config.index)
 
     def locate(self, image: Image) -> Located | NotFound:
-        """Place an image (H, W) uint8 of the map's camera."""
+        """Place an image (H, W) uint8 of the map's camera.
+
+        Raises:
+            DataError: the map is of other features.
+        """
         features = self._extractor.extract(image)
+        if features.descriptors.shape[1] != self._saved.numbers and len(features):
+            raise DataError(
+                f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
+                f" {self._saved.numbers} numbers; let a run write it anew"
+            )
         glances = [self._look(features, place, self._config.glance) for place in self._candidates(features)]
         glances.sort(key=lambda glance: -len(glance))
         if not glances or not len(glances[0]):

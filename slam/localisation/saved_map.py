@@ -30,6 +30,7 @@ class SavedMap:
         units: (N,) of length of each image, in that of the world.
         session: (N,) drive of each image; its frames stand well to one another, whatever has drifted since.
         world: (N,) frame of reference of each image.
+        numbers: in a descriptor.
     """
 
     store: MapStore
@@ -39,6 +40,7 @@ class SavedMap:
     units: Array
     session: NDArray[np.int64]
     world: NDArray[np.int64]
+    numbers: int
 
     @classmethod
     def open(cls, store: MapStore) -> Self:
@@ -59,7 +61,7 @@ class SavedMap:
         if not np.isfinite(poses).all() or key_frames[-1] >= len(poses):
             raise DataError(f"{store.path}: expected a finite pose of each image, found others; revisit check MAP")
         world = np.array([one.world for one in sessions])[session]
-        return cls(store, sessions[0].camera, key_frames, poses, units, session, world)
+        return cls(store, sessions[0].camera, key_frames, poses, units, session, world, _numbers(store, key_frames))
 
     def landmarks(self, image: int) -> Landmarks:
         """What an image saw, in its camera's frame and its own unit.
@@ -69,8 +71,11 @@ class SavedMap:
         """
         seen = self.store.landmarks(int(image))  # SQLite knows no integers of numpy
         arrays = (seen.pixels, seen.points, seen.descriptors)
-        if not all(np.isfinite(array).all() for array in arrays) or np.abs(seen.descriptors).max(initial=0) > _UNIT:
-            raise DataError(f"{self.store.path}: expected finite landmarks of image {image}, found others; run again")
+        sound = all(np.isfinite(array).all() for array in arrays) and np.abs(seen.descriptors).max(initial=0) < _UNIT
+        if not sound or (len(seen) and seen.descriptors.shape[1] != self.numbers):
+            raise DataError(
+                f"{self.store.path}: expected finite landmarks of one kind, found others in image {image}; run again"
+            )
         return seen
 
     def pose_between(self, base: int, other: int) -> Array:
@@ -82,3 +87,11 @@ class SavedMap:
         there = np.unique(np.clip(place + np.array(offsets), 0, len(self.key_frames) - 1))
         images = self.key_frames[there]
         return images[self.session[images] == self.session[self.key_frames[place]]]
+
+
+def _numbers(store: MapStore, images: NDArray[np.int64]) -> int:
+    for image in images.tolist():
+        seen = store.landmarks(image)
+        if len(seen):
+            return seen.descriptors.shape[1]
+    raise DataError(f"{store.path}: expected landmarks, found none in any key frame; let another run write it")

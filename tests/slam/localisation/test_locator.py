@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from odometry import se3
+from place_recognition.image_processing.sift import Sift
 from place_recognition.image_processing.surf import Surf
 from slam.datasets.open import open_drive
+from slam.errors import DataError
 from slam.evaluation.trajectory import umeyama
 from slam.localisation.locator import Located, Locator, NotFound
 from slam.localisation.saved_map import SavedMap
@@ -58,6 +60,11 @@ def test_what_the_map_does_not_show_is_not_found(locator: Locator, circle_drive:
         found = locator.locate(stranger)
         assert isinstance(found, NotFound)
         assert found.reason
+
+
+def test_features_of_another_kind_are_refused(saved: SavedMap, circle_drive: Path) -> None:
+    with pytest.raises(DataError, match="expected landmarks of sift"):
+        Locator(saved, Sift()).locate(image(circle_drive, 0))
 
 
 def test_an_answer_does_not_depend_on_what_was_asked_before(
