@@ -66,7 +66,7 @@ def doubt(
         return f"{len(best)} features agree with one pose, expected at least {config.min_inliers}"
     share = explained(features, best, config.reach * saved.camera.width)
     if share < config.min_explained:
-        return f"{share:.0%} of the picture is explained, expected at least {config.min_explained:.0%}"
+        return f"{share:.1%} of the picture is explained, expected at least {config.min_explained:.0%}"
     sigma = float(np.sqrt(np.trace(best.pose.covariance[3:, 3:])))
     if sigma > config.max_sigma_m:
         return f"the position is known to {sigma:.2f} m, expected {config.max_sigma_m} m"
