@@ -1,5 +1,6 @@
 """The tables of a map store, its version, and opening one."""
 
+import os
 import sqlite3
 from collections.abc import Callable, Iterable
 from contextlib import closing
@@ -121,7 +122,7 @@ def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
     if not path.is_file():
         raise DataError(f"{path}: expected a map store, found none; a run writes one: revisit run SOURCE --out DIR")
     try:
-        connection = _connect(f"{path.resolve().as_uri()}?mode={mode}")
+        connection = _connect(f"{path.resolve().as_uri()}?mode={mode}{_untouched(path) if mode == 'ro' else ''}")
         (application,) = connection.execute("PRAGMA application_id").fetchone()
         (version,) = connection.execute("PRAGMA user_version").fetchone()
     except sqlite3.Error as error:
@@ -133,6 +134,13 @@ def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
         connection.close()
         raise DataError(f"{path}: expected a map store of version {VERSION}, found {version}; make it anew")
     return connection
+
+
+def _untouched(path: Path) -> str:
+    """What tells SQLite that nobody writes: where it cannot make its log, as on a read-only disk, it would give up."""
+    log = path.with_name(f"{path.name}-wal")
+    waiting = log.is_file() and log.stat().st_size > 0
+    return "" if waiting or os.access(path.parent, os.W_OK) else "&immutable=1"
 
 
 def columns(ask: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:

@@ -174,6 +174,20 @@ def test_a_map_is_read_while_it_is_written(damaged: Path) -> None:
         assert summarise(damaged).drives[0].frames == 45
 
 
+def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with MapStore.open(damaged) as store:
+        assert store.images() == 45
+        assert [item.name for item in damaged.parent.iterdir()] == ["map.db"]  # no log beside it, as SQLite would make
+    monkeypatch.undo()
+    with MapStore.open(damaged, writable=True) as writer:
+        with writer.writing():
+            writer.forget_answers(0)
+        monkeypatch.setattr("os.access", lambda path, mode: False)
+        with MapStore.open(damaged) as store:
+            assert store.count("attempt") == 0  # what still waits in the log is read
+
+
 def test_commands_print_a_table_or_json(
     map_path: Path, damaged: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
