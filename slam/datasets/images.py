@@ -93,12 +93,21 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
     """Read an image (H, W) uint8; colour becomes grey.
 
     Raises:
-        DataError: the file is missing or damaged.
+        DataError: the file is missing or damaged, or its name is no text.
     """
+    _check_name(path)
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _check_name(path: Path) -> None:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:  # OpenCV would take the whole program down
+        shown = str(path).encode(errors="replace").decode()
+        raise DataError(f"{shown}: expected a file name of characters, found other bytes; rename it") from None
 
 
 def read_times(path: Path, count: int) -> Array:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import sys
 from pathlib import Path
 
 import cv2
@@ -51,6 +53,19 @@ def test_a_folder_gives_a_table_and_a_file(
     ]
     assert rows[0]["x"] == ""
     assert np.linalg.norm([float(rows[1][name]) for name in ("qx", "qy", "qz", "qw")]) == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_a_name_that_is_no_text_is_refused(
+    map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = tmp_path / os.fsdecode(b"a\xff\n[b].png")
+    image.write_bytes((photos / "10.png").read_bytes())
+    for images in (image, tmp_path):
+        assert run(monkeypatch, "locate", map_path, images) == 1
+        said = capsys.readouterr().err
+        assert "a? [b].png: expected a file name of characters" in said
+        assert said.count("\n") == 1
 
 
 def test_an_image_alone_gives_the_same_as_in_the_drive(
