@@ -118,6 +118,8 @@ def run(
         float | None, typer.Option(help="With --mono: metres above the road; gives the scale. KITTI: 1.65.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    no_map: Annotated[bool, typer.Option("--no-map", help="Write no map.db: no --resume, no locate.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run into the folder stopped.")] = False,
     kind: Kind = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
     topic: Topic = None,
@@ -129,7 +131,7 @@ def run(
     """
     from slam.run import RunOptions, run_recorded
 
-    options = RunOptions(source, sequence, out, view, overwrite, config, kind, fps, tuple(topic or ()))
+    options = RunOptions(source, sequence, out, view, overwrite, resume, config, kind, fps, tuple(topic or ()))
     chosen = {
         "paradigm": paradigm,
         "features": features,
@@ -138,6 +140,7 @@ def run(
         "robust": robust,
         "seed": seed,
         "record": False if no_record else None,
+        "keep_map": False if no_map else None,
         "mono": mono or None,
         "camera_height": camera_height,
     }

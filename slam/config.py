@@ -50,6 +50,7 @@ class RunConfig:
         robust: back end of the final optimisation, by name.
         seed: of every random generator.
         record: write `recording.rrd`.
+        keep_map: write `map.db`, with which a run can go on, be located in, or be joined by another.
         mono: use the left camera alone.
     """
 
@@ -57,6 +58,7 @@ class RunConfig:
     robust: str = DEFAULT
     seed: int = 0
     record: bool = True
+    keep_map: bool = True
     mono: bool = False
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
     one_camera: OneCameraConfig = field(default_factory=OneCameraConfig)
@@ -88,6 +90,19 @@ def read_config(path: Path) -> RunConfig:
     return from_values(RunConfig, read_toml(path), str(path))
 
 
+def parse_config(text: str, where: str) -> RunConfig:
+    """Configuration from TOML text, such as `to_toml` gives.
+
+    Args:
+        text: the settings.
+        where: they stand, for messages.
+
+    Raises:
+        ConfigError: it is no TOML, or holds an unknown name or a value of the wrong type.
+    """
+    return from_values(RunConfig, _parsed(text, where), where)
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Values of a TOML file.
 
@@ -95,9 +110,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing or damaged.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: expected a TOML file, {error}") from error
+    return _parsed(text, str(path))
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
+        raise ConfigError(f"{where}: expected a TOML file, {error}") from error
 
 
 def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:

@@ -59,6 +59,7 @@ class Finished:
         optimized: the final trajectory and the verdicts on the loops.
         interrupted: stopped by the user.
         wall_seconds: from the first frame to the end of the final optimisation.
+        behind: frames that an earlier run had driven, which this one has gone on with.
     """
 
     drive: Dataset
@@ -69,6 +70,7 @@ class Finished:
     optimized: Optimized
     interrupted: bool
     wall_seconds: float
+    behind: int = 0
 
     @property
     def alignment(self) -> Alignment:
@@ -198,7 +200,7 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> d
         "places": places.section,
         "graph": _graph_metrics(record, errors, finished.optimized),
         "timing_ms": timing_ms(record.stage_ms),
-        "frames_per_second": len(record.timestamps) / finished.wall_seconds,
+        "frames_per_second": (len(record.timestamps) - finished.behind) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
         "memory_mb": held_mb(finished.slam.parts),

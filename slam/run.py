@@ -18,6 +18,8 @@ from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError
+from slam.map_store.keeping import Keeper, NullKeeper, corrected, open_keeper
+from slam.map_store.resuming import Stopped, check_same, check_unfinished, find_stopped, is_complete, take_over
 from slam.parts import build_parts, check_names
 from slam.progress import progress_bar
 from slam.provenance import provenance
@@ -48,6 +50,7 @@ class RunOptions:
         out: folder for the results.
         view: how to watch: none, native or web.
         overwrite: replace an earlier run.
+        resume: go on where a run into the same folder has stopped, if there is one.
         config: settings file, or None for the defaults.
         kind: of the source; None to recognise it.
         fps: images a second, where no file says when they were taken.
@@ -60,6 +63,7 @@ class RunOptions:
     out: Path
     view: str = "none"
     overwrite: bool = False
+    resume: bool = False
     config: Path | None = None
     kind: str | None = None
     fps: float | None = None
@@ -87,21 +91,22 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     Raises:
         RevisitError: the drive, the settings or the output folder cannot be used; earlier results stay untouched.
     """
-    config = configure(options, settings)
+    stopped = find_stopped(options.out) if options.resume else None
+    if options.resume and stopped is None and is_complete(options.out):
+        messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
+        return False
+    config = configure(options, settings, stopped.config if stopped else None)
     drive = open_source(options.recording)
     if not drive.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
         )
-    with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):
-        viewer = open_viewer(options, config, drive, folder.path)
-        try:
-            finished = drive_through(drive, config, viewer, messages)
-            origin = provenance(options.source, drive.name, options.command)
-            record = make_record(finished, origin | {"recording": options.recording.as_metrics()})
+    origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
+    with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
+        with open_keeper(folder, drive, config, origin) as keeper, _viewer(options, config, drive, folder) as viewer:
+            finished = drive_through(drive, config, viewer, messages, keeper)
+            record = make_record(finished, origin)
             viewer.finish(record)
-        finally:
-            viewer.close()
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
         write_results(folder.path, record, finished)
         folder.commit()
@@ -110,15 +115,25 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     return finished.interrupted
 
 
-def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
-    """Settings of the file, then of the command line, over the defaults.
+def _folder(options: RunOptions, stopped: Stopped | None, drive: Dataset, config: RunConfig) -> RunFolder:
+    """Where to write: into a new folder, or on into that of a run that stopped."""
+    if stopped is not None:
+        check_same(stopped, drive, config)
+        return take_over(stopped, options.out)
+    if not options.overwrite:
+        check_unfinished(options.out)
+    return RunFolder.create(options.out, options.overwrite)
+
+
+def configure(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
+    """Settings of the file, then of the command line, over the defaults, or over those of the run that goes on.
 
     Raises:
         ConfigError: one of them cannot work.
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
-    base = read_config(options.config) if options.config else RunConfig()
+    base = read_config(options.config) if options.config else base or RunConfig()
     own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
@@ -147,8 +162,23 @@ def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: 
     return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
 
 
-def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console) -> Finished:
-    """Take the frames one by one; what is known when the drive ends, or when the user stops it."""
+@contextmanager
+def _viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: RunFolder) -> Iterator[Viewer]:
+    """A viewer that is closed in the end."""
+    viewer = open_viewer(options, config, drive, folder.path)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+def drive_through(
+    drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console, keeper: Keeper | None = None
+) -> Finished:
+    """Take the frames one by one; what is known when the drive ends, or when the user stops it.
+
+    Begins where the keeper's drive has stopped.
+    """
     import cv2
 
     warm_up(drive, config)
@@ -156,19 +186,25 @@ def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: C
     rows = MatrixRows(_MATRIX_ROWS)
     slam = Slam(build_parts(drive.camera, config, rows))
     watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
+    keeper = keeper or NullKeeper()
+    behind = keeper.recall(slam, rows, drive_log)
+    watcher.recall(drive_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(drive), slam.clock):
+        for frame in timed(prefetch(drive, begin=behind), slam.clock):
             processed = slam.process(frame)
             note(processed)
             drive_log.add(processed, watcher.show(processed))
+            keeper.add(processed, drive_log.stage_ms[-1])
             progress(frame.index + 1, len(drive))
             if stop.made:
                 messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break
+    keeper.pause()
     late, optimized = slam.finish(config.robust)
     note_loops(late)
     drive_log.attempts.extend(late)
-    return Finished(drive, config, slam, drive_log, rows, optimized, stop.made, time.perf_counter() - start)
+    keeper.finish(late, corrected(drive_log.attempts, optimized), ended=not stop.made)
+    return Finished(drive, config, slam, drive_log, rows, optimized, stop.made, time.perf_counter() - start, behind)
 
 
 def warm_up(drive: Dataset, config: RunConfig) -> None:

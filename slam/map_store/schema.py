@@ -97,9 +97,8 @@ def create(path: Path) -> sqlite3.Connection:
     """
     try:
         connection = _connect(f"{path.resolve().as_uri()}?mode=rwc")
-        connection.executescript(f"BEGIN; {_TABLES}; COMMIT;")
-        connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-        connection.execute(f"PRAGMA user_version = {VERSION}")
+        marks = f"PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {VERSION};"
+        connection.executescript(f"BEGIN; {marks} {_TABLES} COMMIT;")
     except sqlite3.Error as error:
         raise OutputError(f"{path}: the map cannot be written ({error}); make room or choose another folder") from error
     return connection

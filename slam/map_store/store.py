@@ -7,7 +7,7 @@ drive that stopped at its last checkpoint.
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -247,6 +247,12 @@ class MapStore:
             content = b"".join(row[0] for row in self._connection.execute(best))
             return np.frombuffer(content, "<f8").reshape(-1, 4, 4)
 
+    def timestamps(self) -> Array:
+        """Seconds (N,) of all images."""
+        with self.reading():
+            found = self._connection.execute("SELECT timestamp FROM frame ORDER BY image")
+            return np.array([row[0] for row in found])
+
     def key_frames(self) -> tuple[int, ...]:
         """Numbers of the images whose landmarks make the map."""
         with self.reading():
@@ -278,6 +284,18 @@ class MapStore:
             if found is None:
                 return None
             return Checkpoint(found["frames"], json.loads(found["structure"]), read_arrays(self._connection, session))
+
+    def copy(self, target: Path) -> None:
+        """Write the whole store, as it is now, into another file.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            with closing(sqlite3.connect(target)) as connection:
+                self._connection.backup(connection)
+        except sqlite3.Error as error:
+            raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
 
     def count(self, table: str) -> int:
         """Rows of a table."""

@@ -76,6 +76,16 @@ class RerunViewer:
         self._landmarks = Growing(self._recording, "world/landmarks", shapes.dots, _LANDMARKS_PART)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
 
+    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Show what was known when an earlier run stopped."""
+        self._first_time = float(timestamps[0])
+        self._set_time(len(timestamps) - 1, float(timestamps[-1]))
+        self._odometry.replace(odometry[:, :3, 3])
+        self._corrected.replace(poses[:, :3, 3])
+        for query, match, closed in loops:
+            self._loops[closed].append((query, match))
+        self._log_loops(poses)
+
     def step(self, step: Step) -> None:
         """Show one frame."""
         self._set_time(step.index, step.timestamp)
