@@ -3,9 +3,10 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from uuid import uuid4
 
 from rich.console import Console
 
@@ -102,8 +103,12 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
         )
     origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
+    run = stopped.run if stopped else uuid4().hex
     with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
-        with open_keeper(folder, drive, config, origin) as keeper, _viewer(options, config, drive, folder) as viewer:
+        with (
+            open_keeper(folder, drive, config, origin | {"run": run}) as keeper,
+            closing(open_viewer(options, config, drive, folder.path, run)) as viewer,
+        ):
             finished = drive_through(drive, config, viewer, messages, keeper)
             record = make_record(finished, origin)
             viewer.finish(record)
@@ -151,25 +156,15 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
 
 
-def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:
-    """Open what shows or records the run."""
+def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path, run: str) -> Viewer:
+    """Open what shows or records the run of this name."""
     if options.view == "none" and not config.record:
         return NullViewer()
     from slam.viewer.rerun_viewer import RerunViewer
 
     path = folder / "recording.rrd" if config.record else None
     mode = "record" if options.view == "none" else options.view
-    return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
-
-
-@contextmanager
-def _viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: RunFolder) -> Iterator[Viewer]:
-    """A viewer that is closed in the end."""
-    viewer = open_viewer(options, config, drive, folder.path)
-    try:
-        yield viewer
-    finally:
-        viewer.close()
+    return RerunViewer(path, drive.camera, drive.ground_truth, mode, run)  # type: ignore[arg-type]
 
 
 def drive_through(

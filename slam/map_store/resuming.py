@@ -27,6 +27,11 @@ class Stopped:
     frames: int
 
     @property
+    def run(self) -> str:
+        """Name of the run, of which there is one in the world."""
+        return str(self.session.provenance.get("run"))
+
+    @property
     def config(self) -> RunConfig:
         """The settings it was made with."""
         return parse_config(self.session.config, f"{self.map_file}: settings")

@@ -25,6 +25,7 @@ from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
 from slam.viewer.listener import listen
+from slam.viewer.parts import join, set_aside
 from slam.viewer.viewer import ClosedLoop, Step
 
 _LOG = logging.getLogger(__name__)
@@ -48,6 +49,7 @@ class RerunViewer:
         camera: StereoCamera,
         ground_truth: Array | None = None,
         mode: Mode = "record",
+        run: str | None = None,
     ) -> None:
         """Open the recording.
 
@@ -56,11 +58,12 @@ class RerunViewer:
             camera: of the left images.
             ground_truth: T_world_camera (N, 4, 4), metres, in any world frame, or None.
             mode: `record` writes the file only; `native` opens a window and `web` serves a page as well.
+            run: names the run; what an earlier part of the same one has recorded in `path` stays in it.
 
         Raises:
             OutputError: the file cannot be written or no viewer starts.
         """
-        self._recording = rr.RecordingStream("revisit", send_properties=False)
+        self._recording = rr.RecordingStream("revisit", recording_id=run, send_properties=False)
         self._recording.set_log_time_enabled(False)
         self._recording.set_log_tick_enabled(False)
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
@@ -149,10 +152,13 @@ class RerunViewer:
             self._recording.disconnect()
             if self._listener is not None:
                 self._listener.stop()
+        if self._path is not None:
+            join(self._path)
 
     def _connect(self, path: Path | None) -> None:
         sinks: list[object] = []
         if path is not None:
+            set_aside(path)
             _check_writable(path)
             sinks.append(rr.FileSink(str(path)))
         if self._listener is not None:
