@@ -7,7 +7,7 @@ drive that stopped at its last checkpoint.
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -105,8 +105,8 @@ class Corrected:
 class MapStore:
     """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        self._connection, self.path = connection, path
+    def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool) -> None:
+        self._connection, self.path, self._writable = connection, path, writable
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -115,7 +115,7 @@ class MapStore:
         Raises:
             OutputError: the file cannot be written.
         """
-        return cls(schema.create(path), path)
+        return cls(schema.create(path), path, writable=True)
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> Self:
@@ -124,10 +124,13 @@ class MapStore:
         Raises:
             DataError: no such file, no map store, a damaged one, or one of another version.
         """
-        return cls(schema.connect(path, "rw" if writable else "ro"), path)
+        return cls(schema.connect(path, "rw" if writable else "ro"), path, writable)
 
     def close(self) -> None:
-        """Leave one file: what waits in its log goes into it."""
+        """Leave one file, which readers need not add to: what waits in its log goes into it."""
+        if self._writable:
+            with suppress(sqlite3.Error):  # somebody is reading it: then the log stays
+                self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
 
     def __enter__(self) -> Self:

@@ -22,6 +22,7 @@ FILES = {
     "config.toml",
     "frames.csv",
     "loops.csv",
+    "map.db",
     "loop_stages.csv",
     "covariances.npz",
     "calibration.toml",

@@ -71,7 +71,11 @@ def test_plain_things_come_back(thing: Any):
     assert repr(back) == repr(thing)  # -0.0 and 0, True and 1, kinds of containers
 
 
-@given(hnp.arrays(st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_, np.complex64]), hnp.array_shapes()))
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_, np.complex64]), hnp.array_shapes()
+    )
+)
 def test_arrays_come_back_to_the_bit(array: np.ndarray):
     for one in (array, np.asfortranarray(array), array[::-1]):
         back = there_and_back(one)
@@ -131,13 +135,17 @@ def test_a_frozen_setting_is_never_changed():
     assert default == Setting("default")
 
 
-@pytest.mark.parametrize("name", ["os:system", "subprocess:Popen", "slam.nowhere:Thing", "slam.cli:sys", "builtins:eval"])
+@pytest.mark.parametrize(
+    "name", ["os:system", "subprocess:Popen", "slam.nowhere:Thing", "slam.cli:sys", "builtins:eval"]
+)
 def test_a_file_cannot_name_what_is_not_ours(name: str):
     with pytest.raises(ValueError, match="no part of this version"):
         Thawer([]).thaw({"object": name, "with": [], "n": 0})
 
 
-@pytest.mark.parametrize("damaged", [{}, {"same": 3}, {"array": 9, "n": 0}, {"tuple": 4, "n": 0}, {"what": [], "n": 1}, []])
+@pytest.mark.parametrize(
+    "damaged", [{}, {"same": 3}, {"array": 9, "n": 0}, {"tuple": 4, "n": 0}, {"what": [], "n": 1}, []]
+)
 def test_what_was_never_frozen_is_refused(damaged: Any):
     with pytest.raises(ValueError, match="does not hold what was written"):
         Thawer([]).thaw(damaged)
