@@ -19,6 +19,7 @@ from slam.simulation import DriveSpec
 from slam.simulation.drive import MANIFEST
 from slam.simulation.surfaces import true_surfaces
 from slam.storage.tables import read_loops
+from slam.viewer.rerun_viewer import RerunViewer
 
 QUIET = Console(quiet=True)
 
@@ -114,7 +115,7 @@ def short(circle: Path, tmp_path: Path) -> Path:
 def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(short: Path):
     before = {path.name for path in short.iterdir()}
     assert "key frames in 2 submaps" in map_densely(DenseOptions(short), QUIET)
-    assert {path.name for path in short.iterdir()} - before == set(RESULTS)
+    assert {path.name for path in short.iterdir()} - before == set(RESULTS) - {"dense.rrd"}  # nothing was recorded
     clouds = {name: open3d.io.read_point_cloud(short / name) for name in RESULTS if name.endswith(".ply")}
     assert len(clouds["dense_before.ply"].points) == len(clouds["mesh_after.ply"].points) > 1000
     first = (short / "mesh_after.ply").read_bytes()
@@ -122,6 +123,26 @@ def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(sh
         map_densely(DenseOptions(short), QUIET)
     map_densely(DenseOptions(short, overwrite=True), QUIET)
     assert (short / "mesh_after.ply").read_bytes() == first
+
+
+def test_the_dense_map_is_shown_in_the_report_and_beside_the_recording(circle: Path, short: Path):
+    shutil.copy(circle / "report.html", short)
+    RerunViewer(short / "recording.rrd", read_run(short).drive.camera).close()
+    assert map_densely(DenseOptions(short), QUIET).endswith("dense.rrd, report.html")
+    assert (short / "report.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
+    assert (short / "dense.rrd").stat().st_size > 1_000_000
+
+
+def test_a_report_and_a_recording_of_no_use_cost_no_map(short: Path, capsys: pytest.CaptureFixture[str]):
+    for name in ("report.html", "recording.rrd"):
+        (short / name).write_text("not ours")
+    map_densely(DenseOptions(short), Console(stderr=True))
+    said = capsys.readouterr().err.splitlines()
+    assert [line.partition(": expected")[0] for line in said] == [
+        f"not shown there: {short / name}" for name in ("report.html", "recording.rrd")
+    ]
+    assert (short / "report.html").read_text() == "not ours"
+    assert {path.name for path in short.iterdir()} >= set(RESULTS) - {"dense.rrd"}
 
 
 def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, short: Path, tmp_path: Path):
