@@ -14,13 +14,12 @@ import time
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from urllib.parse import quote
 
 from slam.errors import OutputError
+from slam.viewer.web_page import LOOPBACK, WebPage
 
 _LOG = logging.getLogger(__name__)
 
-LOOPBACK = "127.0.0.1"
 VIEWER_MEMORY = "2GB"
 SERVER_MEMORY = "512MB"
 _PATIENCE_S = 20.0  # a cold start of the viewer takes some seconds
@@ -33,16 +32,19 @@ class Listener:
     Attributes:
         process: the child; a window stays open when the run ends, a web server is stopped with it.
         address: where data is to be sent.
-        page: what to open in a browser; empty for a window.
+        page: what a browser shows; None for a window.
     """
 
     process: subprocess.Popen[bytes]
     address: str
-    page: str
+    page: WebPage | None
 
     def stop(self) -> None:
         """End a web server; leave a window to the user, who closes it."""
-        if self.page and self.process.poll() is None:
+        if self.page is None:
+            return
+        self.page.close()
+        if self.process.poll() is None:
             self.process.terminate()
             self.process.wait(timeout=_PATIENCE_S)
 
@@ -61,11 +63,10 @@ def listen(web: bool) -> Listener:
         stderr=subprocess.DEVNULL, start_new_session=not web,
     )  # fmt: skip
     _wait(process, [port, page_port] if web else [port])
-    address = f"rerun+http://{LOOPBACK}:{port}/proxy"
-    page = f"http://{LOOPBACK}:{page_port}/?url={quote(address, safe='')}" if web else ""
-    if web:
-        _LOG.warning("watch the run at %s", page)
-    return Listener(process, address, page)
+    page = WebPage(page_port, port) if web else None
+    if page is not None:
+        _LOG.warning("watch the run at %s", page.address)
+    return Listener(process, f"rerun+http://{LOOPBACK}:{port}/proxy", page)
 
 
 def free_port() -> int:

@@ -25,7 +25,7 @@ def bound_addresses(ports):
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to list who listens")
 def test_the_web_viewer_listens_on_this_machine_alone_and_stops_with_the_run():
     served = listener.listen(web=True)
-    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page)}
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page.address)}
     assert bound_addresses(ports) == {"127.0.0.1"}
     served.stop()
     assert bound_addresses(ports) == set()
