@@ -8,7 +8,10 @@ import numpy as np
 import open3d
 import pytest
 from rich.console import Console
+from scipy.io import savemat
+from typer.testing import CliRunner
 
+from slam import cli
 from slam.dense_command import RESULTS, DenseOptions, map_densely, read_run
 from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.trajectory import umeyama
@@ -20,6 +23,9 @@ from slam.simulation.drive import MANIFEST
 from slam.simulation.surfaces import true_surfaces
 from slam.storage.tables import read_loops
 from slam.viewer.rerun_viewer import RerunViewer
+
+from ..command_lines import Shown
+from ..command_lines import lines as shown_commands
 
 QUIET = Console(quiet=True)
 
@@ -154,6 +160,40 @@ def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, sho
     (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(DataError, match="found 40, 1, 40 and"):
         map_densely(DenseOptions(short), QUIET)
+
+
+CHEAP = ("check", "doctor", "evaluate", "explain", "export")
+# One of those that differ by nothing but a name.
+SHOWN = {
+    (*one.words[: 2 if one.name == "evaluate" else 1], *(word for word in one.words if word.startswith("-"))): one
+    for one in shown_commands()
+    if one.name in CHEAP
+}
+
+
+@pytest.fixture(scope="module")
+def everything(circle: Path, circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that has what the pages speak of, under the names they use."""
+    folder = tmp_path_factory.mktemp("everything")
+    for name in ("my_drive", "SOURCE", "data/circle", "data/kitti"):
+        shutil.copytree(circle_drive, folder / name)
+    shutil.copytree(circle_drive / "sequences" / "00", folder / "data" / "kitti" / "sequences" / "05")
+    shutil.copy(circle_drive / "poses" / "00.txt", folder / "data" / "kitti" / "poses" / "05.txt")
+    for name in ("runs/demo", "runs/kitti05", "runs/places05"):
+        shutil.copytree(circle, folder / name)
+    shutil.copy(circle / "loops.csv", folder / "runs" / "places05" / "matches.csv")
+    truth = np.load(circle_drive / "loops_00.npz")["truth"]
+    savemat(folder / "groundTruthKITTI05.mat", {"truth": truth.astype(np.uint8)})
+    return folder
+
+
+@pytest.mark.parametrize("shown", SHOWN.values(), ids=str)
+def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(everything)
+    result = CliRunner().invoke(cli.app, list(shown.words), env={"TERM": "xterm-256color"})
+    assert result.exit_code == 0, result.output
+    assert len(result.stdout.split()) > 0
+    assert "\x1b" not in result.output
 
 
 def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
