@@ -394,8 +394,8 @@ def dense(
 ) -> None:
     """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
 
-    Writes into the folder of the run, and shows the maps in its report and beside its recording. Images are read
-    once; the corrected graph moves finished submaps.
+    Writes into the folder of the run, and shows the maps in its report too. Images
+    are read once; the corrected graph moves finished submaps.
 
     Example: revisit dense runs/kitti05
     """
