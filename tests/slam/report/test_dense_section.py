@@ -11,7 +11,8 @@ import pytest
 
 from slam.errors import DataError
 from slam.mapping.occupancy import FREE, OCCUPIED, UNKNOWN, Grid
-from slam.report.dense_section import coloured, round_length
+from slam.mapping.top_view import TopView, Window
+from slam.report.dense_section import Overview, coloured, round_length, show_dense_map
 from slam.report.page import write_report
 
 from . import fabricate
@@ -91,3 +92,15 @@ def test_height_is_hue_and_what_is_not_known_is_clear():
 @pytest.mark.parametrize(("most", "length"), [(1.0, 1.0), (33.0, 20.0), (99.9, 50.0), (100.0, 100.0), (0.07, 0.05)])
 def test_a_scale_has_a_round_length(most: float, length: float):
     assert round_length(most) == pytest.approx(length)
+
+
+def test_whatever_the_map_its_section_is_small(report: Path):
+    """Of noise, which nothing compresses: a report of 22 MB stays below 25."""
+    rng, size = np.random.default_rng(0), report.stat().st_size
+    window, shape = Window(0.0, 0.0, 1.0, (1200, 1200)), (1200, 1200)
+    grey = rng.integers(0, 256, shape, np.uint8)
+    views = [TopView(rng.normal(size=shape).astype(np.float32), grey) for _ in range(2)]
+    maps = [Overview(*both, WHOLE.odometry[:, :3, 3]) for both in zip(("before", "after"), views, strict=True)]
+    grid = Grid(rng.choice(np.array([FREE, OCCUPIED, UNKNOWN], np.uint8), (3000, 3000)), 0.2, np.zeros(2))
+    show_dense_map(report, maps, window, grid)
+    assert report.stat().st_size - size < 3_000_000
