@@ -383,6 +383,22 @@ def export(
 
 
 @app.command()
+def view(
+    run: Annotated[Path, typer.Argument(help="Folder of a run with a recording.")],
+    web: Annotated[bool, typer.Option("--web", help="Name a page for a browser of this machine instead.")] = False,
+) -> None:
+    """Open the recording of a run, and its dense map where it has one, in the rerun viewer.
+
+    The viewer listens on 127.0.0.1 alone and reports to nobody.
+
+    Example: revisit view runs/demo
+    """
+    from slam.viewer.listener import open_recording
+
+    open_recording(run, web).wait()
+
+
+@app.command()
 def dense(
     run: Annotated[Path, typer.Argument(help="Folder of a run with two cameras.")],
     source: Annotated[
