@@ -100,7 +100,8 @@ def free_port() -> int:
 
 
 def _command(web: bool, port: int, page_port: int, files: Sequence[Path] = ()) -> list[str]:
-    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
+    kept = VIEWER_MEMORY if files else SERVER_MEMORY  # of a recording that is there all is kept for who comes late
+    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", kept]
     how = ["--serve-web", "--web-viewer-port", str(page_port)] if web else [] if files else ["--expect-data-soon"]
     return [_program(), *map(str, files), "--bind", LOOPBACK, "--port", str(port), *limits, *how]
 
