@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-APPLICATION = "revisit"  # whose recordings it lays out
-
 _LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
 _BEFORE = ["+ /world/odometry/**", "+ /world/map_before/**", "+ /world/ground_truth/**"]
 _AFTER = ["+ /world/corrected/**", "+ /world/map_after/**", "+ /world/ground_truth/**", "+ /world/loops/**"]

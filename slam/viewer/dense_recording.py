@@ -15,7 +15,7 @@ from slam.mapping.fusion import Surface
 from slam.report import colours
 from slam.storage.atomic import replacing
 from slam.viewer import shapes
-from slam.viewer.blueprint import APPLICATION, blueprint
+from slam.viewer.blueprint import blueprint
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def record_dense_map(path: Path, run: Path, camera: StereoCamera, maps: Iterable
     """
     with replacing(path) as temporary:
         temporary.touch()  # names what is wrong with the folder, which rerun does not
-        recording = rr.RecordingStream(APPLICATION, recording_id=recording_id(run), send_properties=False)
+        recording = more_of(run)
         recording.set_sinks(rr.FileSink(str(temporary)))
         positions = np.empty((0, 3))
         for placed in maps:
@@ -67,16 +67,17 @@ def record_dense_map(path: Path, run: Path, camera: StereoCamera, maps: Iterable
             recording.disconnect()
 
 
-def recording_id(path: Path) -> str:
-    """What tells the recording in a file from all others.
+def more_of(path: Path) -> rr.RecordingStream:
+    """A stream that a viewer takes for more of the recording in a file.
 
     Raises:
-        DataError: it holds none.
+        DataError: the file holds none.
     """
     try:
-        return str(RrdReader(path).recordings()[0].recording_id)
+        known = RrdReader(path).recordings()[0]
     except (OSError, ValueError, RuntimeError, IndexError) as error:
         raise DataError(f"{path}: expected a recording of the rerun viewer, {error}; make the run again") from error
+    return rr.RecordingStream(known.application_id, recording_id=known.recording_id, send_properties=False)
 
 
 def _log(recording: rr.RecordingStream, placed: PlacedMap) -> None:

@@ -22,7 +22,7 @@ from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.reading import kept, rejected, scaled
 from slam.viewer import shapes
-from slam.viewer.blueprint import APPLICATION, blueprint
+from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
 from slam.viewer.listener import listen
 from slam.viewer.viewer import ClosedLoop, Step
@@ -60,7 +60,7 @@ class RerunViewer:
         Raises:
             OutputError: the file cannot be written or no viewer starts.
         """
-        self._recording = rr.RecordingStream(APPLICATION, send_properties=False)
+        self._recording = rr.RecordingStream("revisit", send_properties=False)
         self._recording.set_log_time_enabled(False)
         self._recording.set_log_tick_enabled(False)
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
