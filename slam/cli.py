@@ -4,15 +4,20 @@ Everything heavy is imported inside the commands, so that help answers at once.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
 from slam.errors import ConfigError, RevisitError
 from slam.simulation.spec import DriveSpec
+
+if TYPE_CHECKING:
+    from slam.doctor import Check
 
 app = typer.Typer(
     name="revisit",
@@ -51,6 +56,8 @@ def demo(
     """Simulate a drive of three laps, run the whole chain on it, and write a report. Needs no download.
 
     The drive is rendered once and kept in the cache; the run in the output folder is made anew each time.
+
+    Example: revisit demo --out runs/demo
     """
     from slam.demo import run_demo
 
@@ -237,7 +244,10 @@ def evaluate_trajectory(
     mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """ATE after alignment, and t_rel, r_rel by the KITTI rule."""
+    """ATE after alignment, and t_rel, r_rel by the KITTI rule.
+
+    Example: revisit evaluate trajectory runs/kitti05/trajectory_corrected.txt data/kitti/poses/05.txt
+    """
     from slam.evaluation.command import compare_files
 
     Console().print(compare_files(estimate, truth, mono, json))
@@ -262,7 +272,10 @@ def evaluate_loops(
     out: Annotated[Path | None, typer.Option(help="Folder for metrics.json and the curve.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others."""
+    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others.
+
+    Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
+    """
     from place_recognition.evaluation.ground_truth import SamePlace
     from slam.evaluation.loops_command import LoopsOptions
     from slam.evaluation.loops_command import evaluate_loops as judge
@@ -320,7 +333,7 @@ def explain(
 ) -> None:
     """Tell why a loop was or was not closed, stage by stage, with the numbers.
 
-    Example: revisit explain runs/demo 420
+    Example: revisit explain runs/demo 310
     """
     from slam.explain import explain as told
 
@@ -373,6 +386,22 @@ def export(
 
 
 @app.command()
+def view(
+    run: Annotated[Path, typer.Argument(help="Folder of a run with a recording.")],
+    web: Annotated[bool, typer.Option("--web", help="Name a page for a browser of this machine instead.")] = False,
+) -> None:
+    """Open the recording of a run, and its dense map where it has one, in the rerun viewer.
+
+    The viewer listens on 127.0.0.1 alone and reports to nobody.
+
+    Example: revisit view runs/demo
+    """
+    from slam.viewer.listener import open_recording
+
+    open_recording(run, web).wait()
+
+
+@app.command()
 def dense(
     run: Annotated[Path, typer.Argument(help="Folder of a run with two cameras.")],
     source: Annotated[
@@ -384,7 +413,8 @@ def dense(
 ) -> None:
     """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
 
-    Writes into the folder of the run. Images are read once; the corrected graph moves finished submaps.
+    Writes into the folder of the run, and shows the maps in its report too. Images
+    are read once; the corrected graph moves finished submaps.
 
     Example: revisit dense runs/kitti05
     """
@@ -397,27 +427,46 @@ def dense(
 @app.command()
 def doctor(
     licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check Python, the wheels and the system libraries; say what is missing and what to type."""
+    """Check Python, the wheels and the system libraries; say what is missing and what to type.
+
+    Example: revisit doctor
+    """
     if licences:
-        _print_licences()
+        _print_licences(json)
         return
     from slam.doctor import check_machine
 
     checks = check_machine()
-    for check in checks:
-        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
-        Console().print(f"{mark:>8}  {check.name} {check.found}{check.problem}", highlight=False)
-        if check.remedy:
-            Console().print(f"          type: {check.remedy}", markup=False, highlight=False)
+    (_print_json if json else _print_checks)(checks)
     raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
 
 
-def _print_licences() -> None:
+def _print_checks(checks: Sequence["Check"]) -> None:
+    from rich.markup import escape
+
+    for check in checks:
+        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
+        words = escape(f"{check.name} {check.found}{check.problem}")
+        Console().print(f"{mark:>8}  {words}", highlight=False, soft_wrap=True)
+        if check.remedy:
+            Console().print(f"          type: {check.remedy}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_json(rows: Sequence[Any]) -> None:
+    """Print dataclasses as a list of objects."""
+    Console().print(dumps([asdict(row) for row in rows], indent=2), markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_licences(as_json: bool) -> None:
     from rich.table import Table
 
     from slam.licences import licences
 
+    if as_json:
+        _print_json(licences())
+        return
     table = Table("package", "version", "licence", "needed by", title="What Revisit is installed with", box=None)
     for one in licences():
         table.add_row(one.package, one.version, one.licence, "Revisit" if one.direct else "another package")
