@@ -42,14 +42,19 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
 
 
 def _samples(matrix: Path, truth: Path) -> Samples:
-    similarities = _read_matrix(matrix)
+    similarities = read_similarities(matrix)
     try:
         return samples_of(*sequence_matrix(similarities, load_truth(truth)))
     except (ValueError, OSError) as error:
         raise DataError(f"{matrix} and {truth}: {error}") from error
 
 
-def _read_matrix(path: Path) -> NDArray[np.float64]:
+def read_similarities(path: Path) -> NDArray[np.float64]:
+    """Similarity of each image (row) to the earlier ones (columns), (N, N), from the matrix.npz of `revisit places`.
+
+    Raises:
+        DataError: the file is missing, damaged, or shows a matrix that was shrunk.
+    """
     try:
         with np.load(path) as arrays:
             if "similarity" not in arrays:
