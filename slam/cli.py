@@ -430,7 +430,7 @@ def _exit_code(command: Callable[[], None]) -> int:
     try:
         command()
     except RevisitError as error:
-        print(f"revisit: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"revisit: {error}", file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

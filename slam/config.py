@@ -97,7 +97,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
-        raise ConfigError(f"{path}: expected a TOML file, {error}") from error
+        raise ConfigError(f"{path}: expected a TOML file, {error}; mend that line") from error
 
 
 def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
@@ -118,8 +118,10 @@ def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
     settings = {name: _checked(hints[name], value, f"{where}: {name}") for name, value in values.items()}
     try:
         return kind(**settings)
-    except (ValueError, OverflowError) as error:
+    except (ValueError, ConfigError) as error:
         raise ConfigError(f"{where}: {error}") from error
+    except OverflowError as error:
+        raise ConfigError(f"{where}: expected numbers within bounds, found one beyond them: {error}") from error
 
 
 def _without_none(value: Any) -> Any:
@@ -146,7 +148,7 @@ def _as_float(value: int, where: str) -> float:
     try:
         return float(value)
     except OverflowError as error:
-        raise ConfigError(f"{where}: {error}") from error
+        raise ConfigError(f"{where}: expected a number, found one beyond all bounds: {error}") from error
 
 
 def _as_tuple(values: list[Any]) -> tuple[Any, ...]:

@@ -11,14 +11,14 @@ from rich.console import Console
 
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import StageClock
-from slam.config import RunConfig, read_config
+from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError
-from slam.parts import build_parts, check_names
+from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.report.tables import summary
@@ -118,7 +118,7 @@ def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
-    base = read_config(options.config) if options.config else RunConfig()
+    base = read_checked(options.config) if options.config else RunConfig()
     own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]

@@ -107,7 +107,7 @@ def read_camera_file(path: Path) -> CameraFile:
     """
     try:
         table = tomllib.loads("\n".join(read_lines(path)))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
         raise DataError(f"{path}: expected TOML, found {error}; mend that line") from None
     try:
         return _camera_file(path, table)

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from place_recognition.map.vocabulary import load_vocabulary
 from slam.benchmark.sweep import read_sweep
-from slam.config import read_config
 from slam.datasets.dataset import Dataset
 from slam.datasets.images import read_grey, read_times
 from slam.datasets.open import open_drive
@@ -26,7 +25,7 @@ from slam.errors import DataError, RevisitError
 from slam.evaluation.truth import read_truth
 from slam.filter_training import read_similarities
 from slam.mapping.ply import read_cloud
-from slam.parts import check_names
+from slam.parts import read_checked
 from slam.simulation.routes import read_plan
 from slam.storage.calibration import read_calibration
 from slam.storage.g2o import Graph, read_g2o
@@ -163,7 +162,7 @@ def _graph(root: Path) -> None:
 
 
 def _configuration(root: Path) -> None:
-    check_names(read_config(root / "a.toml"))
+    read_checked(root / "a.toml")
 
 
 def _vocabulary(root: Path) -> None:

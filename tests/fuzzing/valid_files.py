@@ -53,7 +53,7 @@ def kitti(root: Path) -> None:
         images(sequence / f"image_{camera}", tuple(f"{k:06d}.png" for k in range(3)))
     (sequence / "calib.txt").write_bytes(CALIB)
     (sequence / "times.txt").write_text("0\n0.1\n0.2\n")
-    (root / "poses").mkdir()
+    (root / "poses").mkdir(exist_ok=True)
     write_kitti(root / "poses" / "07.txt", POSES)
 
 
@@ -79,7 +79,7 @@ def euroc(root: Path) -> None:
         SENSOR.format(x=0.1).replace("1, 0, 0, 0, 0", "1, 0, 0, 0.1, 0")
     )
     truth = root / "mav0" / "state_groundtruth_estimate0"
-    truth.mkdir()
+    truth.mkdir(exist_ok=True)
     (truth / "data.csv").write_bytes(EUROC_TRUTH)
 
 
