@@ -1,6 +1,5 @@
 """What can go wrong for a user, as one family that the command line turns into one line and an exit code."""
 
-
 import re
 
 _LONGEST = 1000  # characters of a message: a damaged file can hold words of any length

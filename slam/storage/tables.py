@@ -190,7 +190,9 @@ def _cell(path: Path, row: dict[str, str], name: str, read: Callable[[str], obje
         return read(row[name])
     except (KeyError, ValueError):
         where = next(iter(row.values()))
-        raise DataError(f"{path}, row {where}: expected {name} as a run writes it, found {row.get(name)!r}; run again") from None
+        raise DataError(
+            f"{path}, row {where}: expected {name} as a run writes it, found {row.get(name)!r}; run again"
+        ) from None
 
 
 def _float(cell: str) -> float:

@@ -12,7 +12,17 @@ from slam.simulation.spec import SHAPES
 
 from .valid_files import CALIB, CAMERA, TRUTH, array_files as _arrays, toml
 
-IMAGE_MARKS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"BM", b"P5\n", b"P2 ", b"II*\0", b"MM\0*", b"GIF89a", b"RIFF")
+IMAGE_MARKS = (
+    b"\x89PNG\r\n\x1a\n",
+    b"\xff\xd8\xff\xe0",
+    b"BM",
+    b"P5\n",
+    b"P2 ",
+    b"II*\0",
+    b"MM\0*",
+    b"GIF89a",
+    b"RIFF",
+)
 NUMBERS = st.one_of(st.integers(-3, 12), st.integers(), st.floats(-2, 2), st.floats())
 VALUES = st.recursive(
     NUMBERS | st.booleans() | st.text(max_size=8), lambda inner: st.lists(inner, max_size=4), max_leaves=6

@@ -112,7 +112,14 @@ def image_files() -> list[bytes]:
     colour = np.dstack([IMAGE] * 3)
     deep = IMAGE.astype(np.uint16) << 8
     encoded = [(s, IMAGE) for s in (".png", ".jpg", ".bmp", ".pgm", ".tiff")]
-    encoded += [(".png", colour), (".jpg", colour), (".ppm", colour), (".tiff", colour), (".png", deep), (".tiff", deep)]
+    encoded += [
+        (".png", colour),
+        (".jpg", colour),
+        (".ppm", colour),
+        (".tiff", colour),
+        (".png", deep),
+        (".tiff", deep),
+    ]
     return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in encoded]
 
 

@@ -106,7 +106,10 @@ def test_lines_of_other_kinds_are_passed_over(tmp_path: Path) -> None:
         ("VERTEX_SE3:QUAT 1 0 nan 0 0 0 0 1", r"line 2.*finite numbers"),
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", r"line 2.*unit quaternion, its length is 2"),
         (f"VERTEX_SE3:QUAT 0 {IDENTITY}", "pose 0 is there 2 times, expected once"),
-        (f"EDGE_SE3:QUAT 0 9 {IDENTITY} {UNIT_INFORMATION}", "expected poses with a VERTEX_SE3:QUAT line, found an edge to 9"),
+        (
+            f"EDGE_SE3:QUAT 0 9 {IDENTITY} {UNIT_INFORMATION}",
+            "expected poses with a VERTEX_SE3:QUAT line, found an edge to 9",
+        ),
         (
             f"VERTEX_SE3:QUAT 1 {IDENTITY}\nEDGE_SE3:QUAT 0 1 {IDENTITY} -{UNIT_INFORMATION}",
             "edge 0 1 has a negative eigenvalue",

@@ -105,8 +105,14 @@ HEADER = ",".join(tables.LOOP_COLUMNS)
     [
         ("", r"loops.csv: expected the columns query, .*found no query"),
         ("query,match\n", r"loops.csv: .*found no score"),
-        (HEADER + "\n7,x,0,true,0,0,true,true,,,,\n", r"loops.csv, row 7: expected match as a run writes it, found 'x'"),
-        (HEADER + "\n7,2,0,yes,0,0,true,true,,,,\n", r"loops.csv, row 7: expected accepted as a run writes it, found 'yes'"),
+        (
+            HEADER + "\n7,x,0,true,0,0,true,true,,,,\n",
+            r"loops.csv, row 7: expected match as a run writes it, found 'x'",
+        ),
+        (
+            HEADER + "\n7,2,0,yes,0,0,true,true,,,,\n",
+            r"loops.csv, row 7: expected accepted as a run writes it, found 'yes'",
+        ),
         (HEADER + "\n7,2\n", r"loops.csv, row 7: expected accepted as a run writes it, found ''"),
     ],
 )
