@@ -4,10 +4,11 @@ Run from the root, for all that a machine has time for:
 
     PYTHONPATH=. python benchmarks/fuzz_readers.py --inputs 1000000 --out runs/fuzz
 
-Every reader of `tests/fuzzing/readers.py` gets its share of the inputs, in processes of its own, made in three ways: valid
-files that were damaged, files put together by hypothesis, and files that atheris found to reach new lines of the reader
-(`pip install 'revisit-slam[fuzz]'`; without it damaged files take its share). A call may take 2 s, and a process may have
-1 GB. What fails is kept in `--out`, one file for each kind of failure, and belongs into `tests/fuzzing/corpus`.
+Every reader of `tests/fuzzing/readers.py` gets its share of the inputs, in processes of its own, made in three ways:
+valid files that were damaged, files put together by hypothesis, and files that atheris found to reach new lines of the
+reader (`pip install 'revisit-slam[fuzz]'`; without it damaged files take its share). A call may take 2 s, and a process
+may have 1 GB. What fails is kept in `--out`, one file for each kind of failure, and belongs into
+`tests/fuzzing/corpus`.
 """
 
 import argparse

@@ -1,8 +1,6 @@
 """Three ways to make inputs: damage valid files, put together, or be guided by the lines that are reached."""
 
 import random
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from slam.config import RunConfig
 from slam.simulation.spec import SHAPES
 
-from .valid_files import CALIB, CAMERA, TRUTH, array_files as _arrays, toml
+from .valid_files import CALIB, CAMERA, TRUTH, toml
+from .valid_files import array_files as _arrays
 
 IMAGE_MARKS = (
     b"\x89PNG\r\n\x1a\n",

@@ -1,7 +1,7 @@
 """Every reader of a file that somebody else may have written; a new one is a line in `READERS`.
 
-What is expected of each is in `outcome`: a file is accepted, or refused by one line that names it, says what was expected
-and found, and what to do.
+What is expected of each is in `outcome`: a file is accepted, or refused by one line that names it, says what was
+expected and found, and what to do.
 """
 
 import io
@@ -87,7 +87,7 @@ def outcome(reader: Reader, root: Path, data: bytes) -> bool:
         reader.read(root)
     except RevisitError as error:
         _check_message(str(error), str(root))
-        assert not _out_of_memory(error), "refused only when the memory was used up"
+        _check_memory(error)
         return False
     return True
 
@@ -106,12 +106,10 @@ def _check_message(message: str, root: str) -> None:
     assert len(message) <= 1500, f"{len(message)} characters: {message[:200]}"
 
 
-def _out_of_memory(error: BaseException | None) -> bool:
+def _check_memory(error: BaseException | None) -> None:
     while error is not None:
-        if isinstance(error, MemoryError):
-            return True
+        assert not isinstance(error, MemoryError), "refused only when the memory was used up"
         error = error.__cause__ or error.__context__
-    return False
 
 
 def _drive(root: Path) -> None:

@@ -253,7 +253,7 @@ def array_files(*values: np.ndarray) -> list[bytes]:
 
 def clouds() -> list[bytes]:
     cloud = Cloud(np.array([[0.0, 1, 2], [3, 4, 5]]), np.array([10, 200], np.uint8))
-    text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 1 2\n"
+    text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
     return [_written("a.ply", lambda path: write_cloud(path, cloud)), text]
 
 

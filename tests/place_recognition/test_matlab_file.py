@@ -47,8 +47,9 @@ def test_every_variable_is_told_and_those_without_numbers_are_refused(file: Path
 
 def test_the_other_order_of_bytes_is_read_too(file: Path) -> None:
     header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
-    parts = [(6, (6).to_bytes(4, "big") + bytes(4)), (5, (1).to_bytes(4, "big") + (2).to_bytes(4, "big")), (1, b"truthfull"),
-             (9, np.array([0.0, 2.0], ">f8").tobytes())]  # fmt: skip
+    numbers = [(6, np.array([6, 0], ">u4")), (5, np.array([1, 2], ">i4")), (9, np.array([0.0, 2.0], ">f8"))]
+    parts = [(kind, array.tobytes()) for kind, array in numbers]
+    parts.insert(2, (1, b"truthfull"))
     body = b"".join(
         kind.to_bytes(4, "big") + len(data).to_bytes(4, "big") + data + bytes(-len(data) % 8) for kind, data in parts
     )
