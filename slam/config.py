@@ -7,7 +7,8 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tomli_w
 
@@ -134,14 +135,25 @@ def _checked(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
         return from_values(kind, value, where)  # type: ignore[arg-type]
     if get_origin(kind) is tuple:
-        if not isinstance(value, list):
-            raise ConfigError(f"{where}: expected a list, found {value!r}")
-        return _as_tuple(value)
+        return _tuple(get_args(kind), value, where)
+    if get_origin(kind) is UnionType:  # with None, which TOML cannot say
+        return _checked(get_args(kind)[0], value, where)
+    if kind is Any:
+        return _as_tuple(value) if isinstance(value, list) else value
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return _as_float(value, where)
     if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
         raise ConfigError(f"{where}: expected {kind.__name__}, found {value!r}")
     return value
+
+
+def _tuple(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise ConfigError(f"{where}: expected a list, found {value!r}")
+    wanted = kinds[:1] * len(value) if kinds[1:] == (...,) else kinds
+    if len(value) != len(wanted):
+        raise ConfigError(f"{where}: expected a list of {len(wanted)}, found {len(value)}")
+    return tuple(_checked(kind, item, where) for kind, item in zip(wanted, value, strict=True))
 
 
 def _as_float(value: int, where: str) -> float:

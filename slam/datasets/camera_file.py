@@ -41,6 +41,7 @@ NAME = "camera.toml"
 _LENS = ("fx", "fy", "cx", "cy")
 _OF_LENS = (*_LENS, "model", "distortion")
 _TEXTS = ("left", "right", "ground_truth")
+_LONGEST_NAME = 255  # bytes: what a file may be called
 _KEYS = (*_OF_LENS, "baseline", "fps", *_TEXTS, "right_camera")
 
 
@@ -195,8 +196,8 @@ def _positive(table: dict[str, Any], name: str) -> float | None:
 
 
 def _text(value: object, name: str) -> str:
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise ValueError(f"expected a text {name}, found {str(value)[:60]!r}")
+    if not isinstance(value, str) or not value or "\0" in value or len(value.encode()) > _LONGEST_NAME:
+        raise ValueError(f"expected a text {name} of up to {_LONGEST_NAME} bytes, found {str(value)[:60]!r}")
     return value
 
 

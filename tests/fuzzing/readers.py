@@ -109,7 +109,7 @@ def _check_message(message: str, root: str) -> None:
 def _check_memory(error: BaseException | None) -> None:
     while error is not None:
         assert not isinstance(error, MemoryError), "refused only when the memory was used up"
-        error = error.__cause__ or error.__context__
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
 def _drive(root: Path) -> None:

@@ -51,7 +51,7 @@ CAM0, CAM1 = Path("mav0/cam0"), Path("mav0/cam1")
 EUROC: dict[str, tuple[Callable[[Path], object], str]] = {
     "an image is missing": (
         lambda r: sorted((r / CAM0 / "data").iterdir())[1].unlink(),
-        r"\.png: expected this image, which data.csv lists",
+        r"data\.csv: expected the image .*\.png, which it lists, found none",
     ),
     "an image of another size": (
         lambda r: shrink(sorted((r / CAM1 / "data").iterdir())[1]),
