@@ -108,7 +108,8 @@ def _true_way(path: Path, left: Sensor) -> TrueWay | None:
     if not path.is_file():
         return None
     rows = read_stamped(path, CSV_NANOSECONDS, 8)  # time, position, quaternion with w first
-    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    with np.errstate(over="ignore"):  # of lengths beyond all bounds, which are refused
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
     if (lengths < 1e-6).any() or not np.isfinite(lengths).all():
         raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found others; copy the file again")
     T_world_body = np.repeat(np.eye(4)[None], len(rows), axis=0)

@@ -61,7 +61,8 @@ def read_tum(path: Path) -> tuple[Array, Array]:
         DataError: missing file, a line without 8 finite numbers, a quaternion of length zero.
     """
     rows = read_numbers(path, 8)
-    lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    with np.errstate(over="ignore"):  # of lengths beyond all bounds, which are refused
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
     wrong = (lengths < 1e-6) | ~np.isfinite(lengths)
     if wrong.any():
         at = int(np.argmax(wrong))
