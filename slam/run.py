@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
-from slam.errors import ConfigError, DataError
+from slam.errors import ConfigError, DataError, OutputError
 from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
@@ -101,7 +101,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
             record = make_record(finished, origin | {"recording": options.recording.as_metrics()})
             viewer.finish(record)
         finally:
-            viewer.close()
+            close_viewer(viewer, messages)
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
         write_results(folder.path, record, finished)
         folder.commit()
@@ -145,6 +145,15 @@ def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: 
     path = folder / "recording.rrd" if config.record else None
     mode = "record" if options.view == "none" else options.view
     return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
+
+
+def close_viewer(viewer: Viewer, messages: Console) -> None:
+    """Close what shows or records the run. No run loses its results to a recording for which there was no room."""
+    try:
+        viewer.close()
+    except OutputError as error:
+        log.warning("%s", error)
+        messages.print(str(error), markup=False, highlight=False)
 
 
 def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console) -> Finished:
@@ -206,7 +215,7 @@ def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
 @contextmanager
 def run_log(path: Path) -> Iterator[None]:
     """Send the log to a file while the block runs."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
@@ -214,4 +223,12 @@ def run_log(path: Path) -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Go on."""

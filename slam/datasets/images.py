@@ -96,6 +96,8 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
         DataError: the file is missing or damaged.
     """
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None and not path.exists():
+        raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
     if image is None:
         raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
     return np.asarray(image, dtype=np.uint8)

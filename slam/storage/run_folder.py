@@ -51,10 +51,13 @@ class RunFolder:
         Raises:
             OutputError: `path` is a file, cannot be written, or holds anything while overwrite is False.
         """
-        if path.exists() and not path.is_dir():
-            raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
-        created = not path.exists()
-        held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        try:
+            if path.exists() and not path.is_dir():
+                raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
+            created = not path.exists()
+            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        except OSError as error:  # a name too long to be one, a folder that nobody may look into
+            raise OutputError(f"{path}: expected a folder, found: {error.strerror}; choose another") from error
         if held and not overwrite:
             what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
             raise OutputError(
