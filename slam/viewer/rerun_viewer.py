@@ -135,7 +135,7 @@ class RerunViewer:
             if self._listener is None and self._path is not None:
                 self._path.unlink(missing_ok=True)  # room for what is written after it
                 raise OutputError(
-                    f"{self._path.name}: expected room for the recording, found none ({error}); it is left out, make room"
+                    f"{self._path.name}: expected room for the recording, found none ({error}); left out, make room"
                 ) from error
             _LOG.warning("the viewer was closed before the run ended")
         finally:
