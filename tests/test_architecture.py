@@ -24,6 +24,7 @@ QUARANTINE = {
     "distributed": ("slam/benchmark/cluster",),
     "dask": ("slam/benchmark/cluster",),
     "evo": (),
+    "pycolmap": (),
 }
 
 

@@ -3,6 +3,7 @@
 import math
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 _READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
-def read_array(path: Path, name: str) -> NDArray[np.generic] | None:
+def read_array(path: Path, name: str) -> NDArray[Any] | None:
     """One array of a `.npz` file, or None where it has none of that name.
 
     Raises:
@@ -31,7 +32,7 @@ def array_names(path: Path) -> tuple[str, ...]:
         return tuple(name.removesuffix(".npy") for name in archive.namelist())
 
 
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[np.generic]:
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(entry) as file:
         version = npy.read_magic(file)
         if version not in _READERS:

@@ -19,7 +19,7 @@ metrics.json config.toml run.log report.html recording.rrd before_after.png
 frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
-pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply
+pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz
 dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
 matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
 """

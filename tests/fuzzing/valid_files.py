@@ -12,11 +12,13 @@ import tomli_w
 from scipy.io import savemat
 
 from odometry import se3
+from odometry.camera import StereoCamera
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from slam.config import RunConfig, to_toml
 from slam.mapping.ply import write_cloud
 from slam.record import Cloud
 from slam.storage.calibration import write_calibration
+from slam.storage.landmarks import write_sightings
 from slam.storage.tables import FrameTable, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 
@@ -185,7 +187,6 @@ def tables() -> dict[str, bytes]:
 
 def calibration() -> bytes:
     from odometry.calibration import Calibration, CalibrationConfig
-    from odometry.camera import StereoCamera
 
     learned = Calibration.unknown(StereoCamera(10, 10, 8, 6, 0.5, *SIZE), CalibrationConfig())
     return _written("a.toml", lambda path: write_calibration(path, learned))
@@ -239,6 +240,11 @@ def arrays(name: str, value: np.ndarray) -> list[bytes]:
     np.savez(plain, **{name: value})
     np.savez_compressed(small, **{name: value})
     return [plain.getvalue(), small.getvalue()]
+
+
+def sightings() -> list[bytes]:
+    camera = StereoCamera(10, 10, 8, 6, 0.5, *SIZE)
+    return [_written("a.npz", lambda path: write_sightings(path, np.array([0, 0, 2], np.int32), camera))]
 
 
 def array_files(*values: np.ndarray) -> list[bytes]:
