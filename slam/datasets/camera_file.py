@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.lens import Lens
 from slam.datasets.rectification import NOMINAL_BASELINE, Rectification, Size, rectify_alike, rectify_pair
+from slam.datasets.source import is_rate
 from slam.errors import DataError
 from slam.storage.text import read_lines
 from slam.storage.trajectory import MAX_ROTATION_ERROR
@@ -123,12 +124,15 @@ def _camera_file(path: Path, table: dict[str, Any]) -> CameraFile:
     right = table.get("right_camera")
     if right is not None and "baseline" in table:
         raise ValueError("expected baseline or [right_camera], found both")
+    fps = _positive(table, "fps")
+    if fps is not None and not is_rate(fps):
+        raise ValueError(f"expected images a second fps, found {fps:g}")
     return CameraFile(
         path,
         _lens(table),
         baseline=_positive(table, "baseline"),
         right_camera=None if right is None else _right_camera(right),
-        fps=_positive(table, "fps"),
+        fps=fps,
         ground_truth=None if truth is None else path.parent / truth,
         **texts,
     )

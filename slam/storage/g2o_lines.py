@@ -17,6 +17,7 @@ UPPER = {dof: np.triu_indices(dof) for dof in (3, 6)}
 _ROUNDING = 1e-9  # of a negative eigenvalue, relative to the largest
 _SINGULAR = 1e-13  # least eigenvalue, relative to the largest, that solvers can use
 _UNIT_TOLERANCE = 0.01  # files round quaternions; more than this is damage
+_LARGEST_INFORMATION = 1e100  # whose square is a number still
 _LARGEST_ID = np.iinfo(np.int64).max
 _PASSED_OVER = "PRIOR"  # part of the names of factors that pull poses to absolute places
 
@@ -201,6 +202,12 @@ def _check_ends(reader: _Reader, kind: Kind, ids: Ids, ends: Ids) -> None:
 
 def _mended(reader: _Reader, upper: Array, ends: Ids) -> tuple[Array, NDArray[np.bool_], list[str]]:
     """Information of the edges that say something, which those are, and what was said about the others."""
+    beyond = np.flatnonzero(np.abs(upper).max(axis=1, initial=0.0) > _LARGEST_INFORMATION)
+    if beyond.size:
+        raise GraphError(
+            f"{reader.path}, line {reader.edge_lines[beyond[0]]}: expected information up to {_LARGEST_INFORMATION:g}, "
+            "found more; mend that line"
+        )
     information = _symmetric(upper)
     spectrum = np.linalg.eigvalsh(information) if len(information) else np.ones((0, 1))
     largest = np.abs(spectrum).max(axis=1)

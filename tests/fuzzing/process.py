@@ -113,18 +113,31 @@ class _Trial:
             self.tell()
 
     def attempt(self, data: bytes) -> None:
-        signal.setitimer(signal.ITIMER_REAL, _KILLED_AFTER_S)
+        self.tally.inputs += 1
         start = time.perf_counter()
         try:
-            self.tally.accepted += outcome(self.reader, self.root, data)
+            self.tally.accepted += self._outcome(data)
         except Exception as error:
             self._fail(_kind(error), data)
+            return
         took = time.perf_counter() - start
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        self.tally.inputs += 1
+        if took > _LONGEST_S:  # it may have waited for a busy machine
+            took = min(took, *(self._seconds(data) for _ in range(3)))
         self.tally.slowest_ms = max(self.tally.slowest_ms, 1000 * took)
         if took > _LONGEST_S:
             self._fail(f"took more than {_LONGEST_S:g} s", data)
+
+    def _outcome(self, data: bytes) -> bool:
+        signal.setitimer(signal.ITIMER_REAL, _KILLED_AFTER_S)
+        try:
+            return outcome(self.reader, self.root, data)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+
+    def _seconds(self, data: bytes) -> float:
+        start = time.perf_counter()
+        self._outcome(data)
+        return time.perf_counter() - start
 
     def _fail(self, kind: str, data: bytes) -> None:
         file = str(len(self.tally.failures))
