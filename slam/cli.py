@@ -367,12 +367,14 @@ def check(
 @app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    format: Annotated[str, typer.Option(help="tum or kitti (trajectories), g2o (pose graph), ply (landmarks).")],
+    format: Annotated[
+        str, typer.Option(help="tum or kitti (trajectories), g2o (graph), ply (landmarks), colmap (its text model).")
+    ],
     state: Annotated[
         str, typer.Option(help="odometry, online (trajectories only: as known at each moment) or corrected.")
     ] = "corrected",
-    out: Annotated[Path | None, typer.Option(help="File to write; without it one beside the run.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    out: Annotated[Path | None, typer.Option(help="File, or colmap's folder; without it beside the run.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
 ) -> None:
     """Write one result of a run in the format that another program reads.
 
@@ -482,7 +484,7 @@ def _exit_code(command: Callable[[], None]) -> int:
     try:
         command()
     except RevisitError as error:
-        print(f"revisit: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"revisit: {error}", file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

@@ -38,6 +38,7 @@ from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
+from slam.storage.landmarks import write_sightings
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
@@ -149,6 +150,7 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     _write_calibration(folder, finished)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
+    write_sightings(folder / "landmarks.npz", finished.slam.parts.landmarks.frames, drive.camera)
     save_png(before_after(record), folder / "before_after.png")
     write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
 

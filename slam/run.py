@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
@@ -12,16 +12,16 @@ from rich.console import Console
 
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import StageClock
-from slam.config import RunConfig, read_config
+from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
-from slam.errors import ConfigError, DataError
+from slam.errors import ConfigError, DataError, OutputError
 from slam.map_store.keeping import Keeper, NullKeeper, corrected, open_keeper
 from slam.map_store.resuming import Stopped, check_same, check_unfinished, find_stopped, is_complete, take_over
-from slam.parts import build_parts, check_names
+from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.report.tables import summary
@@ -107,7 +107,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
         with (
             open_keeper(folder, drive, config, origin | {"run": run}) as keeper,
-            closing(open_viewer(options, config, drive, folder.path, run)) as viewer,
+            shown(open_viewer(options, config, drive, folder.path, run), messages) as viewer,
         ):
             finished = drive_through(drive, config, viewer, messages, keeper)
             record = make_record(finished, origin)
@@ -138,7 +138,7 @@ def configure(options: RunOptions, settings: Mapping[str, object], base: RunConf
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
-    base = read_config(options.config) if options.config else base or RunConfig()
+    base = read_checked(options.config) if options.config else base or RunConfig()
     own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
@@ -165,6 +165,19 @@ def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: 
     path = folder / "recording.rrd" if config.record else None
     mode = "record" if options.view == "none" else options.view
     return RerunViewer(path, drive.camera, drive.ground_truth, mode, run)  # type: ignore[arg-type]
+
+
+@contextmanager
+def shown(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
+    """Close what shows or records the run in the end. No run loses its results to a recording without room."""
+    try:
+        yield viewer
+    finally:
+        try:
+            viewer.close()
+        except OutputError as error:
+            log.warning("%s", error)
+            messages.print(str(error), markup=False, highlight=False)
 
 
 def drive_through(
@@ -237,7 +250,7 @@ def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
 @contextmanager
 def run_log(path: Path) -> Iterator[None]:
     """Send the log to a file while the block runs."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
@@ -245,4 +258,12 @@ def run_log(path: Path) -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Go on."""

@@ -153,13 +153,14 @@ def open_keeper(
         keeper = MapKeeper(store, store.sessions()[-1])
         try:
             yield keeper
-        except BaseException as error:
+        except RevisitError as error:
+            if not keeper.frames:
+                raise
+            kept = f"{keeper.frames} frames are kept in {folder.final}: go on with --resume"
+            raise type(error)(f"{error}; {kept}") from error
+        finally:
             if keeper.frames:
                 folder.keep()
-            if isinstance(error, RevisitError) and keeper.frames:
-                kept = f"{keeper.frames} frames are kept in {folder.final}: go on with --resume"
-                raise type(error)(f"{error}; {kept}") from error
-            raise
 
 
 def _open(path: Path, drive: Dataset, config: RunConfig, provenance: Mapping[str, object]) -> MapStore:

@@ -19,7 +19,7 @@ metrics.json config.toml run.log report.html recording.rrd before_after.png
 map.db frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
-pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply
+pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz
 dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
 matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
 dense.rrd
@@ -53,10 +53,13 @@ class RunFolder:
         Raises:
             OutputError: `path` is a file, cannot be written, or holds anything while overwrite is False.
         """
-        if path.exists() and not path.is_dir():
-            raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
-        created = not path.exists()
-        held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        try:
+            if path.exists() and not path.is_dir():
+                raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
+            created = not path.exists()
+            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        except OSError as error:  # a name too long to be one, a folder that nobody may look into
+            raise OutputError(f"{path}: expected a folder, found: {error.strerror}; choose another") from error
         if held and not overwrite:
             what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
             raise OutputError(

@@ -140,13 +140,16 @@ class RerunViewer:
         """Write out what is pending; a web page's server ends with it, a window stays.
 
         Raises:
-            OutputError: the file could not be written to the end.
+            OutputError: the file could not be written to the end, and is gone.
         """
         try:
             self._recording.flush(timeout_sec=_FLUSH_S)
         except RuntimeError as error:
-            if self._listener is None:
-                raise OutputError(f"{self._path}: the recording is incomplete ({error}); make room") from error
+            if self._listener is None and self._path is not None:
+                self._path.unlink(missing_ok=True)  # room for what is written after it
+                raise OutputError(
+                    f"{self._path.name}: expected room for the recording, found none ({error}); left out, make room"
+                ) from error
             _LOG.warning("the viewer was closed before the run ended")
         finally:
             self._recording.disconnect()

@@ -30,6 +30,7 @@ FILES = {
     "pose_graph_after.g2o",
     "map_before.ply",
     "map_after.ply",
+    "landmarks.npz",
     "before_after.png",
     "recording.rrd",
     "report.html",
