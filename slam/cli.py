@@ -127,6 +127,9 @@ def run(
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
     no_map: Annotated[bool, typer.Option("--no-map", help="Write no map.db: no --resume, no locate.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where a run into the folder stopped.")] = False,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="Map of other drives, a map.db or a run: recognise their places.")
+    ] = None,
     kind: Kind = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
     topic: Topic = None,
@@ -134,11 +137,16 @@ def run(
 ) -> None:
     """Run the whole chain on a recorded drive: odometry, places, loops, pose graph, map, report.
 
+    Killed or stopped, it goes on with --resume and ends with the same results. With --map it begins with the map of an
+    earlier run, recognises its places, and ends with both drives in one map.
+
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
     from slam.run import RunOptions, run_recorded
 
-    options = RunOptions(source, sequence, out, view, overwrite, resume, config, kind, fps, tuple(topic or ()))
+    options = RunOptions(
+        source, sequence, out, view, overwrite, resume, map_file, config, kind, fps, tuple(topic or ())
+    )
     chosen = {
         "paradigm": paradigm,
         "features": features,

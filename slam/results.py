@@ -27,6 +27,7 @@ from slam.evaluation.trajectory import (
 )
 from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
+from slam.map_store.ending import Met
 from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
@@ -61,6 +62,7 @@ class Finished:
         interrupted: stopped by the user.
         wall_seconds: from the first frame to the end of the final optimisation.
         behind: frames that an earlier run had driven, which this one has gone on with.
+        met: what the drive has to do with others in its map; None where there are none.
     """
 
     drive: Dataset
@@ -72,6 +74,7 @@ class Finished:
     interrupted: bool
     wall_seconds: float
     behind: int = 0
+    met: Met | None = None
 
     @property
     def alignment(self) -> Alignment:
@@ -143,6 +146,10 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
         poses = getattr(record, name)
         write_kitti(folder / f"trajectory_{name}.txt", poses)
         write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
+    if finished.met is not None and finished.met.joined:
+        in_map = finished.met.T_map_session @ record.corrected
+        write_kitti(folder / "trajectory_map.txt", in_map)
+        write_tum(folder / "trajectory_map.tum", record.timestamps, in_map)
     write_frames(folder / "frames.csv", finished.drive_log.table())
     write_loops(folder / "loops.csv", record.loops)
     write_stages(folder / "loop_stages.csv", record.stages)
@@ -201,6 +208,7 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> d
         "loops": loops.as_metrics(),
         "places": places.section,
         "graph": _graph_metrics(record, errors, finished.optimized),
+        **_map_metrics(finished.met),
         "timing_ms": timing_ms(record.stage_ms),
         "frames_per_second": (len(record.timestamps) - finished.behind) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
@@ -209,6 +217,13 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> d
         "interrupted": finished.interrupted,
         "notes": notes,
     }
+
+
+def _map_metrics(met: Met | None) -> dict[str, object]:
+    if met is None:
+        return {}
+    said = dataclasses.asdict(met) | {"sessions": list(met.sessions), "T_map_session": met.T_map_session.tolist()}
+    return {"map": said}
 
 
 def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:

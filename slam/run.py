@@ -19,7 +19,8 @@ from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError, OutputError
-from slam.map_store.keeping import Keeper, NullKeeper, corrected, open_keeper
+from slam.map_store.keeping import Keeper, NewDrive, NullKeeper, open_keeper
+from slam.map_store.known import check_fits, read_known
 from slam.map_store.resuming import Stopped, check_same, check_unfinished, find_stopped, is_complete, take_over
 from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
@@ -52,6 +53,7 @@ class RunOptions:
         view: how to watch: none, native or web.
         overwrite: replace an earlier run.
         resume: go on where a run into the same folder has stopped, if there is one.
+        map_file: map of other drives that this one may meet, or a run's folder with one; None for none.
         config: settings file, or None for the defaults.
         kind: of the source; None to recognise it.
         fps: images a second, where no file says when they were taken.
@@ -65,6 +67,7 @@ class RunOptions:
     view: str = "none"
     overwrite: bool = False
     resume: bool = False
+    map_file: Path | None = None
     config: Path | None = None
     kind: str | None = None
     fps: float | None = None
@@ -96,17 +99,21 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     if options.resume and stopped is None and is_complete(options.out):
         messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
         return False
-    config = configure(options, settings, stopped.config if stopped else None)
+    known = read_known(options.map_file) if options.map_file and not stopped else None
+    config = configure(options, settings, stopped.config if stopped else known.config if known else None)
     drive = open_source(options.recording)
     if not drive.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
         )
+    if known:
+        check_fits(known, drive, config)
     origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
     run = stopped.run if stopped else uuid4().hex
+    new = NewDrive(drive.name, drive.camera, origin | {"run": run}, known.map_file if known else None)
     with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
         with (
-            open_keeper(folder, drive, config, origin | {"run": run}) as keeper,
+            open_keeper(folder, config, new) as keeper,
             shown(open_viewer(options, config, drive, folder.path, run), messages) as viewer,
         ):
             finished = drive_through(drive, config, viewer, messages, keeper)
@@ -131,7 +138,7 @@ def _folder(options: RunOptions, stopped: Stopped | None, drive: Dataset, config
 
 
 def configure(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
-    """Settings of the file, then of the command line, over the defaults, or over those of the run that goes on.
+    """Settings of the file, then of the command line, over the defaults, or over those of a run or map that goes on.
 
     Raises:
         ConfigError: one of them cannot work.
@@ -192,9 +199,9 @@ def drive_through(
     warm_up(drive, config)
     cv2.setRNGSeed(config.seed)
     rows = MatrixRows(_MATRIX_ROWS)
-    slam = Slam(build_parts(drive.camera, config, rows))
-    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     keeper = keeper or NullKeeper()
+    slam = Slam(build_parts(drive.camera, config, rows), keeper.beginning)
+    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     behind = keeper.recall(slam, rows, drive_log)
     watcher.recall(drive_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
@@ -210,9 +217,10 @@ def drive_through(
     keeper.pause()
     late, optimized = slam.finish(config.robust)
     note_loops(late)
-    drive_log.attempts.extend(late)
-    keeper.finish(late, corrected(drive_log.attempts, optimized), ended=not stop.made)
-    return Finished(drive, config, slam, drive_log, rows, optimized, stop.made, time.perf_counter() - start, behind)
+    drive_log.conclude(late)
+    ended = keeper.finish(late, optimized, ended=not stop.made)
+    seconds = time.perf_counter() - start
+    return Finished(drive, config, slam, drive_log, rows, ended.optimized, stop.made, seconds, behind, ended.met)
 
 
 def warm_up(drive: Dataset, config: RunConfig) -> None:

@@ -43,7 +43,7 @@ class Watcher:
         start = time.perf_counter()
         self._viewer.step(_step(processed))
         for attempt in processed.attempts:
-            if attempt.geometry is not None:
+            if attempt.geometry is not None and not attempt.elsewhere:
                 self._show_loop(attempt, processed)
         if processed.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
             self._viewer.matrix(self._rows.matrix(processed.frame.index + 1))

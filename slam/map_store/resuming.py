@@ -98,7 +98,7 @@ def check_same(stopped: Stopped, drive: Dataset, config: RunConfig) -> None:
             "or begin anew with --overwrite"
         )
     with MapStore.open(file) as store:
-        times = store.timestamps()
+        times = store.timestamps(stopped.session.number)
     same_times = np.array_equal(drive.timestamps[:frames], times)  # false, too, where there are fewer
     if drive.camera != stopped.session.camera or not same_times:
         raise DataError(

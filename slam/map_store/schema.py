@@ -48,7 +48,7 @@ CREATE TABLE landmark (
 );
 CREATE TABLE attempt (
     number INTEGER PRIMARY KEY,           -- in the order in which the recogniser answered
-    at_image INTEGER NOT NULL,            -- the image with which the answer came; the last one for those at the end
+    at_image INTEGER,                     -- the image with which the answer came; NULL for those at the drive's end
     query INTEGER NOT NULL,
     match INTEGER,
     score REAL NOT NULL,

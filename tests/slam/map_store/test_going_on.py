@@ -16,7 +16,7 @@ from slam.datasets.open import open_source
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import DataError, OutputError
-from slam.map_store.keeping import Keeper, MapKeeper, NullKeeper, corrected
+from slam.map_store.keeping import Keeper, MapKeeper, NullKeeper
 from slam.map_store.rows import StoredFrame
 from slam.map_store.store import MapStore, Session
 from slam.parts import build_parts
@@ -64,8 +64,8 @@ def drive_on(drive: Every, config: RunConfig, keeper: Keeper, stop: int | None =
             return None
     keeper.pause()
     late, optimized = slam.finish(config.robust)
-    log.attempts.extend(late)
-    keeper.finish(late, corrected(log.attempts, optimized), ended=True)
+    log.conclude(late)
+    keeper.finish(late, optimized, ended=True)
     return End(slam, rows, log, optimized)
 
 
@@ -77,7 +77,7 @@ def kept(path: Path, drive: Every, config: RunConfig) -> Iterator[tuple[MapStore
         if fresh:
             with store.writing():
                 store.add_session(session)
-        yield store, MapKeeper(store, session)
+        yield store, MapKeeper(store, session, config)
 
 
 def said(log: DriveLog) -> list[tuple[object, ...]]:
@@ -141,7 +141,7 @@ def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
             super().pause()
 
     with kept(tmp_path / "map.db", drive, config) as (store, _):
-        drive_on(drive, config, Spy(store, store.sessions()[0]), 30)
+        drive_on(drive, config, Spy(store, store.sessions()[0], config), 30)
         back = list(store.frames())
     assert len(back) == len(seen) == 30
     for one, other in zip(back, seen, strict=True):
