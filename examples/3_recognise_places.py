@@ -2,8 +2,8 @@
 
     python examples/3_recognise_places.py [--paradigm tracked-words] [--out runs/examples]
 
-Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures 4.7 to 4.9 of the chapter) and
-3_precision_recall.png (Figure 4.16).
+Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures 4.8, 4.7 and 4.9 of the chapter, and
+4.12 where a paradigm has a filter) and 3_precision_recall.png (Figure 4.16).
 """
 
 import numpy as np

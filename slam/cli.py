@@ -4,15 +4,20 @@ Everything heavy is imported inside the commands, so that help answers at once.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
 from slam.errors import ConfigError, RevisitError
 from slam.simulation.spec import DriveSpec
+
+if TYPE_CHECKING:
+    from slam.doctor import Check
 
 app = typer.Typer(
     name="revisit",
@@ -51,6 +56,8 @@ def demo(
     """Simulate a drive of three laps, run the whole chain on it, and write a report. Needs no download.
 
     The drive is rendered once and kept in the cache; the run in the output folder is made anew each time.
+
+    Example: revisit demo --out runs/demo
     """
     from slam.demo import run_demo
 
@@ -118,6 +125,11 @@ def run(
         float | None, typer.Option(help="With --mono: metres above the road; gives the scale. KITTI: 1.65.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    no_map: Annotated[bool, typer.Option("--no-map", help="Write no map.db: no --resume, no locate.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run into the folder stopped.")] = False,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="Map of other drives, a map.db or a run: recognise their places.")
+    ] = None,
     kind: Kind = None,
     fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
     topic: Topic = None,
@@ -125,11 +137,16 @@ def run(
 ) -> None:
     """Run the whole chain on a recorded drive: odometry, places, loops, pose graph, map, report.
 
+    Killed or stopped, it goes on with --resume and ends with the same results. With --map it begins with the map of an
+    earlier run, recognises its places, and ends with both drives in one map.
+
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
     from slam.run import RunOptions, run_recorded
 
-    options = RunOptions(source, sequence, out, view, overwrite, config, kind, fps, tuple(topic or ()))
+    options = RunOptions(
+        source, sequence, out, view, overwrite, resume, map_file, config, kind, fps, tuple(topic or ())
+    )
     chosen = {
         "paradigm": paradigm,
         "features": features,
@@ -138,6 +155,7 @@ def run(
         "robust": robust,
         "seed": seed,
         "record": False if no_record else None,
+        "keep_map": False if no_map else None,
         "mono": mono or None,
         "camera_height": camera_height,
     }
@@ -234,7 +252,10 @@ def evaluate_trajectory(
     mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """ATE after alignment, and t_rel, r_rel by the KITTI rule."""
+    """ATE after alignment, and t_rel, r_rel by the KITTI rule.
+
+    Example: revisit evaluate trajectory runs/kitti05/trajectory_corrected.txt data/kitti/poses/05.txt
+    """
     from slam.evaluation.command import compare_files
 
     Console().print(compare_files(estimate, truth, mono, json))
@@ -259,7 +280,10 @@ def evaluate_loops(
     out: Annotated[Path | None, typer.Option(help="Folder for metrics.json and the curve.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others."""
+    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others.
+
+    Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
+    """
     from place_recognition.evaluation.ground_truth import SamePlace
     from slam.evaluation.loops_command import LoopsOptions
     from slam.evaluation.loops_command import evaluate_loops as judge
@@ -317,7 +341,7 @@ def explain(
 ) -> None:
     """Tell why a loop was or was not closed, stage by stage, with the numbers.
 
-    Example: revisit explain runs/demo 420
+    Example: revisit explain runs/demo 310
     """
     from slam.explain import explain as told
 
@@ -397,12 +421,14 @@ def check(
 @app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    format: Annotated[str, typer.Option(help="tum or kitti (trajectories), g2o (pose graph), ply (landmarks).")],
+    format: Annotated[
+        str, typer.Option(help="tum or kitti (trajectories), g2o (graph), ply (landmarks), colmap (its text model).")
+    ],
     state: Annotated[
         str, typer.Option(help="odometry, online (trajectories only: as known at each moment) or corrected.")
     ] = "corrected",
-    out: Annotated[Path | None, typer.Option(help="File to write; without it one beside the run.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    out: Annotated[Path | None, typer.Option(help="File, or colmap's folder; without it beside the run.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
 ) -> None:
     """Write one result of a run in the format that another program reads.
 
@@ -413,6 +439,22 @@ def export(
 
     written = write(ExportOptions(run, format, state, out, overwrite))
     Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def view(
+    run: Annotated[Path, typer.Argument(help="Folder of a run with a recording.")],
+    web: Annotated[bool, typer.Option("--web", help="Name a page for a browser of this machine instead.")] = False,
+) -> None:
+    """Open the recording of a run, and its dense map where it has one, in the rerun viewer.
+
+    The viewer listens on 127.0.0.1 alone and reports to nobody.
+
+    Example: revisit view runs/demo
+    """
+    from slam.viewer.listener import open_recording
+
+    open_recording(run, web).wait()
 
 
 @app.command()
@@ -427,7 +469,8 @@ def dense(
 ) -> None:
     """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
 
-    Writes into the folder of the run. Images are read once; the corrected graph moves finished submaps.
+    Writes into the folder of the run, and shows the maps in its report too. Images
+    are read once; the corrected graph moves finished submaps.
 
     Example: revisit dense runs/kitti05
     """
@@ -440,27 +483,46 @@ def dense(
 @app.command()
 def doctor(
     licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check Python, the wheels and the system libraries; say what is missing and what to type."""
+    """Check Python, the wheels and the system libraries; say what is missing and what to type.
+
+    Example: revisit doctor
+    """
     if licences:
-        _print_licences()
+        _print_licences(json)
         return
     from slam.doctor import check_machine
 
     checks = check_machine()
-    for check in checks:
-        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
-        Console().print(f"{mark:>8}  {check.name} {check.found}{check.problem}", highlight=False)
-        if check.remedy:
-            Console().print(f"          type: {check.remedy}", markup=False, highlight=False)
+    (_print_json if json else _print_checks)(checks)
     raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
 
 
-def _print_licences() -> None:
+def _print_checks(checks: Sequence["Check"]) -> None:
+    from rich.markup import escape
+
+    for check in checks:
+        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
+        words = escape(f"{check.name} {check.found}{check.problem}")
+        Console().print(f"{mark:>8}  {words}", highlight=False, soft_wrap=True)
+        if check.remedy:
+            Console().print(f"          type: {check.remedy}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_json(rows: Sequence[Any]) -> None:
+    """Print dataclasses as a list of objects."""
+    Console().print(dumps([asdict(row) for row in rows], indent=2), markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_licences(as_json: bool) -> None:
     from rich.table import Table
 
     from slam.licences import licences
 
+    if as_json:
+        _print_json(licences())
+        return
     table = Table("package", "version", "licence", "needed by", title="What Revisit is installed with", box=None)
     for one in licences():
         table.add_row(one.package, one.version, one.licence, "Revisit" if one.direct else "another package")
@@ -476,7 +538,7 @@ def _exit_code(command: Callable[[], None]) -> int:
     try:
         command()
     except RevisitError as error:
-        print(f"revisit: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"revisit: {error}", file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

@@ -7,7 +7,8 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tomli_w
 
@@ -50,6 +51,7 @@ class RunConfig:
         robust: back end of the final optimisation, by name.
         seed: of every random generator.
         record: write `recording.rrd`.
+        keep_map: write `map.db`, with which a run can go on, be located in, or be joined by another.
         mono: use the left camera alone.
     """
 
@@ -57,6 +59,7 @@ class RunConfig:
     robust: str = DEFAULT
     seed: int = 0
     record: bool = True
+    keep_map: bool = True
     mono: bool = False
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
     one_camera: OneCameraConfig = field(default_factory=OneCameraConfig)
@@ -88,6 +91,19 @@ def read_config(path: Path) -> RunConfig:
     return from_values(RunConfig, read_toml(path), str(path))
 
 
+def parse_config(text: str, where: str) -> RunConfig:
+    """Configuration from TOML text, such as `to_toml` gives.
+
+    Args:
+        text: the settings.
+        where: they stand, for messages.
+
+    Raises:
+        ConfigError: it is no TOML, or holds an unknown name or a value of the wrong type.
+    """
+    return from_values(RunConfig, _parsed(text, where), where)
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Values of a TOML file.
 
@@ -95,9 +111,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: the file is missing or damaged.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
-        raise ConfigError(f"{path}: expected a TOML file, {error}") from error
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: expected a TOML file, {error}; mend that line") from error
+    return _parsed(text, str(path))
+
+
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
+        raise ConfigError(f"{where}: expected a TOML file, {error}; mend that line") from error
 
 
 def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
@@ -118,8 +142,10 @@ def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
     settings = {name: _checked(hints[name], value, f"{where}: {name}") for name, value in values.items()}
     try:
         return kind(**settings)
-    except (ValueError, OverflowError) as error:
+    except (ValueError, ConfigError) as error:
         raise ConfigError(f"{where}: {error}") from error
+    except OverflowError as error:
+        raise ConfigError(f"{where}: expected numbers within bounds, found one beyond them: {error}") from error
 
 
 def _without_none(value: Any) -> Any:
@@ -132,9 +158,11 @@ def _checked(kind: Any, value: Any, where: str) -> Any:
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
         return from_values(kind, value, where)  # type: ignore[arg-type]
     if get_origin(kind) is tuple:
-        if not isinstance(value, list):
-            raise ConfigError(f"{where}: expected a list, found {value!r}")
-        return _as_tuple(value)
+        return _tuple(get_args(kind), value, where)
+    if get_origin(kind) is UnionType:  # with None, which TOML cannot say
+        return _checked(get_args(kind)[0], value, where)
+    if kind is Any:
+        return _as_tuple(value) if isinstance(value, list) else value
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return _as_float(value, where)
     if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
@@ -142,11 +170,20 @@ def _checked(kind: Any, value: Any, where: str) -> Any:
     return value
 
 
+def _tuple(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise ConfigError(f"{where}: expected a list, found {value!r}")
+    wanted = kinds[:1] * len(value) if kinds[1:] == (...,) else kinds
+    if len(value) != len(wanted):
+        raise ConfigError(f"{where}: expected a list of {len(wanted)}, found {len(value)}")
+    return tuple(_checked(kind, item, where) for kind, item in zip(wanted, value, strict=True))
+
+
 def _as_float(value: int, where: str) -> float:
     try:
         return float(value)
     except OverflowError as error:
-        raise ConfigError(f"{where}: {error}") from error
+        raise ConfigError(f"{where}: expected a number, found one beyond all bounds: {error}") from error
 
 
 def _as_tuple(values: list[Any]) -> tuple[Any, ...]:

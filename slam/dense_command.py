@@ -1,7 +1,7 @@
 """`revisit dense`: the dense map of a run, before and after correction, and what of it can be driven on."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,20 +20,26 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
 from slam.mapping.fusion import FusionConfig
-from slam.mapping.occupancy import draw_grid, write_grid
+from slam.mapping.occupancy import Grid, draw_grid, write_grid
 from slam.mapping.submaps import SubmapStore
 from slam.mapping.surface_file import write_surfaces
+from slam.mapping.top_view import Window, seen_from_above
 from slam.progress import progress_bar
+from slam.report.dense_section import Overview, show_dense_map
 from slam.storage.calibration import read_calibration
 from slam.storage.metrics import read_metrics
 from slam.storage.run_folder import STAGING
 from slam.storage.tables import read_frames
 from slam.storage.trajectory import read_tum
+from slam.viewer.dense_recording import PlacedMap, record_dense_map
 
 Array = NDArray[np.float64]
 
+REPORT, RECORDING = "report.html", "recording.rrd"
+_PICTURE_CELL = 4 / 3  # of a voxel: points that far apart leave no gaps in a picture
 RESULTS = (
     "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
+    "dense.rrd",
 )  # fmt: skip
 
 
@@ -85,6 +91,11 @@ class DrivenRun:
     odometry: Odometry
     corrected: Array
     key_frames: KeyFrameConfig
+
+    @property
+    def states(self) -> dict[str, Array]:
+        """Trajectories (F, 4, 4), metres, before and after correction."""
+        return {"before": self.odometry.T_world_camera, "after": self.corrected}
 
 
 def read_run(run: Path, source: Path | None = None) -> DrivenRun:
@@ -141,8 +152,12 @@ def map_densely(options: DenseOptions, messages: Console) -> str:
         with progress_bar(messages, "Fusing") as progress:
             for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
                 progress(done, total)
-        _write(run, store, driven)
-    return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(RESULTS)}"
+        grid = draw_grid(store, driven.corrected)
+        _write(run, store, driven, grid)
+        _where_there_is(run / REPORT, messages, lambda report: _show(report, store, driven, grid, config.fusion))
+        _where_there_is(run / RECORDING, messages, lambda recording: _record(recording, store, driven))
+    written = [name for name in (*RESULTS, REPORT) if (run / name).exists()]
+    return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(written)}"
 
 
 @contextmanager
@@ -156,9 +171,34 @@ def _folder_in(run: Path) -> Iterator[Path]:
         yield Path(name)
 
 
-def _write(run: Path, store: SubmapStore, driven: DrivenRun) -> None:
-    for state, poses in (("before", driven.odometry.T_world_camera), ("after", driven.corrected)):
+def _write(run: Path, store: SubmapStore, driven: DrivenRun, grid: Grid) -> None:
+    for state, poses in driven.states.items():
         surfaces = partial(store.placed, poses)
         write_surfaces(run / f"dense_{state}.ply", surfaces, with_triangles=False)
         write_surfaces(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
-    write_grid(run / "occupancy.yaml", draw_grid(store, driven.corrected))
+    write_grid(run / "occupancy.yaml", grid)
+
+
+def _where_there_is(path: Path, messages: Console, show: Callable[[Path], None]) -> None:
+    """Show the maps in a file of the run, if it has that; where the file is of no use, they are there all the same."""
+    if not path.exists():
+        return
+    try:
+        show(path)
+    except DataError as error:
+        messages.print(f"not shown there: {error}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show(report: Path, store: SubmapStore, driven: DrivenRun, grid: Grid, config: FusionConfig) -> None:
+    positions = np.concatenate([poses[:, :3, 3] for poses in driven.states.values()])
+    window = Window.around(positions, config.max_depth_m, _PICTURE_CELL * config.voxel_m)
+    maps = [
+        Overview(state, seen_from_above(store.placed(poses), window), poses[:, :3, 3])
+        for state, poses in driven.states.items()
+    ]
+    show_dense_map(report, maps, window, grid)
+
+
+def _record(recording: Path, store: SubmapStore, driven: DrivenRun) -> None:
+    placed = (PlacedMap(state, store.placed(poses), poses[:, :3, 3]) for state, poses in driven.states.items())
+    record_dense_map(recording.with_name("dense.rrd"), recording, driven.drive.camera, placed)

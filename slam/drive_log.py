@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
+from place_recognition.recognizer import Belief
 from slam.map_store.rows import StoredFrame
 from slam.storage.tables import FrameTable
 from slam.system import LoopAttempt, Processed
@@ -21,7 +22,8 @@ class DriveLog:
     Attributes:
         timestamps: seconds.
         odometry, online: T_world_camera (4, 4), metres, as they were when the frame was seen.
-        attempts: every belief, and what came of it.
+        attempts: every belief, and what came of it; none of the match where that is an image of another drive.
+        meetings: beliefs with such a match, and what came of them.
         stage_ms: milliseconds by stage.
     """
 
@@ -29,6 +31,7 @@ class DriveLog:
     odometry: list[Array] = field(default_factory=list)
     online: list[Array] = field(default_factory=list)
     attempts: list[LoopAttempt] = field(default_factory=list)
+    meetings: list[LoopAttempt] = field(default_factory=list)
     stage_ms: list[dict[str, float]] = field(default_factory=list)
     _motions: list[tuple[bool, str, int, int, float]] = field(default_factory=list)
 
@@ -37,7 +40,7 @@ class DriveLog:
         self.timestamps.append(processed.frame.timestamp)
         self.odometry.append(processed.T_world_camera_odometry)
         self.online.append(processed.T_world_camera)
-        self.attempts.extend(processed.attempts)
+        self.conclude(processed.attempts)
         self.stage_ms.append(processed.stage_ms | outside_ms)
         self._motions.append(_summary(processed.motion))
 
@@ -46,9 +49,19 @@ class DriveLog:
         self.timestamps.append(frame.timestamp)
         self.odometry.append(frame.T_world_odometry)
         self.online.append(frame.T_world_online)
-        self.attempts.extend(attempts)
+        self.conclude(attempts)
         self.stage_ms.append(dict(frame.stage_ms))
         self._motions.append(_summary(frame.motion))
+
+    def conclude(self, attempts: Iterable[LoopAttempt]) -> None:
+        """Remember what came of beliefs."""
+        for attempt in attempts:
+            if attempt.elsewhere:
+                self.meetings.append(attempt)
+                unmatched = Belief(attempt.belief.query, None, 0.0, accepted=False)
+                self.attempts.append(LoopAttempt(unmatched, None, None))
+            else:
+                self.attempts.append(attempt)
 
     def table(self) -> FrameTable:
         """Everything that `frames.csv` holds."""

@@ -1,11 +1,15 @@
-"""`revisit export`: one file of a run, in the format that another program reads."""
+"""`revisit export`: results of a run, in the format that another program reads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from slam.errors import ConfigError, DataError, OutputError
+from slam.mapping.ply import read_cloud
 from slam.storage.atomic import atomic_writer
+from slam.storage.colmap import Model, write_colmap
+from slam.storage.landmarks import read_sightings
+from slam.storage.run_folder import RunFolder
 from slam.storage.trajectory import read_tum, write_kitti, write_tum
 
 STATES = ("odometry", "online", "corrected")
@@ -20,8 +24,8 @@ class ExportOptions:
         run: folder of a run.
         format: a key of FORMATS.
         state: which estimate: by odometry alone, as known at each moment, or corrected.
-        out: the file to write; None to name it after the run, beside it.
-        overwrite: replace a file that is there.
+        out: the file to write, a folder for colmap; None to name it after the run, beside it.
+        overwrite: replace what is there.
     """
 
     run: Path
@@ -32,7 +36,7 @@ class ExportOptions:
 
 
 def export(options: ExportOptions) -> Path:
-    """Write one result of a run in one format; the file that was written.
+    """Write one result of a run in one format; the file or folder that was written.
 
     Raises:
         ConfigError: an unknown format or state, or a state in which a run keeps no such result.
@@ -72,6 +76,25 @@ def _ply(run: Path, state: str, out: Path) -> None:
     _copy(_result(run, f"map_{_OF_MAPS[state]}.ply"), out)
 
 
+def _colmap(run: Path, state: str, out: Path) -> None:
+    model = _model(run, state)
+    with RunFolder.create(out, overwrite=True) as folder:
+        write_colmap(folder.path, model)
+        folder.commit()
+
+
+def _model(run: Path, state: str) -> Model:
+    sightings = read_sightings(_result(run, "landmarks.npz"))
+    cloud = read_cloud(_result(run, f"map_{_OF_MAPS[state]}.ply"))
+    poses = read_tum(_result(run, f"trajectory_{state}.tum"))[1]
+    if len(cloud.points) != len(sightings.frames) or sightings.frames.max(initial=0) >= len(poses):
+        raise DataError(
+            f"{run / 'landmarks.npz'}: expected a frame, up to {len(poses) - 1}, for each of {len(cloud.points)}"
+            f" landmarks, found {len(sightings.frames)} up to {sightings.frames.max(initial=0)}; run again"
+        )
+    return Model(poses, cloud, sightings)
+
+
 def _result(run: Path, name: str) -> Path:
     path = run / name
     if not path.is_file():
@@ -86,6 +109,12 @@ def _copy(source: Path, out: Path) -> None:
         file.write(source.read_bytes())
 
 
-FORMATS: dict[str, Callable[[Path, str, Path], None]] = {"tum": _tum, "kitti": _kitti, "g2o": _g2o, "ply": _ply}
+FORMATS: dict[str, Callable[[Path, str, Path], None]] = {
+    "tum": _tum,
+    "kitti": _kitti,
+    "g2o": _g2o,
+    "ply": _ply,
+    "colmap": _colmap,
+}
 _TRAJECTORIES = ("tum", "kitti")
-_SUFFIXES = {"tum": ".tum", "kitti": ".txt", "g2o": ".g2o", "ply": ".ply"}
+_SUFFIXES = {"tum": ".tum", "kitti": ".txt", "g2o": ".g2o", "ply": ".ply", "colmap": "_colmap"}

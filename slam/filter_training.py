@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from place_recognition.belief.filter_training import Samples, samples_of, sequence_matrix, train_filter
 from place_recognition.belief.matrix_filter import FilterConfig
+from place_recognition.evaluation.array_file import array_names, read_array
 from place_recognition.evaluation.ground_truth import load_truth
 from slam.errors import ConfigError, DataError
 from slam.storage.atomic import atomic_writer
@@ -42,26 +43,32 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
 
 
 def _samples(matrix: Path, truth: Path) -> Samples:
-    similarities = _read_matrix(matrix)
+    similarities = read_similarities(matrix)
     try:
         return samples_of(*sequence_matrix(similarities, load_truth(truth)))
     except (ValueError, OSError) as error:
         raise DataError(f"{matrix} and {truth}: {error}") from error
 
 
-def _read_matrix(path: Path) -> NDArray[np.float64]:
+def read_similarities(path: Path) -> NDArray[np.float64]:
+    """Similarity of each image (row) to the earlier ones (columns), (N, N), from the matrix.npz of `revisit places`.
+
+    Raises:
+        DataError: the file is missing, damaged, or shows a matrix that was shrunk.
+    """
     try:
-        with np.load(path) as arrays:
-            if "similarity" not in arrays:
-                found = ", ".join(arrays.files) or "none"
-                raise DataError(
-                    f"{path}: expected an array named similarity, found {found}; write it with: revisit places"
-                )
-            if "step" in arrays and int(arrays["step"]) != 1:
-                raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
-            return np.asarray(arrays["similarity"], np.float64)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected the matrix.npz of revisit places, {error}") from error
+        similarity, step = read_array(path, "similarity"), read_array(path, "step")
+    except ValueError as error:
+        raise DataError(f"{path}: expected the matrix.npz of revisit places, found {error}; write it again") from error
+    if similarity is None or similarity.ndim != 2 or similarity.dtype.kind not in "biuf":
+        names = ", ".join(array_names(path)) or "none"
+        found = names if similarity is None else f"{similarity.shape} of {similarity.dtype}"
+        raise DataError(
+            f"{path}: expected an array named similarity, (N, N) numbers, found {found}; write it with: revisit places"
+        )
+    if step is not None and step.ravel().tolist() != [1]:
+        raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
+    return np.asarray(similarity, np.float64)
 
 
 def _settings(learnt: FilterConfig, paradigm: str) -> dict[str, object]:

@@ -1,5 +1,7 @@
 """The parts of the system, built from a configuration: the one place where names become classes."""
 
+from pathlib import Path
+
 from odometry.camera import StereoCamera
 from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
@@ -7,7 +9,7 @@ from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, local_features
 from place_recognition.recognizer import PlaceRecognizer, RowSink
-from slam.config import RunConfig
+from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
 from slam.eyes import Eyes, OneEye, TwoEyes
 from slam.keyframes import KeyFrameSelector
@@ -41,6 +43,19 @@ def check_names(config: RunConfig) -> RunConfig:
     check_features(config.places.features)
     back_end(config.robust)
     return config
+
+
+def read_checked(path: Path) -> RunConfig:
+    """Configuration from a TOML file, whose names all exist.
+
+    Raises:
+        ConfigError: the file is missing or damaged, or holds an unknown name or a value that cannot work.
+    """
+    config = read_config(path)
+    try:
+        return check_names(config)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def build_recognizer(

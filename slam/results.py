@@ -27,6 +27,7 @@ from slam.evaluation.trajectory import (
 )
 from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
+from slam.map_store.ending import Met
 from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
@@ -38,6 +39,7 @@ from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
+from slam.storage.landmarks import write_sightings
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
@@ -59,6 +61,8 @@ class Finished:
         optimized: the final trajectory and the verdicts on the loops.
         interrupted: stopped by the user.
         wall_seconds: from the first frame to the end of the final optimisation.
+        behind: frames that an earlier run had driven, which this one has gone on with.
+        met: what the drive has to do with others in its map; None where there are none.
     """
 
     drive: Dataset
@@ -69,6 +73,8 @@ class Finished:
     optimized: Optimized
     interrupted: bool
     wall_seconds: float
+    behind: int = 0
+    met: Met | None = None
 
     @property
     def alignment(self) -> Alignment:
@@ -140,6 +146,10 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
         poses = getattr(record, name)
         write_kitti(folder / f"trajectory_{name}.txt", poses)
         write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
+    if finished.met is not None and finished.met.joined:
+        in_map = finished.met.T_map_session @ record.corrected
+        write_kitti(folder / "trajectory_map.txt", in_map)
+        write_tum(folder / "trajectory_map.tum", record.timestamps, in_map)
     write_frames(folder / "frames.csv", finished.drive_log.table())
     write_loops(folder / "loops.csv", record.loops)
     write_stages(folder / "loop_stages.csv", record.stages)
@@ -147,6 +157,7 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     _write_calibration(folder, finished)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
+    write_sightings(folder / "landmarks.npz", finished.slam.parts.landmarks.frames, drive.camera)
     save_png(before_after(record), folder / "before_after.png")
     write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
 
@@ -197,14 +208,22 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> d
         "loops": loops.as_metrics(),
         "places": places.section,
         "graph": _graph_metrics(record, errors, finished.optimized),
+        **_map_metrics(finished.met),
         "timing_ms": timing_ms(record.stage_ms),
-        "frames_per_second": len(record.timestamps) / finished.wall_seconds,
+        "frames_per_second": (len(record.timestamps) - finished.behind) / finished.wall_seconds,
         "wall_seconds": finished.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
         "memory_mb": held_mb(finished.slam.parts),
         "interrupted": finished.interrupted,
         "notes": notes,
     }
+
+
+def _map_metrics(met: Met | None) -> dict[str, object]:
+    if met is None:
+        return {}
+    said = dataclasses.asdict(met) | {"sessions": list(met.sessions), "T_map_session": met.T_map_session.tolist()}
+    return {"map": said}
 
 
 def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:

@@ -3,22 +3,26 @@
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from uuid import uuid4
 
 from rich.console import Console
 
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import StageClock
-from slam.config import RunConfig, read_config
+from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
 from slam.drive_log import DriveLog
-from slam.errors import ConfigError, DataError
-from slam.parts import build_parts, check_names
+from slam.errors import ConfigError, DataError, OutputError
+from slam.map_store.keeping import Keeper, NewDrive, NullKeeper, open_keeper
+from slam.map_store.known import check_fits, read_known
+from slam.map_store.resuming import Stopped, check_same, check_unfinished, find_stopped, is_complete, take_over
+from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.report.tables import summary
@@ -48,6 +52,8 @@ class RunOptions:
         out: folder for the results.
         view: how to watch: none, native or web.
         overwrite: replace an earlier run.
+        resume: go on where a run into the same folder has stopped, if there is one.
+        map_file: map of other drives that this one may meet, or a run's folder with one; None for none.
         config: settings file, or None for the defaults.
         kind: of the source; None to recognise it.
         fps: images a second, where no file says when they were taken.
@@ -60,6 +66,8 @@ class RunOptions:
     out: Path
     view: str = "none"
     overwrite: bool = False
+    resume: bool = False
+    map_file: Path | None = None
     config: Path | None = None
     kind: str | None = None
     fps: float | None = None
@@ -87,21 +95,30 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     Raises:
         RevisitError: the drive, the settings or the output folder cannot be used; earlier results stay untouched.
     """
-    config = configure(options, settings)
+    stopped = find_stopped(options.out) if options.resume else None
+    if options.resume and stopped is None and is_complete(options.out):
+        messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
+        return False
+    known = read_known(options.map_file) if options.map_file and not stopped else None
+    config = configure(options, settings, stopped.config if stopped else known.config if known else None)
     drive = open_source(options.recording)
     if not drive.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
         )
-    with RunFolder.create(options.out, options.overwrite) as folder, run_log(folder.path / "run.log"):
-        viewer = open_viewer(options, config, drive, folder.path)
-        try:
-            finished = drive_through(drive, config, viewer, messages)
-            origin = provenance(options.source, drive.name, options.command)
-            record = make_record(finished, origin | {"recording": options.recording.as_metrics()})
+    if known:
+        check_fits(known, drive, config)
+    origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
+    run = stopped.run if stopped else uuid4().hex
+    new = NewDrive(drive.name, drive.camera, origin | {"run": run}, known.map_file if known else None)
+    with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
+        with (
+            open_keeper(folder, config, new) as keeper,
+            shown(open_viewer(options, config, drive, folder.path, run), messages) as viewer,
+        ):
+            finished = drive_through(drive, config, viewer, messages, keeper)
+            record = make_record(finished, origin)
             viewer.finish(record)
-        finally:
-            viewer.close()
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
         write_results(folder.path, record, finished)
         folder.commit()
@@ -110,15 +127,25 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     return finished.interrupted
 
 
-def configure(options: RunOptions, settings: Mapping[str, object]) -> RunConfig:
-    """Settings of the file, then of the command line, over the defaults.
+def _folder(options: RunOptions, stopped: Stopped | None, drive: Dataset, config: RunConfig) -> RunFolder:
+    """Where to write: into a new folder, or on into that of a run that stopped."""
+    if stopped is not None:
+        check_same(stopped, drive, config)
+        return take_over(stopped, options.out)
+    if not options.overwrite:
+        check_unfinished(options.out)
+    return RunFolder.create(options.out, options.overwrite)
+
+
+def configure(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
+    """Settings of the file, then of the command line, over the defaults, or over those of a run or map that goes on.
 
     Raises:
         ConfigError: one of them cannot work.
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
-    base = read_config(options.config) if options.config else RunConfig()
+    base = read_checked(options.config) if options.config else base or RunConfig()
     own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
     places = {name: value for name, value in settings.items() if name in _OF_PLACES}
     changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
@@ -136,39 +163,64 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
 
 
-def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path) -> Viewer:
-    """Open what shows or records the run."""
+def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path, run: str) -> Viewer:
+    """Open what shows or records the run of this name."""
     if options.view == "none" and not config.record:
         return NullViewer()
     from slam.viewer.rerun_viewer import RerunViewer
 
     path = folder / "recording.rrd" if config.record else None
     mode = "record" if options.view == "none" else options.view
-    return RerunViewer(path, drive.camera, drive.ground_truth, mode)  # type: ignore[arg-type]
+    return RerunViewer(path, drive.camera, drive.ground_truth, mode, run)  # type: ignore[arg-type]
 
 
-def drive_through(drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console) -> Finished:
-    """Take the frames one by one; what is known when the drive ends, or when the user stops it."""
+@contextmanager
+def shown(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
+    """Close what shows or records the run in the end. No run loses its results to a recording without room."""
+    try:
+        yield viewer
+    finally:
+        try:
+            viewer.close()
+        except OutputError as error:
+            log.warning("%s", error)
+            messages.print(str(error), markup=False, highlight=False)
+
+
+def drive_through(
+    drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console, keeper: Keeper | None = None
+) -> Finished:
+    """Take the frames one by one; what is known when the drive ends, or when the user stops it.
+
+    Begins where the keeper's drive has stopped.
+    """
     import cv2
 
     warm_up(drive, config)
     cv2.setRNGSeed(config.seed)
     rows = MatrixRows(_MATRIX_ROWS)
-    slam = Slam(build_parts(drive.camera, config, rows))
+    keeper = keeper or NullKeeper()
+    slam = Slam(build_parts(drive.camera, config, rows), keeper.beginning)
     watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
+    behind = keeper.recall(slam, rows, drive_log)
+    watcher.recall(drive_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(drive), slam.clock):
+        for frame in timed(prefetch(drive, begin=behind), slam.clock):
             processed = slam.process(frame)
             note(processed)
             drive_log.add(processed, watcher.show(processed))
+            keeper.add(processed, drive_log.stage_ms[-1])
             progress(frame.index + 1, len(drive))
             if stop.made:
                 messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break
+    keeper.pause()
     late, optimized = slam.finish(config.robust)
     note_loops(late)
-    drive_log.attempts.extend(late)
-    return Finished(drive, config, slam, drive_log, rows, optimized, stop.made, time.perf_counter() - start)
+    drive_log.conclude(late)
+    ended = keeper.finish(late, optimized, ended=not stop.made)
+    seconds = time.perf_counter() - start
+    return Finished(drive, config, slam, drive_log, rows, ended.optimized, stop.made, seconds, behind, ended.met)
 
 
 def warm_up(drive: Dataset, config: RunConfig) -> None:
@@ -206,7 +258,7 @@ def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
 @contextmanager
 def run_log(path: Path) -> Iterator[None]:
     """Send the log to a file while the block runs."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
@@ -214,4 +266,12 @@ def run_log(path: Path) -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Go on."""

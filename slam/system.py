@@ -1,7 +1,7 @@
 """The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry proves, the graph corrects."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,8 @@ class LoopAttempt:
     """What became of one belief.
 
     Attributes:
-        belief: what the recogniser thought.
+        belief: what the recogniser thought; images before the drive's first one, of earlier drives through the same
+            map, have negative numbers.
         geometry: the relative pose, or why there is none; None for a belief that was not accepted.
         admission: what the graph said of the closure; None where there was no closure.
     """
@@ -55,7 +56,14 @@ class LoopAttempt:
         """The verdict so far, in plain words; empty for a belief that was not accepted."""
         if self.admission is not None:
             return self.admission.reason
+        if isinstance(self.geometry, LoopClosure):
+            return "a place of the map"
         return self.geometry.reason if isinstance(self.geometry, Rejection) else ""
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the match is an image of an earlier drive."""
+        return self.belief.match is not None and self.belief.match < 0
 
     @property
     def closed(self) -> bool:
@@ -88,14 +96,29 @@ class Processed:
     stage_ms: dict[str, float]
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """Where a drive begins for parts that have seen others before it.
+
+    Attributes:
+        image: number of its first image.
+        travelled: way driven before it, metres, so much larger than it was that no place seen before is near.
+    """
+
+    image: int = 0
+    travelled: float = 0.0
+
+
 class Slam:
     """Takes frames one by one; knows no files, no ground truth and no viewer."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, beginning: Beginning | None = None) -> None:
+        beginning = beginning or Beginning()
         self.parts = parts
         self.clock = StageClock()
+        self._first = beginning.image
         self._T_world_odometry = np.eye(4)
-        self._travelled = 0.0
+        self._travelled = beginning.travelled
         self._frames = 0
 
     def process(self, frame: Frame) -> Processed:
@@ -103,7 +126,7 @@ class Slam:
         motion = self._move(frame)
         landmarks = self._look(frame)
         beliefs = self._recognise(frame)
-        attempts = tuple(self._close(belief) for belief in beliefs)
+        attempts = self._close_all(beliefs)
         is_key_frame = self._map(frame.index, landmarks)
         with self.clock.stage("pose graph"):
             T_world_camera = self.parts.graph.latest()
@@ -128,12 +151,12 @@ class Slam:
         self.parts.loop_closer.recall(frame.image, frame.landmarks)
         recalled = tuple(self._enter(attempt.belief, attempt.geometry) for attempt in attempts)
         if frame.key_frame:
-            self._draw(frame.image, frame.landmarks)
+            self._draw(frame.image - self._first, frame.landmarks)
         return recalled
 
     def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], Optimized]:
         """End the drive: answer the beliefs still open, then optimise everything with the named robust back end."""
-        attempts = tuple(self._close(belief) for belief in self.parts.recognizer.finish())
+        attempts = self._close_all(self.parts.recognizer.finish())
         return attempts, self.parts.graph.optimize(robust)
 
     def _move(self, frame: Frame) -> Motion:
@@ -152,26 +175,38 @@ class Slam:
 
     def _look(self, frame: Frame) -> Landmarks:
         with self.clock.stage("features"):
-            self.parts.features.of(frame.index, frame.left)
+            self.parts.features.of(self._first + frame.index, frame.left)
         with self.clock.stage("landmarks"):
-            return self.parts.loop_closer.remember(frame.index, frame.left, frame.right)
+            return self.parts.loop_closer.remember(self._first + frame.index, frame.left, frame.right)
 
     def _recognise(self, frame: Frame) -> list[Belief]:
         with self.clock.stage("place recognition"):
-            return self.parts.recognizer.observe(frame.index, frame.left, self._travelled)
+            return self.parts.recognizer.observe(self._first + frame.index, frame.left, self._travelled)
+
+    def _close_all(self, beliefs: Iterable[Belief]) -> tuple[LoopAttempt, ...]:
+        """Try the beliefs about images of this drive; the last ones of the drive before come late."""
+        return tuple(self._close(belief) for belief in beliefs if belief.query >= self._first)
 
     def _close(self, belief: Belief) -> LoopAttempt:
         if belief.match is None or not belief.accepted:
-            return LoopAttempt(belief, None, None)
+            return self._enter(belief, None)
         with self.clock.stage("loop closing"):
             geometry = self.parts.loop_closer.close(belief.query, belief.match)
         return self._enter(belief, geometry)
 
     def _enter(self, belief: Belief, geometry: Geometry) -> LoopAttempt:
+        """Enter a loop within this drive into its graph; images are counted from its first one from here on."""
+        belief = replace(belief, query=belief.query - self._first, match=self._counted(belief.match))
         if not isinstance(geometry, LoopClosure):
+            return LoopAttempt(belief, geometry, None)
+        geometry = replace(geometry, query=geometry.query - self._first, match=geometry.match - self._first)
+        if geometry.match < 0:
             return LoopAttempt(belief, geometry, None)
         with self.clock.stage("pose graph"):
             return LoopAttempt(belief, geometry, self.parts.graph.add_loop(geometry))
+
+    def _counted(self, image: int | None) -> int | None:
+        return None if image is None else image - self._first
 
     def _map(self, index: int, landmarks: Landmarks) -> bool:
         is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.datasets.dataset import Dataset, Frame
+from slam.drive_log import DriveLog
 from slam.loop_closing import LoopClosure
 from slam.system import LoopAttempt, Processed, Slam
 from slam.viewer.viewer import ClosedLoop, Step, Viewer
@@ -26,12 +27,23 @@ class Watcher:
         self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
         self._last_pair = -_PAIR_EVERY
 
+    def recall(self, log: DriveLog) -> None:
+        """Show what an earlier run has found out, without its images."""
+        if log.timestamps:
+            loops = [attempt for attempt in log.attempts if attempt.geometry is not None]
+            self._viewer.recall(
+                np.array(log.timestamps),
+                np.array(log.odometry),
+                self._slam.parts.graph.poses(),
+                [(attempt.belief.query, attempt.belief.match or 0, attempt.closed) for attempt in loops],
+            )
+
     def show(self, processed: Processed) -> dict[str, float]:
         """Show a frame. Returns the milliseconds it took, as the stage `viewer`."""
         start = time.perf_counter()
         self._viewer.step(_step(processed))
         for attempt in processed.attempts:
-            if attempt.geometry is not None:
+            if attempt.geometry is not None and not attempt.elsewhere:
                 self._show_loop(attempt, processed)
         if processed.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
             self._viewer.matrix(self._rows.matrix(processed.frame.index + 1))

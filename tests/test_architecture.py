@@ -1,6 +1,7 @@
 """The folder is the block diagram: who may import whom, and where the heavy libraries live."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +24,7 @@ QUARANTINE = {
     "distributed": ("slam/benchmark/cluster",),
     "dask": ("slam/benchmark/cluster",),
     "evo": (),
+    "pycolmap": (),
 }
 
 
@@ -86,6 +88,33 @@ def test_modules_do_not_import_in_circles():
 
     for module in graph:
         visit(module, ())
+
+
+# Whoever opens a file from elsewhere must run nothing that it holds, nor crash where it is damaged.
+UNSAFE = re.compile(r"eval|exec|compile|(yaml|np|numpy)\.load|(.*\.)?(loadmat|unsafe_load|full_load)")
+UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "torch"}
+# Submaps that the same process wrote into a folder of its own a moment ago.
+OWN_FILES = {"slam/mapping/submaps.py": {"np.load"}}
+
+
+def unsafe_calls(text: str) -> set[str]:
+    calls = {ast.unparse(node.func) for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)}
+    return {name for name in calls if UNSAFE.fullmatch(name)}
+
+
+def test_nothing_that_is_read_can_run():
+    for path in sources():
+        text, name = path.read_text(), path.relative_to(ROOT).as_posix()
+        assert not unsafe_calls(text) - OWN_FILES.get(name, set()), name
+        assert not {module.split(".")[0] for module in imports(path)} & UNSAFE_MODULES, name
+        assert "allow_pickle=True" not in text, name
+        assert "shell=True" not in text, name
+
+
+def test_the_search_for_what_can_run_finds_it():
+    assert unsafe_calls("np.load(p)") == {"np.load"}
+    assert unsafe_calls("yaml.load(t)\neval(x)\nscipy.io.loadmat(p)") == {"yaml.load", "eval", "scipy.io.loadmat"}
+    assert not unsafe_calls("re.compile(p)\nyaml.safe_load(t)\njson.load(f)")
 
 
 def test_help_loads_no_heavy_library():

@@ -43,7 +43,7 @@ def test_missing_foreign_and_shrunk_matrices_are_refused(files):
     arguments = (files / "truth.npz", files / "f.toml", "dynamic-sequences")
     with pytest.raises(DataError, match=r"none\.npz: expected the matrix\.npz of revisit places"):
         train_filter_file(files / "none.npz", *arguments)
-    with pytest.raises(DataError, match="expected an array named similarity, found truth"):
+    with pytest.raises(DataError, match=r"expected an array named similarity, .* found truth"):
         train_filter_file(files / "truth.npz", *arguments)
     np.savez(files / "shrunk.npz", similarity=np.eye(4), step=np.array(2))
     with pytest.raises(DataError, match="found it shrunk"):

@@ -3,12 +3,16 @@
 A truth matrix is (N, N) bool, row = query, column = an earlier image, True = the same place; all else is False.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
+
+from place_recognition.evaluation.array_file import array_names, read_array
+from place_recognition.evaluation.matlab_file import read_variables
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -125,30 +129,21 @@ def _matrix_in(path: Path) -> NDArray[np.generic]:
 
 def _matrix_in_numpy(path: Path) -> NDArray[np.generic]:
     try:
-        with np.load(path) as arrays:
-            found = list(arrays.files)
-            truth = np.asarray(arrays["truth"]) if "truth" in found else None
-    # Not only ValueError: numpy lets the errors of zip files and of its headers through.
-    except Exception as error:
-        raise ValueError(f"{path}: expected an intact .npz file, found a damaged one ({_line(error)})") from error
+        truth = read_array(path, "truth")
+    except ValueError as error:
+        raise ValueError(f"{path}: expected an intact .npz file, found a damaged one ({error})") from error
     if truth is None:
-        raise ValueError(f"{path}: expected an array named truth, found {', '.join(found) or 'none'}")
+        raise ValueError(f"{path}: expected an array named truth, found {', '.join(array_names(path)) or 'none'}")
     return truth
 
 
 def _matrix_in_matlab(path: Path) -> NDArray[np.generic]:
-    from scipy.io import loadmat
-
     try:
-        variables = loadmat(path)
-    except Exception as error:  # scipy lets whatever a damaged byte provokes through: TypeError, zlib.error, ...
-        raise ValueError(f"{path}: expected an intact MATLAB file up to version 7.2, found: {_line(error)}") from error
-    matrices = {name: value for name, value in variables.items() if not name.startswith("__") and np.size(value) > 1}
-    if len(matrices) != 1:
-        raise ValueError(f"{path}: expected one matrix, found {', '.join(matrices) or 'none'}")
-    value = next(iter(matrices.values()))
-    return np.asarray(value.toarray() if hasattr(value, "toarray") else value)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+        matrices = [variable for variable in read_variables(path) if math.prod(variable.shape) > 1]
+        if len(matrices) == 1:
+            return matrices[0].positive()
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: expected an intact MATLAB file of version 5 to 7.2, found another: {error}"
+        ) from error
+    raise ValueError(f"{path}: expected one matrix, found {', '.join(m.name for m in matrices) or 'none'}")

@@ -32,7 +32,7 @@ class MatrixRows:
     """
 
     def __init__(self, rows: int = ROWS) -> None:
-        self._limit, self._step = rows, 1
+        self._limit, self._step, self._first = rows, 1, 0
         self._stages: dict[str, dict[int, Floats]] = {}
 
     @property
@@ -40,11 +40,20 @@ class MatrixRows:
         """Which matrices there are: "similarity", and "filtered" where there is a filter."""
         return tuple(self._stages)
 
+    def begin_anew(self, first: int) -> None:
+        """Forget all rows; from now on images count from the one with id `first`, and earlier ones are left out."""
+        self._step, self._first = 1, first
+        self._stages = {}
+
     def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
         """Take one row; ids and values as in `RowSink`. Rows may come late and more than once."""
+        if query < self._first:
+            return
+        query, matches = query - self._first, np.asarray(matches, np.int64) - self._first
+        values, matches = np.asarray(values)[matches >= 0], matches[matches >= 0]
         while query // self._step >= self._limit:
             self._halve()
-        row, cells = query // self._step, np.asarray(matches, np.int64) // self._step
+        row, cells = query // self._step, matches // self._step
         kept = self._stages.setdefault(stage, {})
         known = kept.get(row)
         if known is None:

@@ -35,6 +35,11 @@ class GrowingArray(Generic[Scalar]):
         self._storage[self._count : needed] = rows
         self._count = needed
 
+    @property
+    def memory_bytes(self) -> int:
+        """What the rows take; the room for more is taken from the system when it is used."""
+        return self.rows.nbytes
+
     def __getstate__(self) -> dict[str, object]:
         """The rows, without the room for more."""
         return {"_storage": self.rows, "_count": self._count}

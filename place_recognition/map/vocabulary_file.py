@@ -134,7 +134,7 @@ def _decode(data: bytes) -> Contents:
     try:
         _, head, numbers = body.split(b"\n", 2)
         return _from_bytes(json.loads(head), numbers)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _UnreadableError(f"the contents of a vocabulary, found other ones ({error})") from error
 
 
@@ -148,7 +148,9 @@ def _check_version(data: bytes) -> None:
 
 
 def _from_bytes(header: dict[str, Any], numbers: bytes) -> Contents:
-    count, size, encoding = int(header["words"]), int(header["size"]), _ENCODINGS[header["encoding"]]
+    count, size, encoding = header["words"], header["size"], _ENCODINGS[header["encoding"]]
+    if not (isinstance(count, int) and isinstance(size, int) and min(count, size) > 0):
+        raise ValueError(f"{count!r} words of {size!r} numbers")
     end = count * encoding.row_bytes(size)
     if len(numbers) != end + 4 * count:
         raise ValueError(f"{len(numbers)} bytes for {count} words of {size} numbers")

@@ -29,7 +29,7 @@ class Job:
         source: what to read.
         folder: where the results go, absolute.
         settings_file: of all runs; None for the defaults.
-        paradigm, robust, seed, record: settings, as in `RunConfig`.
+        paradigm, robust, seed, record: settings, as in `RunConfig`; a map is kept where a recording is.
     """
 
     source_name: str
@@ -56,7 +56,13 @@ class Job:
     @property
     def settings(self) -> dict[str, object]:
         """What the benchmark sets, by the names in `RunConfig`."""
-        return {"paradigm": self.paradigm, "robust": self.robust, "seed": self.seed, "record": self.record}
+        return {
+            "paradigm": self.paradigm,
+            "robust": self.robust,
+            "seed": self.seed,
+            "record": self.record,
+            "keep_map": self.record,
+        }
 
     @property
     def config(self) -> RunConfig:
@@ -80,7 +86,7 @@ class Job:
             "--out": self.folder,
         }
         words = [str(word) for pair in named.items() if pair[1] is not None for word in pair]
-        return ("run", str(self.source.path), *words, *([] if self.record else ["--no-record"]))
+        return ("run", str(self.source.path), *words, *([] if self.record else ["--no-record", "--no-map"]))
 
     @property
     def trace(self) -> Path:

@@ -162,6 +162,8 @@ def _reading(path: Path) -> Iterator[Any]:
             yield reader
     except RevisitError:
         raise
+    except MemoryError:  # the library asks for as much as a damaged size says, and would never fill it
+        raise DataError(f"{path}: expected a readable bag, found sizes that no memory holds; copy it again") from None
     except Exception as error:  # the library trusts what it reads: a damaged bag can make it raise anything
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise DataError(f"{path}: expected a readable bag, found: {found}; record or copy it again") from error

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.lens import Lens
 from slam.datasets.rectification import NOMINAL_BASELINE, Rectification, Size, rectify_alike, rectify_pair
+from slam.datasets.source import is_rate
 from slam.errors import DataError
 from slam.storage.text import read_lines
 from slam.storage.trajectory import MAX_ROTATION_ERROR
@@ -41,6 +42,7 @@ NAME = "camera.toml"
 _LENS = ("fx", "fy", "cx", "cy")
 _OF_LENS = (*_LENS, "model", "distortion")
 _TEXTS = ("left", "right", "ground_truth")
+_LONGEST_NAME = 255  # bytes: what a file may be called
 _KEYS = (*_OF_LENS, "baseline", "fps", *_TEXTS, "right_camera")
 
 
@@ -107,7 +109,7 @@ def read_camera_file(path: Path) -> CameraFile:
     """
     try:
         table = tomllib.loads("\n".join(read_lines(path)))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
         raise DataError(f"{path}: expected TOML, found {error}; mend that line") from None
     try:
         return _camera_file(path, table)
@@ -122,12 +124,15 @@ def _camera_file(path: Path, table: dict[str, Any]) -> CameraFile:
     right = table.get("right_camera")
     if right is not None and "baseline" in table:
         raise ValueError("expected baseline or [right_camera], found both")
+    fps = _positive(table, "fps")
+    if fps is not None and not is_rate(fps):
+        raise ValueError(f"expected images a second fps, found {fps:g}")
     return CameraFile(
         path,
         _lens(table),
         baseline=_positive(table, "baseline"),
         right_camera=None if right is None else _right_camera(right),
-        fps=_positive(table, "fps"),
+        fps=fps,
         ground_truth=None if truth is None else path.parent / truth,
         **texts,
     )
@@ -195,8 +200,8 @@ def _positive(table: dict[str, Any], name: str) -> float | None:
 
 
 def _text(value: object, name: str) -> str:
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise ValueError(f"expected a text {name}, found {str(value)[:60]!r}")
+    if not isinstance(value, str) or not value or "\0" in value or len(value.encode()) > _LONGEST_NAME:
+        raise ValueError(f"expected a text {name} of up to {_LONGEST_NAME} bytes, found {str(value)[:60]!r}")
     return value
 
 

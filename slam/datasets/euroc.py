@@ -108,8 +108,10 @@ def _true_way(path: Path, left: Sensor) -> TrueWay | None:
     if not path.is_file():
         return None
     rows = read_stamped(path, CSV_NANOSECONDS, 8)  # time, position, quaternion with w first
-    if (np.linalg.norm(rows[:, 4:], axis=1) < 1e-6).any():
-        raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found zeros; copy the file again")
+    with np.errstate(over="ignore"):  # of lengths beyond all bounds, which are refused
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    if (lengths < 1e-6).any() or not np.isfinite(lengths).all():
+        raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found others; copy the file again")
     T_world_body = np.repeat(np.eye(4)[None], len(rows), axis=0)
     T_world_body[:, :3, :3] = Rotation.from_quat(rows[:, [5, 6, 7, 4]]).as_matrix()
     T_world_body[:, :3, 3] = rows[:, 1:4]

@@ -96,7 +96,12 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
         DataError: the file is missing or damaged, or its name is no text.
     """
     _check_name(path)
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # sizes that no image has
+        image = None
+    if image is None and not path.exists():
+        raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
     if image is None:
         raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
     return np.asarray(image, dtype=np.uint8)

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 # A camera alone gets a right one 0.5 m beside it, of which there are no images: depth is told by its disparities.
 _BESIDE = np.array([[0.0, 0.0, 0.0, 0.5], [0.0] * 4, [0.0] * 4])
 
+_LARGEST = 1e7  # in a projection, pixels and pixels times metres: beyond it there is damage and no camera
+
 
 @dataclass(frozen=True)
 class KittiDrive:
@@ -146,6 +148,8 @@ def _projection(path: Path, name: str, lines: dict[str, Array]) -> Array:
     P = numbers.reshape(3, 4)
     if not np.isfinite(P).all() or min(P[0, 0], P[1, 1]) <= 0:
         raise DataError(f"{path}: expected finite numbers and positive focal lengths in {name}; mend that line")
+    if np.abs(P).max() > _LARGEST or not np.allclose(P[2, :3], [0, 0, 1]):
+        raise DataError(f"{path}: expected the projection of a rectified camera in {name}; mend that line")
     return P
 
 

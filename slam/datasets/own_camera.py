@@ -104,11 +104,18 @@ def _check_count(right: Path, found: int, left: Path, expected: int) -> None:
 def _cameras(path: Path, settings: CameraFile) -> tuple[Path, Path | None]:
     """Folders or video files of the left and the right camera."""
     found = _found(path)
-    left = settings.path.parent / settings.left if settings.left else found[0]
-    right = settings.path.parent / settings.right if settings.right else found[1]
+    left = _named(settings, settings.left) if settings.left else found[0]
+    right = _named(settings, settings.right) if settings.right else found[1]
     if left is None:
         raise _no_camera(path)
     return left, right
+
+
+def _named(settings: CameraFile, name: str) -> Path:
+    path = settings.path.parent / name
+    if not (is_video(path) or images_in(path)):
+        raise DataError(f"{settings.path}: expected images or a video called {name}, found none; check the name")
+    return path
 
 
 def _no_camera(path: Path) -> DataError:

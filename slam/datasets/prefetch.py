@@ -16,12 +16,13 @@ class Recording(Protocol[Item]):
     def __getitem__(self, index: int, /) -> Item: ...
 
 
-def prefetch(recording: Recording[Item], ahead: int = 4) -> Iterator[Item]:
+def prefetch(recording: Recording[Item], ahead: int = 4, begin: int = 0) -> Iterator[Item]:
     """Frames of the drive in order, read by one background thread.
 
     Args:
         recording: the drive.
         ahead: frames that wait in memory at most.
+        begin: index of the first one.
 
     Raises:
         DataError: where the frame is reached that cannot be read; the frames before it are given.
@@ -30,7 +31,7 @@ def prefetch(recording: Recording[Item], ahead: int = 4) -> Iterator[Item]:
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
     waiting: deque[Future[Item]] = deque()
     try:
-        for index in range(len(recording)):
+        for index in range(begin, len(recording)):
             waiting.append(executor.submit(recording.__getitem__, index))
             if len(waiting) >= ahead:
                 yield waiting.popleft().result()

@@ -48,7 +48,7 @@ def read_image_list(path: Path, folder: Path, table: Table) -> ImageSequence:
     files = tuple(folder / cells[1] for cells in rows)
     missing = next((file for file in files if not _is_file(file)), None)
     if missing is not None:
-        raise DataError(f"{missing}: expected this image, which {path.name} lists, found none; unpack it again")
+        raise DataError(f"{path}: expected the image {missing}, which it lists, found none; unpack it again")
     return ImageSequence(path.parent.name, files, times)
 
 

@@ -96,12 +96,14 @@ class Thawer:
         """
         try:
             return self._thaw(frozen, fresh)
-        except (KeyError, IndexError, TypeError, AttributeError) as error:
+        except (KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"it does not hold what was written ({error!r})") from error
 
     def _thaw(self, frozen: Any, fresh: object) -> Any:
         if isinstance(frozen, (float, *_PLAIN)):
             return frozen
+        if not isinstance(frozen, dict) or not frozen:
+            raise TypeError(f"{type(frozen).__name__} without content")
         if "float" in frozen:
             return float(frozen["float"])
         if "scalar" in frozen:

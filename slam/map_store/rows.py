@@ -51,12 +51,12 @@ class StoredAttempt:
     """What became of one belief, as far as geometry.
 
     Attributes:
-        at_image: image with which the belief came.
+        at_image: image with which the belief came; None if it came at the end of the drive.
         belief: of the recogniser.
         geometry: as in `LoopAttempt`.
     """
 
-    at_image: int
+    at_image: int | None
     belief: Belief
     geometry: Geometry
 

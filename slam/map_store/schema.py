@@ -51,7 +51,7 @@ CREATE TABLE landmark (
 );
 CREATE TABLE attempt (
     number INTEGER PRIMARY KEY,           -- in the order in which the recogniser answered
-    at_image INTEGER NOT NULL,            -- the image with which the answer came; the last one for those at the end
+    at_image INTEGER,                     -- the image with which the answer came; NULL for those at the drive's end
     query INTEGER NOT NULL,
     match INTEGER,
     score REAL NOT NULL,
@@ -105,9 +105,8 @@ def create(path: Path) -> sqlite3.Connection:
     """
     try:
         connection = _connect(f"{path.resolve().as_uri()}?mode=rwc")
-        connection.executescript(f"BEGIN; {_TABLES}; COMMIT;")
-        connection.execute(f"PRAGMA application_id = {APPLICATION}")
-        connection.execute(f"PRAGMA user_version = {VERSION}")
+        marks = f"PRAGMA application_id = {APPLICATION}; PRAGMA user_version = {VERSION};"
+        connection.executescript(f"BEGIN; {marks} {_TABLES} COMMIT;")
     except sqlite3.Error as error:
         raise OutputError(f"{path}: the map cannot be written ({error}); make room or choose another folder") from error
     return connection

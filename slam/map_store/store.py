@@ -7,7 +7,7 @@ drive that stopped at its last checkpoint.
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -31,6 +31,7 @@ from slam.map_store.rows import (
     read_attempt,
     read_frame,
     read_landmarks,
+    unpack,
 )
 
 Array = NDArray[np.float64]
@@ -92,21 +93,25 @@ class Corrected:
     """What the final optimisation said.
 
     Attributes:
-        poses: T_world_camera (N, 4, 4) of all frames of all sessions of the world, from the first.
+        images: numbers (N,) of the images.
+        poses: T_world_camera (N, 4, 4) of them.
         units: (N,) of length, in that of the first frame.
         verdicts: of the closed loops, by the number of their attempts.
+        world: in which they are, by the number of its first session.
     """
 
+    images: NDArray[np.int64]
     poses: Array
     units: Array
     verdicts: Mapping[int, Verdict]
+    world: int = 0
 
 
 class MapStore:
     """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
 
-    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
-        self._connection, self.path = connection, path
+    def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool) -> None:
+        self._connection, self.path, self._writable = connection, path, writable
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -115,7 +120,7 @@ class MapStore:
         Raises:
             OutputError: the file cannot be written.
         """
-        return cls(schema.create(path), path)
+        return cls(schema.create(path), path, writable=True)
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> Self:
@@ -124,10 +129,13 @@ class MapStore:
         Raises:
             DataError: no such file, no map store, a damaged one, or one of another version.
         """
-        return cls(schema.connect(path, "rw" if writable else "ro"), path)
+        return cls(schema.connect(path, "rw" if writable else "ro"), path, writable)
 
     def close(self) -> None:
-        """Leave one file: what waits in its log goes into it."""
+        """Leave one file, which readers need not add to: what waits in its log goes into it."""
+        if self._writable:
+            with suppress(sqlite3.Error):  # somebody is reading it: then the log stays
+                self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
 
     def __enter__(self) -> Self:
@@ -209,15 +217,16 @@ class MapStore:
     def finish(self, session: int, corrected: Corrected, ended: bool) -> None:
         """Write the final poses and verdicts; call within `writing`."""
         poses = [
-            (pack(T, "<f8"), float(unit), image)
-            for image, (T, unit) in enumerate(zip(corrected.poses, corrected.units, strict=True))
+            (pack(T, "<f8"), float(unit), int(image))
+            for image, T, unit in zip(corrected.images, corrected.poses, corrected.units, strict=True)
         ]
         self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
         verdicts = [(*_plain(verdict), number) for number, verdict in corrected.verdicts.items()]
         self._connection.executemany(
             "UPDATE attempt SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
         )
-        self._connection.execute("UPDATE session SET finished = ? WHERE number = ?", (ended, session))
+        world = "UPDATE session SET finished = ?, world = ? WHERE number = ?"
+        self._connection.execute(world, (ended, corrected.world, session))
 
     def sessions(self) -> tuple[Session, ...]:
         """All drives of the map, in order.
@@ -233,11 +242,11 @@ class MapStore:
         """How many images there are, in all or of one session."""
         return self._count("frame", session)
 
-    def frames(self) -> Iterator[StoredFrame]:
-        """All frames with their landmarks, in order, read as they are asked for."""
+    def frames(self, first_image: int = 0) -> Iterator[StoredFrame]:
+        """All frames from an image on with their landmarks, in order, read as they are asked for."""
         with self.reading():
             joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
-            for row in self._connection.execute(f"{joined} ORDER BY image"):
+            for row in self._connection.execute(f"{joined} WHERE image >= ? ORDER BY image", (first_image,)):
                 yield read_frame(row, read_landmarks(row))
 
     def poses(self) -> Array:
@@ -252,6 +261,13 @@ class MapStore:
         with self.reading():
             found = self._connection.execute("SELECT coalesce(unit, 1) FROM frame ORDER BY image")
             return np.array([row[0] for row in found], np.float64)
+
+    def timestamps(self, session: int) -> Array:
+        """Seconds (N,) of all images of a session."""
+        with self.reading():
+            wanted = "SELECT timestamp FROM frame WHERE session = ? ORDER BY image"
+            found = self._connection.execute(wanted, (session,))
+            return np.array([row[0] for row in found])
 
     def key_frames(self) -> tuple[int, ...]:
         """Numbers of the images whose landmarks make the map."""
@@ -271,10 +287,17 @@ class MapStore:
                 raise ValueError(f"image {image} is missing")
             return read_landmarks(row)
 
-    def attempts(self) -> Iterator[StoredAttempt]:
-        """What became of each belief, in the order in which they came."""
+    def steps(self) -> list[tuple[Array, Array]]:
+        """Motion since the previous frame (4, 4) and its covariance (6, 6), of all images in order."""
         with self.reading():
-            for row in self._connection.execute("SELECT * FROM attempt ORDER BY number"):
+            found = self._connection.execute("SELECT T_previous_camera, covariance FROM frame ORDER BY image")
+            return [(unpack(T, "<f8", 4, 4), unpack(covariance, "<f8", 6, 6)) for T, covariance in found]
+
+    def attempts(self, first_image: int = 0) -> Iterator[StoredAttempt]:
+        """What became of each belief about an image from that one on, in the order in which they came."""
+        with self.reading():
+            wanted = "SELECT * FROM attempt WHERE query >= ? ORDER BY number"
+            for row in self._connection.execute(wanted, (first_image,)):
                 yield read_attempt(row)
 
     def checkpoint(self, session: int) -> Checkpoint | None:
@@ -289,6 +312,24 @@ class MapStore:
         """What SQL finds, for whoever wants to know more than the other methods say."""
         with self.reading():
             return self._connection.execute(question, values).fetchall()
+
+    def copy(self, target: Path) -> None:
+        """Write the whole store, as it is now, into another file.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            with closing(sqlite3.connect(target)) as connection:
+                self._connection.backup(connection)
+        except sqlite3.Error as error:
+            raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
+
+    def answers_before(self, image: int) -> int:
+        """How many attempts there are about images before one."""
+        with self.reading():
+            (count,) = self._connection.execute("SELECT count(*) FROM attempt WHERE query < ?", (image,)).fetchone()
+            return int(count)
 
     def count(self, table: str) -> int:
         """Rows of a table."""

@@ -62,6 +62,11 @@ class LandmarkMap:
         self._points.append(points_camera[keep].astype(np.float32))
         self._grey.append(np.asarray(grey, dtype=np.uint8)[keep])
 
+    @property
+    def frames(self) -> NDArray[np.int32]:
+        """Which frame (M,) saw each point, in the order of `cloud`."""
+        return np.repeat(np.array(self._frames, np.int32), [len(points) for points in self._points])
+
     def cloud(self, T_world_camera: Array) -> Cloud:
         """The map on a trajectory.
 
@@ -75,7 +80,6 @@ class LandmarkMap:
             return Cloud(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))
         if max(self._frames) >= len(T_world_camera):
             raise ValueError(f"expected poses for {max(self._frames) + 1} frames, got {len(T_world_camera)}")
-        frames = np.repeat(self._frames, [len(points) for points in self._points])
-        poses = T_world_camera[frames]
+        poses = T_world_camera[self.frames]
         points = np.einsum("nij,nj->ni", poses[:, :3, :3], np.concatenate(self._points)) + poses[:, :3, 3]
         return Cloud(points, np.concatenate(self._grey))

@@ -1,5 +1,6 @@
 """Clouds as binary PLY, which every point cloud viewer opens."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -37,23 +38,31 @@ def write_cloud(path: Path, cloud: Cloud) -> None:
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Read points (metres) and their brightness, the mean of red, green and blue.
+    """Read points (metres) and their brightness, the mean of red, green and blue, from a file of `write_cloud`.
+
+    Open3D, which would read it too, trusts the header, and ends the process where that is damaged.
 
     Raises:
-        DataError: missing file, or no point cloud.
+        DataError: missing file, or no point cloud as a run writes it.
     """
-    import open3d
-
-    if not path.is_file():
-        raise DataError(f"{path}: expected a PLY file, found none; check the path")
-    if not path.read_bytes().startswith(b"ply"):
-        raise DataError(f"{path}: expected a PLY file, found other bytes; export the map again")
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(path)
-    points, colours = np.asarray(cloud.points), np.asarray(cloud.colors)
-    if len(colours) != len(points):
-        raise DataError(f"{path}: expected a colour for each point, found {len(colours)}; export the map again")
-    return Cloud(points.copy(), np.rint(255.0 * colours.reshape(-1, 3).mean(axis=1)).astype(np.uint8))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: expected a PLY file, found none: {error.strerror}; check the path") from None
+    head, _, body = data.partition(b"end_header\n")
+    lines = [line for line in head.split(b"\n") if not line.startswith(b"comment ")]
+    count = re.fullmatch(rb"element vertex (\d{1,12})", lines[2]) if len(lines) > 2 else None
+    if count is None or b"\n".join(lines) + b"end_header\n" != _HEADER.format(count=int(count[1])).encode():
+        raise DataError(f"{path}: expected a PLY file of a run, found another header; export the map again")
+    if len(body) != int(count[1]) * _VERTEX.itemsize:
+        raise DataError(
+            f"{path}: expected {int(count[1])} points of {_VERTEX.itemsize} bytes, found {len(body)} bytes; export the"
+            " map again"
+        )
+    vertices = np.frombuffer(body, _VERTEX)
+    if not np.isfinite(vertices["point"]).all():
+        raise DataError(f"{path}: expected finite points, found others; export the map again")
+    return Cloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
 
 
 def _write_with_open3d(path: Path, cloud: Cloud) -> bool:

@@ -19,6 +19,7 @@ from slam.record import Cloud, DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, fit
 from slam.report.ellipses import confidence_ellipses
+from slam.report.letters import choose_fonts
 from slam.report.reading import alignment, kept, rejected, scaled, text, value
 
 Array = NDArray[np.float64]
@@ -264,7 +265,8 @@ def png(figure: Figure) -> bytes:
 
 
 def render(figure: Figure, buffer: IO[Any], **how: Any) -> None:
-    """Write a figure to a buffer as `Figure.savefig` does; letters the font lacks become boxes."""
+    """Write a figure to a buffer as `Figure.savefig` does; letters that no font has become boxes."""
+    choose_fonts(figure)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
         figure.savefig(buffer, **how)

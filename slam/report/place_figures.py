@@ -123,6 +123,8 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
         clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
         legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
         legend.get_title().set_color(INK)
+        for name_text in legend.get_texts():
+            name_text.set_parse_math(False)
     else:
         ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
     return figure

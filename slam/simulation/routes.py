@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from slam.errors import DataError
 from slam.simulation.spec import DriveSpec
+from slam.storage.text import read_numbers
 
 Array = NDArray[np.float64]
 
@@ -128,14 +129,12 @@ def _rounded(p: Array) -> Way:
 def read_plan(path: Path) -> Array:
     """Plan positions (N, 2) of a KITTI pose file: town x = its x, town y = its z, metres.
 
-    Raises DataError where it has no lines of 12 numbers.
+    Raises:
+        DataError: it has fewer than 3 lines of 12 numbers, or others.
     """
-    try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (ValueError, OSError) as error:
-        raise DataError(f"{path}: expected 12 numbers a line, {error}; is this a KITTI pose file?") from error
-    if rows.shape[1:] != (12,) or len(rows) < 3 or not np.isfinite(rows).all():
-        raise DataError(f"{path}: expected at least 3 lines of 12 finite numbers, found shape {rows.shape}")
+    rows = read_numbers(path, 12)
+    if len(rows) < 3:
+        raise DataError(f"{path}: expected at least 3 lines of 12 numbers, found {len(rows)}; drive a longer way")
     return rows[:, [3, 11]]
 
 

@@ -40,13 +40,18 @@ def read_calibration(path: Path) -> Calibration:
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-        error, sigma = (np.concatenate([values[kind][name] for name in _GROUPS]) for kind in ("error_px", "sigma_px"))
+        error, sigma = (
+            np.concatenate([np.array(values[kind][name], np.float64) for name in _GROUPS])
+            for kind in ("error_px", "sigma_px")
+        )
         camera = StereoCamera(**values["camera"])
     except OSError as problem:
         found = f"{problem.strerror}; {_REMEDY}, of a drive with two cameras"
         raise DataError(f"{path}: expected the calibration that a run has learned, found {found}") from None
-    except (ValueError, KeyError, TypeError) as problem:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise DataError(f"{path}: expected camera, error_px and sigma_px, found {problem!r}; {_REMEDY}") from None
-    if len(error) != COEFFICIENTS or len(sigma) != COEFFICIENTS or not np.isfinite([error, sigma]).all():
+    if len(error) != COEFFICIENTS or len(sigma) != COEFFICIENTS or not np.isfinite([error, np.square(sigma)]).all():
         raise DataError(f"{path}: expected {COEFFICIENTS} finite coefficients, found others; {_REMEDY}")
-    return Calibration(camera, error.astype(np.float64), np.diag(np.square(sigma.astype(np.float64))))
+    if not all(isinstance(side, int) and side > 0 for side in (camera.width, camera.height)):
+        raise DataError(f"{path}: expected a width and a height in pixels, found others; {_REMEDY}")
+    return Calibration(camera, error, np.diag(np.square(sigma)))

@@ -1,5 +1,6 @@
 """The lines of a g2o file as numbers, each one checked: complaints name the file, the line and the remedy."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ UPPER = {dof: np.triu_indices(dof) for dof in (3, 6)}
 _ROUNDING = 1e-9  # of a negative eigenvalue, relative to the largest
 _SINGULAR = 1e-13  # least eigenvalue, relative to the largest, that solvers can use
 _UNIT_TOLERANCE = 0.01  # files round quaternions; more than this is damage
+_LARGEST_INFORMATION = 1e100  # whose square is a number still
+_LARGEST_ID = np.iinfo(np.int64).max
 _PASSED_OVER = "PRIOR"  # part of the names of factors that pull poses to absolute places
 
 
@@ -80,7 +83,9 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.kind: Kind | None = None
+        self.ids: list[int] = []
         self.vertices: list[Array] = []
+        self.ends: list[tuple[int, int]] = []
         self.edges: list[Array] = []
         self.edge_lines: list[int] = []
         self.fixed: int | None = None
@@ -90,7 +95,7 @@ class _Reader:
         """Take one line in, or pass it over."""
         if words[0] in _BY_TAG:
             self._take_numbers(number, words)
-        elif words[0] == "FIX" and self.fixed is None and len(words) == 2 and words[1].isdigit():
+        elif words[0] == "FIX" and self.fixed is None and re.fullmatch(r"FIX \d{1,19}", " ".join(words)):
             self.fixed = int(words[1])
         elif _PASSED_OVER in words[0]:
             self.priors.append(number)
@@ -104,21 +109,28 @@ class _Reader:
                 f"{words[0]}; poses of the plane and of space do not mix, write two files"
             )
         if words[0] == kind.vertex:
-            self.vertices.append(self._parsed(number, words, 1, kind.size))
+            ids, numbers = self._parsed(number, words, 1, kind.size)
+            self.ids.append(ids[0])
+            self.vertices.append(numbers)
         else:
-            self.edges.append(self._parsed(number, words, 2, kind.size + kind.dof * (kind.dof + 1) // 2))
+            ids, numbers = self._parsed(number, words, 2, kind.size + kind.dof * (kind.dof + 1) // 2)
+            self.ends.append((ids[0], ids[1]))
+            self.edges.append(numbers)
             self.edge_lines.append(number)
 
-    def _parsed(self, number: int, words: list[str], ids: int, size: int) -> Array:
+    def _parsed(self, number: int, words: list[str], ids: int, size: int) -> tuple[list[int], Array]:
+        """Names of poses, and the numbers that follow them."""
         where = f"{self.path}, line {number}: {words[0]}"
         if len(words) - 1 != ids + size:
             raise GraphError(f"{where} has {len(words) - 1} numbers, expected {ids + size}; was the file cut short?")
         try:
-            numbers = np.array([*map(int, words[1 : ids + 1]), *map(float, words[ids + 1 :])], dtype=np.float64)
+            names, numbers = [int(word) for word in words[1 : ids + 1]], np.array([*map(float, words[ids + 1 :])])
         except ValueError as error:
-            raise GraphError(f"{where} holds something that is not a number: {error}; mend that line") from error
-        self._check_finite(where, numbers[ids:])
-        return numbers
+            raise GraphError(f"{where} expected numbers, found others: {error}; mend that line") from error
+        if not all(abs(name) <= _LARGEST_ID for name in names):
+            raise GraphError(f"{where} expected names of poses up to {_LARGEST_ID}, found others; mend that line")
+        self._check_finite(where, numbers)
+        return names, numbers
 
     def _check_finite(self, where: str, numbers: Array) -> None:
         flat = self.kind is KINDS[0]
@@ -157,17 +169,17 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _checked(reader: _Reader, kind: Kind) -> GraphLines:
-    nodes = np.array(reader.vertices).reshape(-1, 1 + kind.size)
-    links = np.array(reader.edges).reshape(-1, 2 + kind.size + len(UPPER[kind.dof][0]))
-    ids, ends = nodes[:, 0].astype(np.int64), links[:, :2].astype(np.int64)
+    vertices = np.array(reader.vertices).reshape(-1, kind.size)
+    edges = np.array(reader.edges).reshape(-1, kind.size + len(UPPER[kind.dof][0]))
+    ids, ends = np.array(reader.ids, np.int64), np.array(reader.ends, np.int64).reshape(-1, 2)
     _check_ids(reader.path, ids)
     if len(ids):
         _check_ends(reader, kind, ids, ends)
-    information, kept, warnings = _mended(reader, links[:, 2 + kind.size :], ends)
+    information, kept, warnings = _mended(reader, edges[:, kind.size :], ends)
     if reader.priors:
         warnings.append(f"{reader.path}, line {reader.priors[0]}: {len(reader.priors)} priors are passed over")
     return GraphLines(
-        kind, ids, nodes[:, 1:], ends[kept], links[kept, 2 : 2 + kind.size], information, reader.fixed, tuple(warnings)
+        kind, ids, vertices, ends[kept], edges[kept, : kind.size], information, reader.fixed, tuple(warnings)
     )
 
 
@@ -183,13 +195,19 @@ def _check_ends(reader: _Reader, kind: Kind, ids: Ids, ends: Ids) -> None:
     if lost.size:
         missing = next(int(end) for end in ends[lost[0]] if end not in ids)
         raise GraphError(
-            f"{reader.path}, line {reader.edge_lines[lost[0]]}: an edge names pose {missing}, which has no "
-            f"{kind.vertex} line; add it, or leave out all poses"
+            f"{reader.path}, line {reader.edge_lines[lost[0]]}: expected poses with a {kind.vertex} line, found "
+            f"an edge to {missing}, which has none; add it, or leave out all poses"
         )
 
 
 def _mended(reader: _Reader, upper: Array, ends: Ids) -> tuple[Array, NDArray[np.bool_], list[str]]:
     """Information of the edges that say something, which those are, and what was said about the others."""
+    beyond = np.flatnonzero(np.abs(upper).max(axis=1, initial=0.0) > _LARGEST_INFORMATION)
+    if beyond.size:
+        raise GraphError(
+            f"{reader.path}, line {reader.edge_lines[beyond[0]]}: expected information up to {_LARGEST_INFORMATION:g}, "
+            "found more; mend that line"
+        )
     information = _symmetric(upper)
     spectrum = np.linalg.eigvalsh(information) if len(information) else np.ones((0, 1))
     largest = np.abs(spectrum).max(axis=1)

@@ -16,12 +16,13 @@ _EARLIER = ".earlier-"
 # else.
 _RESULTS = """
 metrics.json config.toml run.log report.html recording.rrd before_after.png
-frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
+map.db trajectory_map.txt trajectory_map.tum frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
-pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply
+pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz
 dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
 matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
+dense.rrd
 """
 RESULTS = frozenset(_RESULTS.split())
 
@@ -43,6 +44,7 @@ class RunFolder:
     final: Path
     path: Path
     _created: bool
+    _kept: bool = False
 
     @classmethod
     def create(cls, path: Path, overwrite: bool) -> Self:
@@ -51,10 +53,13 @@ class RunFolder:
         Raises:
             OutputError: `path` is a file, cannot be written, or holds anything while overwrite is False.
         """
-        if path.exists() and not path.is_dir():
-            raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
-        created = not path.exists()
-        held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        try:
+            if path.exists() and not path.is_dir():
+                raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
+            created = not path.exists()
+            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
+        except OSError as error:  # a name too long to be one, a folder that nobody may look into
+            raise OutputError(f"{path}: expected a folder, found: {error.strerror}; choose another") from error
         if held and not overwrite:
             what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
             raise OutputError(
@@ -66,6 +71,15 @@ class RunFolder:
         except OSError as error:
             raise OutputError(f"{path}: cannot be written, {error.strerror}; choose another folder") from error
         return cls(path, staging, created)
+
+    @classmethod
+    def go_on(cls, path: Path, staging: Path) -> Self:
+        """Take over what a run into `path` has left behind in `staging`."""
+        return cls(path, staging, False, True)
+
+    def keep(self) -> None:
+        """Leave what has been written where it is, whatever happens: a later run goes on with it."""
+        self._kept = True
 
     def commit(self) -> None:
         """Move the results into place; the earlier run's go. Others stay, unless a result has their name.
@@ -84,7 +98,8 @@ class RunFolder:
         except OSError as error:
             raise OutputError(f"{self.final}: cannot be replaced, {error.strerror}; close what uses it") from error
         shutil.rmtree(earlier, ignore_errors=True)
-        self._discard()
+        for left in unfinished(self.final):  # its own, and those of runs that this one has overtaken
+            shutil.rmtree(left, ignore_errors=True)
         self.path = self.final
 
     def _moves(self, earlier: Path) -> list[tuple[Path, Path]]:
@@ -102,11 +117,16 @@ class RunFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.path == self.final:
+        if self.path == self.final or self._kept:
             return
         self._discard()
         if self._created and not any(self.final.iterdir()):
             self.final.rmdir()
+
+
+def unfinished(path: Path) -> list[Path]:
+    """Folders of runs into `path` that have not ended, or were killed."""
+    return sorted(path.glob(f"{STAGING}*")) if path.is_dir() else []
 
 
 def _move_all(moves: list[tuple[Path, Path]]) -> None:

@@ -82,8 +82,8 @@ def read_frames(path: Path) -> FrameTable:
         timestamps=column("timestamp", _float, float),
         predicted=column("status", lambda cell: {"predicted": True, "measured": False}[cell], bool),
         reasons=tuple(row["reason"] for row in rows),
-        inliers=column("inliers", int, np.int64),
-        tracks=column("tracks", int, np.int64),
+        inliers=column("inliers", _whole, np.int64),
+        tracks=column("tracks", _whole, np.int64),
         residual_px=column("residual", _float, float),
         stage_ms={name.removesuffix(_STAGE_SUFFIX): column(name, _float, float) for name in stages},
     )
@@ -189,8 +189,15 @@ def _cell(path: Path, row: dict[str, str], name: str, read: Callable[[str], obje
     try:
         return read(row[name])
     except (KeyError, ValueError):
-        where = next(iter(row.values()))
-        raise DataError(f"{path}, row {where}: cannot read {name} = {row[name]!r}; run again") from None
+        where, cell = str(next(iter(row.values())))[:40], str(row.get(name))[:40]
+        raise DataError(f"{path}, row {where}: expected {name} as a run writes it, found {cell!r}; run again") from None
+
+
+def _whole(cell: str) -> int:
+    value = int(cell)
+    if abs(value) > np.iinfo(np.int64).max:
+        raise ValueError(f"{cell}: beyond all bounds")
+    return value
 
 
 def _float(cell: str) -> float:

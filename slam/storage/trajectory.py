@@ -61,10 +61,13 @@ def read_tum(path: Path) -> tuple[Array, Array]:
         DataError: missing file, a line without 8 finite numbers, a quaternion of length zero.
     """
     rows = read_numbers(path, 8)
-    lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    if (lengths < 1e-6).any():
+    with np.errstate(over="ignore"):  # of lengths beyond all bounds, which are refused
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    wrong = (lengths < 1e-6) | ~np.isfinite(lengths)
+    if wrong.any():
+        at = int(np.argmax(wrong))
         raise DataError(
-            f"{path}, pose {int(np.argmin(lengths))}: expected a unit quaternion, found zeros; write the file again"
+            f"{path}, pose {at}: expected a unit quaternion, found one of length {lengths[at]:g}; write the file again"
         )
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()

@@ -6,14 +6,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LIVE_ONLY = ["- /world/map_before/**"]
+_LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
 _BEFORE = ["+ /world/odometry/**", "+ /world/map_before/**", "+ /world/ground_truth/**"]
 _AFTER = ["+ /world/corrected/**", "+ /world/map_after/**", "+ /world/ground_truth/**", "+ /world/loops/**"]
+_DENSE_BEFORE = ["+ /world/dense_before/**", "+ /world/ground_truth/**"]
+_DENSE_AFTER = ["+ /world/dense_after/**", "+ /world/ground_truth/**"]
 _DARK = [16, 18, 22]
 
 
-def blueprint(width: int, height: int, positions: Array | None) -> rrb.Blueprint:
-    """Lay out map, camera image (width x height), latest loop and curves.
+def blueprint(width: int, height: int, positions: Array | None, dense: bool = False) -> rrb.Blueprint:
+    """Lay out map, camera image (width x height), latest loop and curves, and in front of them dense maps.
 
     The eye looks down on positions (N, 3), metres, or wherever rerun puts it where they are not known.
     """
@@ -37,10 +39,24 @@ def blueprint(width: int, height: int, positions: Array | None) -> rrb.Blueprint
     )
     drive = rrb.Horizontal(whole, right, column_shares=[5, 4], name="Drive")
     return rrb.Blueprint(
-        rrb.Tabs(drive, before_after, rrb.TextLogView(origin="loop/log", name="Loops in words"), active_tab=0),
+        rrb.Tabs(
+            *([_dense_maps(eye)] if dense else []),
+            drive,
+            before_after,
+            rrb.TextLogView(origin="loop/log", name="Loops in words"),
+            active_tab=0,
+        ),
         rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _dense_maps(eye: rrb.EyeControls3D | None) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        _map("Before: dense map by odometry", _DENSE_BEFORE, eye),
+        _map("After: dense map, corrected", _DENSE_AFTER, eye),
+        name="Dense map",
     )
 
 

@@ -11,16 +11,16 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from urllib.parse import quote
 
-from slam.errors import OutputError
+from slam.errors import DataError, OutputError
+from slam.viewer.web_page import LOOPBACK, WebPage
 
 _LOG = logging.getLogger(__name__)
 
-LOOPBACK = "127.0.0.1"
 VIEWER_MEMORY = "2GB"
 SERVER_MEMORY = "512MB"
 _PATIENCE_S = 20.0  # a cold start of the viewer takes some seconds
@@ -33,22 +33,47 @@ class Listener:
     Attributes:
         process: the child; a window stays open when the run ends, a web server is stopped with it.
         address: where data is to be sent.
-        page: what to open in a browser; empty for a window.
+        page: what a browser shows; None for a window.
     """
 
     process: subprocess.Popen[bytes]
     address: str
-    page: str
+    page: WebPage | None
+
+    def wait(self) -> None:
+        """Wait until the viewer is closed, or until the user interrupts."""
+        try:
+            self.process.wait()
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """End a web server; leave a window to the user, who closes it."""
-        if self.page and self.process.poll() is None:
+        if self.page is None:
+            return
+        self.page.close()
+        if self.process.poll() is None:
             self.process.terminate()
             self.process.wait(timeout=_PATIENCE_S)
 
 
-def listen(web: bool) -> Listener:
-    """Start a viewer, as a window or as a web page, and wait until it takes data.
+def open_recording(run: Path, web: bool) -> Listener:
+    """Show the recording of a run, and its dense map where it has one, in a window or as a web page.
+
+    Raises:
+        DataError: the run has no recording.
+        OutputError: see `listen`.
+    """
+    files = [path for path in (run / "recording.rrd", run / "dense.rrd") if path.is_file()]
+    if not files:
+        raise DataError(
+            f"{run}: expected the folder of a run with a recording.rrd, found none; make the run without --no-record"
+        )
+    return listen(web, files)
+
+
+def listen(web: bool, files: Sequence[Path] = ()) -> Listener:
+    """Start a viewer, as a window or as a web page, and wait until it takes data, if it has not got files.
 
     Raises:
         OutputError: rerun's program is missing, ended at once (no display, for instance) or stays silent.
@@ -57,15 +82,14 @@ def listen(web: bool) -> Listener:
         _require_display()
     port, page_port = free_port(), free_port()
     process = subprocess.Popen(
-        _command(web, port, page_port), env=_private(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        _command(web, port, page_port, files), env=_private(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL, start_new_session=not web,
     )  # fmt: skip
     _wait(process, [port, page_port] if web else [port])
-    address = f"rerun+http://{LOOPBACK}:{port}/proxy"
-    page = f"http://{LOOPBACK}:{page_port}/?url={quote(address, safe='')}" if web else ""
-    if web:
-        _LOG.warning("watch the run at %s", page)
-    return Listener(process, address, page)
+    page = WebPage(page_port, port) if web else None
+    if page is not None:
+        _LOG.warning("watch the run at %s", page.address)
+    return Listener(process, f"rerun+http://{LOOPBACK}:{port}/proxy", page)
 
 
 def free_port() -> int:
@@ -75,10 +99,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _command(web: bool, port: int, page_port: int) -> list[str]:
-    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
-    how = ["--serve-web", "--web-viewer-port", str(page_port)] if web else ["--expect-data-soon"]
-    return [_program(), "--bind", LOOPBACK, "--port", str(port), *limits, *how]
+def _command(web: bool, port: int, page_port: int, files: Sequence[Path] = ()) -> list[str]:
+    kept = VIEWER_MEMORY if files else SERVER_MEMORY  # of a recording that is there all is kept for who comes late
+    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", kept]
+    how = ["--serve-web", "--web-viewer-port", str(page_port)] if web else [] if files else ["--expect-data-soon"]
+    return [_program(), *map(str, files), "--bind", LOOPBACK, "--port", str(port), *limits, *how]
 
 
 def _program() -> str:
@@ -93,8 +118,10 @@ def _program() -> str:
 
 
 def _private() -> dict[str, str]:
-    # rerun reports its use to its makers unless switched off, and never where CI is set
-    return {**os.environ, "CI": "true", "RERUN_APP_ONLY": "true"}
+    # rerun reports its use to its makers unless switched off, and never where CI is set; and it asks for news of its
+    # releases, which a proxy that nobody runs keeps from leaving
+    nobody = f"http://{LOOPBACK}:9"
+    return {**os.environ, "CI": "true", "RERUN_APP_ONLY": "true", "HTTPS_PROXY": nobody, "https_proxy": nobody}
 
 
 def _require_display() -> None:

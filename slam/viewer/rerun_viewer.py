@@ -25,6 +25,7 @@ from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
 from slam.viewer.listener import listen
+from slam.viewer.parts import join, set_aside
 from slam.viewer.viewer import ClosedLoop, Step
 
 _LOG = logging.getLogger(__name__)
@@ -48,6 +49,7 @@ class RerunViewer:
         camera: StereoCamera,
         ground_truth: Array | None = None,
         mode: Mode = "record",
+        run: str | None = None,
     ) -> None:
         """Open the recording.
 
@@ -56,11 +58,12 @@ class RerunViewer:
             camera: of the left images.
             ground_truth: T_world_camera (N, 4, 4), metres, in any world frame, or None.
             mode: `record` writes the file only; `native` opens a window and `web` serves a page as well.
+            run: names the run; what an earlier part of the same one has recorded in `path` stays in it.
 
         Raises:
             OutputError: the file cannot be written or no viewer starts.
         """
-        self._recording = rr.RecordingStream("revisit", send_properties=False)
+        self._recording = rr.RecordingStream("revisit", recording_id=run, send_properties=False)
         self._recording.set_log_time_enabled(False)
         self._recording.set_log_tick_enabled(False)
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
@@ -75,6 +78,16 @@ class RerunViewer:
         self._corrected = Growing(self._recording, "world/corrected", shapes.line(colours.CORRECTED), _LINE_PART)
         self._landmarks = Growing(self._recording, "world/landmarks", shapes.dots, _LANDMARKS_PART)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
+
+    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Show what was known when an earlier run stopped."""
+        self._first_time = float(timestamps[0])
+        self._set_time(len(timestamps) - 1, float(timestamps[-1]))
+        self._odometry.replace(odometry[:, :3, 3])
+        self._corrected.replace(poses[:, :3, 3])
+        for query, match, closed in loops:
+            self._loops[closed].append((query, match))
+        self._log_loops(poses)
 
     def step(self, step: Step) -> None:
         """Show one frame."""
@@ -127,22 +140,28 @@ class RerunViewer:
         """Write out what is pending; a web page's server ends with it, a window stays.
 
         Raises:
-            OutputError: the file could not be written to the end.
+            OutputError: the file could not be written to the end, and is gone.
         """
         try:
             self._recording.flush(timeout_sec=_FLUSH_S)
         except RuntimeError as error:
-            if self._listener is None:
-                raise OutputError(f"{self._path}: the recording is incomplete ({error}); make room") from error
+            if self._listener is None and self._path is not None:
+                self._path.unlink(missing_ok=True)  # room for what is written after it
+                raise OutputError(
+                    f"{self._path.name}: expected room for the recording, found none ({error}); left out, make room"
+                ) from error
             _LOG.warning("the viewer was closed before the run ended")
         finally:
             self._recording.disconnect()
             if self._listener is not None:
                 self._listener.stop()
+        if self._path is not None:
+            join(self._path)
 
     def _connect(self, path: Path | None) -> None:
         sinks: list[object] = []
         if path is not None:
+            set_aside(path)
             _check_writable(path)
             sinks.append(rr.FileSink(str(path)))
         if self._listener is not None:

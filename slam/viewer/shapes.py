@@ -8,6 +8,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.matrix import Matrix
+from slam.mapping.fusion import Surface
 from slam.record import Cloud
 from slam.report import colours
 from slam.viewer.viewer import Step
@@ -97,6 +98,15 @@ def cloud(points: Cloud, colour: str) -> rr.Points3D:
     brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0
     tinted = (brightness * np.array(colours.rgb(colour))).astype(np.uint8)
     return rr.Points3D(points.points[shown], colors=tinted, radii=rr.Radius.ui_points(0.8))
+
+
+def mesh(surface: Surface) -> rr.Mesh3D:
+    """Draw triangles, as bright as they were in the images."""
+    return rr.Mesh3D(
+        vertex_positions=surface.points.astype(np.float32),
+        vertex_colors=np.repeat(surface.grey[:, None], 3, axis=1),
+        triangle_indices=surface.triangles,
+    )
 
 
 def matches(pixels: Array) -> rr.Points2D:

@@ -71,6 +71,17 @@ class ClosedLoop:
 class Viewer(Protocol):
     """Shows a run. It never changes what the run computes."""
 
+    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Show what was known when an earlier run stopped that is now gone on with; called before the first step.
+
+        Args:
+            timestamps: (N,) seconds.
+            odometry: T_world_camera (N, 4, 4) by odometry alone, metres.
+            poses: (N, 4, 4) by all that was known.
+            loops: query, match, and whether it was closed.
+        """
+        ...
+
     def step(self, step: Step) -> None:
         """Show one frame; frames come in order."""
         ...
@@ -97,6 +108,9 @@ class Viewer(Protocol):
 
 class NullViewer:
     """Shows nothing."""
+
+    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Do nothing."""
 
     def step(self, step: Step) -> None:
         """Do nothing."""

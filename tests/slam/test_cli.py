@@ -1,11 +1,13 @@
 """What a person meets first: help, exit codes, and one line for whatever is wrong."""
 
+import json
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from slam import cli
+from slam import cli, doctor
+from slam.doctor import Check
 from slam.errors import ConfigError, DataError, RevisitError
 
 runner = CliRunner()
@@ -69,3 +71,13 @@ def test_an_unknown_name_is_a_usage_error_that_lists_the_known_ones(
 
 def test_the_doctor_finds_this_machine_well():
     assert exit_code(["doctor"]) == 0
+
+
+def test_a_script_can_ask_the_doctor(monkeypatch: pytest.MonkeyPatch):
+    ill = [Check("python", "3.11.7"), Check("libnowhere.so", "", "cannot be loaded: [Errno 2] <none>", "make it")]
+    monkeypatch.setattr(doctor, "check_machine", lambda: ill)
+    asked = runner.invoke(cli.app, ["doctor", "--json"])
+    assert [Check(**row) for row in json.loads(asked.output)] == ill
+    assert asked.exit_code == runner.invoke(cli.app, ["doctor"]).exit_code == 1
+    assert "missing  libnowhere.so cannot be loaded: [Errno 2] <none>\n" in runner.invoke(cli.app, ["doctor"]).output
+    assert len(json.loads(runner.invoke(cli.app, ["doctor", "--licences", "--json"]).output)) > 10

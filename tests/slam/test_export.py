@@ -57,7 +57,7 @@ def test_graph_and_map_come_as_they_were_and_as_they_became(run: Path, kind: str
 
 def test_whatever_cannot_be_exported_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     faults = (
-        (["--format", "bvh"], 2, "--format: expected one of tum, kitti, g2o, ply, found 'bvh'"),
+        (["--format", "bvh"], 2, "--format: expected one of tum, kitti, g2o, ply, colmap, found 'bvh'"),
         (["--format", "ply", "--state", "online"], 2, "--state: expected one of odometry, corrected for ply"),
     )
     for arguments, code, message in faults:

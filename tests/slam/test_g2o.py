@@ -101,12 +101,15 @@ def test_lines_of_other_kinds_are_passed_over(tmp_path: Path) -> None:
     ("line", "message"),
     [
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0", r"line 2: VERTEX_SE3:QUAT has 7 numbers, expected 8"),
-        ("VERTEX_SE3:QUAT 1 0 zero 0 0 0 0 1", r"line 2.*not a number"),
-        ("VERTEX_SE3:QUAT 1.5 0 0 0 0 0 0 1", r"line 2.*not a number"),
+        ("VERTEX_SE3:QUAT 1 0 zero 0 0 0 0 1", r"line 2.*expected numbers, found others"),
+        ("VERTEX_SE3:QUAT 1.5 0 0 0 0 0 0 1", r"line 2.*expected numbers, found others"),
         ("VERTEX_SE3:QUAT 1 0 nan 0 0 0 0 1", r"line 2.*finite numbers"),
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", r"line 2.*unit quaternion, its length is 2"),
         (f"VERTEX_SE3:QUAT 0 {IDENTITY}", "pose 0 is there 2 times, expected once"),
-        (f"EDGE_SE3:QUAT 0 9 {IDENTITY} {UNIT_INFORMATION}", "an edge names pose 9, which has no"),
+        (
+            f"EDGE_SE3:QUAT 0 9 {IDENTITY} {UNIT_INFORMATION}",
+            "expected poses with a VERTEX_SE3:QUAT line, found an edge to 9",
+        ),
         (
             f"VERTEX_SE3:QUAT 1 {IDENTITY}\nEDGE_SE3:QUAT 0 1 {IDENTITY} -{UNIT_INFORMATION}",
             "edge 0 1 has a negative eigenvalue",
@@ -186,7 +189,7 @@ def test_a_file_of_edges_alone_has_the_poses_of_its_edges(tmp_path: Path) -> Non
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", r"line 3: EDGE_SE2 has 10 numbers, expected 11"),
         ("EDGE_SE2 0 1 1 0 inf 1 0 0 1 0 1", r"line 3: EDGE_SE2 expected finite numbers"),
         ("EDGE_SE2 0 1 1 0 0 1 2 0 1 0 1", r"line 3: the information of edge 0 1 has a negative eigenvalue"),
-        (f"EDGE_SE2 0 5 1 0 0 {UNIT_PLANE}", r"line 3: an edge names pose 5, which has no VERTEX_SE2"),
+        (f"EDGE_SE2 0 5 1 0 0 {UNIT_PLANE}", r"line 3: expected poses with a VERTEX_SE2 line, found an edge to 5"),
     ],
 )
 def test_damage_in_the_plane_is_named_with_its_line(tmp_path: Path, line: str, message: str) -> None:

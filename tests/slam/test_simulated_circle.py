@@ -8,7 +8,10 @@ import numpy as np
 import open3d
 import pytest
 from rich.console import Console
+from scipy.io import savemat
+from typer.testing import CliRunner
 
+from slam import cli
 from slam.dense_command import RESULTS, DenseOptions, map_densely, read_run
 from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.trajectory import umeyama
@@ -19,6 +22,10 @@ from slam.simulation import DriveSpec
 from slam.simulation.drive import MANIFEST
 from slam.simulation.surfaces import true_surfaces
 from slam.storage.tables import read_loops
+from slam.viewer.rerun_viewer import RerunViewer
+
+from ..command_lines import Shown
+from ..command_lines import lines as shown_commands
 
 QUIET = Console(quiet=True)
 
@@ -114,7 +121,7 @@ def short(circle: Path, tmp_path: Path) -> Path:
 def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(short: Path):
     before = {path.name for path in short.iterdir()}
     assert "key frames in 2 submaps" in map_densely(DenseOptions(short), QUIET)
-    assert {path.name for path in short.iterdir()} - before == set(RESULTS)
+    assert {path.name for path in short.iterdir()} - before == set(RESULTS) - {"dense.rrd"}  # nothing was recorded
     clouds = {name: open3d.io.read_point_cloud(short / name) for name in RESULTS if name.endswith(".ply")}
     assert len(clouds["dense_before.ply"].points) == len(clouds["mesh_after.ply"].points) > 1000
     first = (short / "mesh_after.ply").read_bytes()
@@ -122,6 +129,26 @@ def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(sh
         map_densely(DenseOptions(short), QUIET)
     map_densely(DenseOptions(short, overwrite=True), QUIET)
     assert (short / "mesh_after.ply").read_bytes() == first
+
+
+def test_the_dense_map_is_shown_in_the_report_and_beside_the_recording(circle: Path, short: Path):
+    shutil.copy(circle / "report.html", short)
+    RerunViewer(short / "recording.rrd", read_run(short).drive.camera).close()
+    assert map_densely(DenseOptions(short), QUIET).endswith("dense.rrd, report.html")
+    assert (short / "report.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
+    assert (short / "dense.rrd").stat().st_size > 1_000_000
+
+
+def test_a_report_and_a_recording_of_no_use_cost_no_map(short: Path, capsys: pytest.CaptureFixture[str]):
+    for name in ("report.html", "recording.rrd"):
+        (short / name).write_text("not ours")
+    map_densely(DenseOptions(short), Console(stderr=True))
+    said = capsys.readouterr().err.splitlines()
+    assert [line.partition(": expected")[0] for line in said] == [
+        f"not shown there: {short / name}" for name in ("report.html", "recording.rrd")
+    ]
+    assert (short / "report.html").read_text() == "not ours"
+    assert {path.name for path in short.iterdir()} >= set(RESULTS) - {"dense.rrd"}
 
 
 def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, short: Path, tmp_path: Path):
@@ -133,6 +160,40 @@ def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, sho
     (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(DataError, match="found 40, 1, 40 and"):
         map_densely(DenseOptions(short), QUIET)
+
+
+CHEAP = ("check", "doctor", "evaluate", "explain", "export")
+# One of those that differ by nothing but a name.
+SHOWN = {
+    (*one.words[: 2 if one.name == "evaluate" else 1], *(word for word in one.words if word.startswith("-"))): one
+    for one in shown_commands()
+    if one.name in CHEAP
+}
+
+
+@pytest.fixture(scope="module")
+def everything(circle: Path, circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that has what the pages speak of, under the names they use."""
+    folder = tmp_path_factory.mktemp("everything")
+    for name in ("my_drive", "SOURCE", "data/circle", "data/kitti"):
+        shutil.copytree(circle_drive, folder / name)
+    shutil.copytree(circle_drive / "sequences" / "00", folder / "data" / "kitti" / "sequences" / "05")
+    shutil.copy(circle_drive / "poses" / "00.txt", folder / "data" / "kitti" / "poses" / "05.txt")
+    for name in ("runs/demo", "runs/kitti05", "runs/places05"):
+        shutil.copytree(circle, folder / name)
+    shutil.copy(circle / "loops.csv", folder / "runs" / "places05" / "matches.csv")
+    truth = np.load(circle_drive / "loops_00.npz")["truth"]
+    savemat(folder / "groundTruthKITTI05.mat", {"truth": truth.astype(np.uint8)})
+    return folder
+
+
+@pytest.mark.parametrize("shown", SHOWN.values(), ids=str)
+def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(everything)
+    result = CliRunner().invoke(cli.app, list(shown.words), env={"TERM": "xterm-256color"})
+    assert result.exit_code == 0, result.output
+    assert len(result.stdout.split()) > 0
+    assert "\x1b" not in result.output
 
 
 def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):

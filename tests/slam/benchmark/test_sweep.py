@@ -98,7 +98,10 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         ('[[sources]]\npath = "\\u0000"', "path: expected a path"),
         (f'[[sources]]\nsimulate = "{999 * "x"}"', "simulate: expected a path"),
         ('config = "\\u0000"\n' + SOURCE, "config: expected a path"),
-        ('[[sources]]\nsimulate = "circle"\nlength = 1' + 400 * "0", "length: int too large"),
+        (
+            '[[sources]]\nsimulate = "circle"\nlength = 1' + 400 * "0",
+            "length: expected a number, found one beyond all bounds",
+        ),
         ('[[sources]]\nsimulate = "circle"\nlaps = 1' + 400 * "0", "int too large"),
     ],
 )

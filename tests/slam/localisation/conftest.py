@@ -12,8 +12,8 @@ from slam.config import RunConfig, to_toml
 from slam.datasets.open import open_drive
 from slam.drive_log import DriveLog
 from slam.localisation.saved_map import SavedMap
-from slam.map_store.keeping import MapKeeper, verdicts
-from slam.map_store.store import Corrected, MapStore, Session
+from slam.map_store.keeping import MapKeeper
+from slam.map_store.store import MapStore, Session
 from slam.parts import build_parts
 from slam.system import Slam
 
@@ -31,7 +31,7 @@ def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     with MapStore.create(path) as store:
         with store.writing():
             store.add_session(session)
-        keeper = MapKeeper(store, session)
+        keeper = MapKeeper(store, session, config)
         keeper.recall(slam, rows, log)
         for number, frame in enumerate(MAPPED):
             processed = slam.process(replace(drive[frame], index=number))
@@ -39,9 +39,7 @@ def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
             keeper.add(processed, processed.stage_ms)
         keeper.pause()
         late, optimized = slam.finish(config.robust)
-        log.attempts.extend(late)
-        corrected = Corrected(optimized.poses, optimized.lengths, verdicts(log.attempts, optimized))
-        keeper.finish(late, corrected, True)
+        keeper.finish(late, optimized, True)
     return path
 
 

@@ -81,13 +81,23 @@ def test_a_missing_cloud_is_named(tmp_path: Path) -> None:
 
 
 def test_another_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "map.ply").write_text("solid cube")
-    with pytest.raises(DataError, match=r"map.ply: expected a PLY file, found other bytes"):
-        read_cloud(tmp_path / "map.ply")
-
-
-def test_a_cloud_without_colours_is_named(tmp_path: Path) -> None:
     header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-    (tmp_path / "map.ply").write_text(header + "end_header\n1 2 3\n")
-    with pytest.raises(DataError, match=r"map.ply: expected a colour for each point"):
-        read_cloud(tmp_path / "map.ply")
+    for text in ("solid cube", header + "end_header\n1 2 3\n"):
+        (tmp_path / "map.ply").write_text(text)
+        with pytest.raises(DataError, match=r"map.ply: expected a PLY file of a run, found another header"):
+            read_cloud(tmp_path / "map.ply")
+
+
+def test_a_cloud_that_was_cut_short_is_named(file: Path) -> None:
+    write_cloud(file, cloud_of(0, 10))
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(DataError, match=r"map.ply: expected 10 points of 27 bytes, found 269 bytes"):
+        read_cloud(file)
+
+
+def test_open3d_reads_the_same_cloud(file: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    write_cloud(file, cloud_of(3, 20))
+    theirs, ours = open3d.io.read_point_cloud(file), read_cloud(file)
+    np.testing.assert_array_equal(np.asarray(theirs.points), ours.points)
+    np.testing.assert_array_equal(np.rint(255 * np.asarray(theirs.colors)[:, 0]), ours.grey)

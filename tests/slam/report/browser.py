@@ -15,7 +15,6 @@ _FLAGS = (
     "--headless=new",
     "--no-sandbox",  # which Chromium refuses to have as root, as in a container
     "--disable-dev-shm-usage",
-    "--disable-gpu",
     "--disable-background-networking",
     "--no-first-run",
     "--force-device-scale-factor=1",
@@ -28,14 +27,18 @@ def has_browser() -> bool:
     return bool(shutil.which("chromium") and shutil.which("chromedriver"))
 
 
+PAINTED = ("--disable-gpu",)  # of pages that need no WebGL
+WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # without graphics hardware
+
+
 @contextmanager
-def browser() -> Iterator["Browser"]:
-    """A browser that has no page open yet."""
+def browser(graphics: tuple[str, ...] = PAINTED, console: str = "ALL") -> Iterator["Browser"]:
+    """A browser that has no page open yet, and keeps what the console gets from such a level on."""
     options = Options()
     options.binary_location = shutil.which("chromium") or ""
-    for flag in _FLAGS:
+    for flag in (*_FLAGS, *graphics):
         options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    options.set_capability("goog:loggingPrefs", {"browser": console, "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
     try:
         yield Browser(driver)
@@ -51,8 +54,12 @@ class Browser:
 
     def open(self, path: Path) -> float:
         """Open a file and wait until it has been drawn. Returns the seconds that took."""
+        return self.visit(path.absolute().as_uri())
+
+    def visit(self, address: str) -> float:
+        """Open an address and wait until it has been drawn. Returns the seconds that took."""
         self.loaded(), self.complaints()
-        self.driver.get(path.absolute().as_uri())
+        self.driver.get(address)
         return self.settle() / 1000
 
     def settle(self) -> float:

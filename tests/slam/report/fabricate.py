@@ -11,7 +11,11 @@ from odometry import se3
 from place_recognition.evaluation.matrix import Matrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
+from slam.mapping.fusion import Surface
+from slam.mapping.occupancy import Grid
+from slam.mapping.top_view import TopView, Window, seen_from_above
 from slam.record import Cloud, DriveRecord, LoopRow, MatchedPixels, StageRow
+from slam.report.dense_section import Overview, show_dense_map
 
 RADIUS = 40.0
 LAP = 100
@@ -157,3 +161,23 @@ def noise(seed):
     rng = np.random.default_rng(seed)
     layers = [cv2.resize(rng.normal(size=(-(-IMAGE[0] // k), -(-IMAGE[1] // k))), IMAGE[::-1]) * k**0.5 for k in GRAINS]
     return cv2.normalize(sum(layers), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def dense_window(record):
+    positions = np.concatenate([record.odometry, record.corrected])[:, :3, 3]
+    return Window.around(positions, 25.0, 0.5)
+
+
+def top_view(height):
+    return TopView(height, np.full(height.shape, 127, np.uint8))
+
+
+def show_dense(report, record, grid=None):
+    """Put a dense map of the record's landmarks into its report."""
+    window, maps = dense_window(record), []
+    for state, poses, points in (
+        ("before", record.odometry, record.map_before), ("after", record.corrected, record.map_after)
+    ):  # fmt: skip
+        surface = Surface(points.points, points.grey, np.zeros((0, 3), np.int32))
+        maps.append(Overview(state, seen_from_above([surface], window), poses[:, :3, 3]))
+    show_dense_map(report, maps, window, grid or Grid(np.full((30, 50), 205, np.uint8), 0.5, np.zeros(2)))

@@ -64,6 +64,7 @@ def driven():
 def path(tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("report") / "a <b> 'report' улица.html"
     write_report(WHOLE, file, fabricate.street, {NAME: NAME})
+    fabricate.show_dense(file, WHOLE)
     return file
 
 
@@ -227,6 +228,16 @@ def test_maps_zoom_together_by_button_key_and_wheel_and_show_all_again(page):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_pictures_of_the_dense_map_keep_their_colours(page, theme):
+    page.theme(theme)
+    shown = page.run(
+        "return [...document.querySelectorAll('#dense image')].map((image) => "
+        "[getComputedStyle(image).filter, image.getBoundingClientRect().width > 300])"
+    )
+    assert shown == [["none", True]] * 3
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
 def test_both_themes_can_be_read(page, theme):
     page.theme(theme)
     page_colour = page.run("return getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
@@ -244,7 +255,7 @@ def test_a_phone_shows_everything_without_scrolling_aside(page):
         "return [...document.querySelectorAll('main > section')]"
         ".map((part) => { part.scrollIntoView(); return part.scrollWidth - part.clientWidth; })"
     )
-    assert wider == [0] * 6
+    assert wider == [0] * 7
     open_row(page, 110)
     left, right, inner, outer = page.run(
         "const box = document.querySelector('#pair'), { left, right } = box.getBoundingClientRect();"

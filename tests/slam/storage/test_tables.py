@@ -105,9 +105,15 @@ HEADER = ",".join(tables.LOOP_COLUMNS)
     [
         ("", r"loops.csv: expected the columns query, .*found no query"),
         ("query,match\n", r"loops.csv: .*found no score"),
-        (HEADER + "\n7,x,0,true,0,0,true,true,,,,\n", r"loops.csv, row 7: cannot read match = 'x'"),
-        (HEADER + "\n7,2,0,yes,0,0,true,true,,,,\n", r"loops.csv, row 7: cannot read accepted = 'yes'"),
-        (HEADER + "\n7,2\n", r"loops.csv, row 7: cannot read accepted = ''"),
+        (
+            HEADER + "\n7,x,0,true,0,0,true,true,,,,\n",
+            r"loops.csv, row 7: expected match as a run writes it, found 'x'",
+        ),
+        (
+            HEADER + "\n7,2,0,yes,0,0,true,true,,,,\n",
+            r"loops.csv, row 7: expected accepted as a run writes it, found 'yes'",
+        ),
+        (HEADER + "\n7,2\n", r"loops.csv, row 7: expected accepted as a run writes it, found ''"),
     ],
 )
 def test_a_damaged_ledger_is_named(tmp_path: Path, text: str, message: str) -> None:

@@ -100,7 +100,7 @@ def test_real_ground_truth_is_read(test_data: Path) -> None:
         ("", "drive.tum: expected lines of 8 numbers, found an empty file"),
         ("1 2 3\n", "drive.tum, line 1: expected 8 finite numbers, found 3"),
         ("# ok\n1 0 0 0 0 0 0 inf\n", "drive.tum, line 2: expected 8 finite numbers"),
-        ("1 0 0 0 0 0 0 0\n", "drive.tum, pose 0: expected a unit quaternion, found zeros"),
+        ("1 0 0 0 0 0 0 0\n", "drive.tum, pose 0: expected a unit quaternion, found one of length 0"),
     ],
 )
 def test_a_damaged_tum_file_is_named(tmp_path: Path, text: str, message: str) -> None:

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from slam.errors import OutputError
+from odometry.camera import StereoCamera
+from slam.errors import DataError, OutputError
 from slam.viewer import listener
+from slam.viewer.rerun_viewer import RerunViewer
 
 LISTENING = "0A"
 
@@ -25,7 +27,7 @@ def bound_addresses(ports):
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to list who listens")
 def test_the_web_viewer_listens_on_this_machine_alone_and_stops_with_the_run():
     served = listener.listen(web=True)
-    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page)}
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page.address)}
     assert bound_addresses(ports) == {"127.0.0.1"}
     served.stop()
     assert bound_addresses(ports) == set()
@@ -39,8 +41,32 @@ def test_a_window_without_a_display_is_an_error_with_a_remedy(monkeypatch):
         listener.listen(web=False)
 
 
-def test_the_viewer_is_told_to_report_to_nobody():
+def test_the_viewer_is_told_to_report_to_nobody_and_to_ask_nobody():
     assert listener._private()["CI"] == "true"
+    assert listener._private()["HTTPS_PROXY"] == "http://127.0.0.1:9"
+
+
+def test_a_run_is_opened_with_its_dense_map(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(listener, "listen", lambda web, files: opened.append((web, [path.name for path in files])))
+    with pytest.raises(DataError, match=r"expected the folder of a run with a recording\.rrd, found none"):
+        listener.open_recording(tmp_path, web=True)
+    (tmp_path / "recording.rrd").touch()
+    listener.open_recording(tmp_path, web=False)
+    (tmp_path / "dense.rrd").touch()
+    listener.open_recording(tmp_path, web=True)
+    assert opened == [(False, ["recording.rrd"]), (True, ["recording.rrd", "dense.rrd"])]
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to list who listens")
+def test_a_recording_is_served_on_this_machine_alone_until_the_viewer_ends(tmp_path):
+    RerunViewer(tmp_path / "recording.rrd", StereoCamera(120.0, 120.0, 79.5, 29.5, 0.5, 160, 60)).close()
+    served = listener.open_recording(tmp_path, web=True)
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page.address)}
+    assert bound_addresses(ports) == {"127.0.0.1"}
+    served.process.terminate()
+    served.wait()
+    assert bound_addresses(ports) == set()
 
 
 def test_memory_is_limited():

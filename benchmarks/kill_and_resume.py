@@ -1,0 +1,78 @@
+"""Kill a run at random moments, go on with it, and compare every result with that of a run that nobody disturbed.
+
+python benchmarks/kill_and_resume.py ~/.cache/revisit/demo-0 --kills 20
+"""
+
+import argparse
+import json
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from slam.map_store.resuming import find_stopped
+
+# What holds times differs from run to run; of the metrics the rest is compared.
+_TIMED = {"frames.csv", "report.html", "run.log", "recording.rrd", "map.db", "metrics.json"}
+_TIMES = {"command", "timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "memory_mb"}
+
+
+def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
+    """What runs the chain in a process of its own."""
+    run = [sys.executable, "-c", "from slam.cli import main; main()", "run", str(arguments.source), "--out", str(out)]
+    return [*run, "--paradigm", arguments.paradigm, "--no-record", *more]
+
+
+def results(out: Path) -> dict[str, object]:
+    """Everything in a run's folder that must not depend on how often it was killed."""
+    metrics = json.loads((out / "metrics.json").read_text())
+    metrics["graph"].pop("seconds")
+    kept = {name: value for name, value in metrics.items() if name not in _TIMES}
+    files = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in _TIMED}
+    return files | {f"metrics.json: {name}": value for name, value in kept.items()}
+
+
+def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple[int, float]:
+    """Kill a run after so many seconds and let another one end it; frames that were kept, seconds of the second."""
+    process = subprocess.Popen(command(arguments, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(seconds)
+    process.kill()
+    process.wait()
+    stopped = find_stopped(out)
+    begin = time.perf_counter()
+    subprocess.run(command(arguments, out, "--resume"), check=True, capture_output=True)
+    return (stopped.frames if stopped else 0), time.perf_counter() - begin
+
+
+def main() -> None:
+    """Run, kill, go on, compare, and print a line for each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("source", type=Path)
+    parser.add_argument("--paradigm", default="tracked-words")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    console, moments = Console(), random.Random(arguments.seed)
+    table = Table("killed after s", "frames kept", "s to the end", "differs in", title=f"{arguments.paradigm}")
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        subprocess.run(command(arguments, Path(folder) / "undisturbed"), check=True, capture_output=True)
+        whole = time.perf_counter() - begin
+        expected = results(Path(folder) / "undisturbed")
+        for number in range(arguments.kills):
+            out, seconds = Path(folder) / f"killed-{number}", moments.uniform(0, whole)
+            frames, rest = kill_once(arguments, out, seconds)
+            found = results(out)
+            differs = sorted(name for name in expected | found if expected.get(name) != found.get(name))
+            table.add_row(f"{seconds:.1f}", str(frames), f"{rest:.1f}", ", ".join(differs) or "nothing")
+    console.print(table)
+    console.print(f"undisturbed: {whole:.1f} s")
+
+
+if __name__ == "__main__":
+    main()

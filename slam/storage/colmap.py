@@ -1,0 +1,105 @@
+"""The text model of COLMAP: `cameras.txt`, `images.txt` and `points3D.txt`.
+
+By its page "Output Format": poses map world to camera, quaternions have w first, and (0.5, 0.5) is the centre of the
+first pixel, which is (0, 0) everywhere else here.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from odometry import se3
+from slam.record import Cloud
+from slam.storage.atomic import atomic_writer
+from slam.storage.landmarks import Sightings
+
+Array = NDArray[np.float64]
+
+_CENTRE = 0.5  # of the first pixel
+_UNKNOWN = -1  # reprojection error of a point that was not adjusted together with its images
+
+
+def image_name(frame: int) -> str:
+    """What the image of a frame is called, as in KITTI's folders."""
+    return f"{frame:06d}.png"
+
+
+@dataclass(frozen=True)
+class Model:
+    """Cameras and points, as a run has found them.
+
+    Attributes:
+        T_world_camera: (N, 4, 4) metres, of all frames.
+        cloud: (M,) landmarks, world frame.
+        sightings: which frame saw each.
+    """
+
+    T_world_camera: Array
+    cloud: Cloud
+    sightings: Sightings
+
+    def pixels(self) -> Array:
+        """Where (M, 2) each landmark is in the image that saw it; (0, 0) is the centre of the first pixel."""
+        T_camera_world = se3.inverse(self.T_world_camera)[self.sightings.frames]
+        x, y, z = np.einsum("mij,mj->im", T_camera_world[:, :3, :3], self.cloud.points) + T_camera_world[:, :3, 3].T
+        fx, fy, cx, cy = self.sightings.intrinsics
+        return np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
+
+
+def write_colmap(folder: Path, model: Model) -> None:
+    """Write the three files. Each landmark has been seen once, so that its track has one image.
+
+    Raises:
+        OutputError: they cannot be written.
+    """
+    _write(folder / "cameras.txt", _cameras(model.sightings))
+    _write(folder / "images.txt", _images(model))
+    _write(folder / "points3D.txt", _points(model))
+
+
+def _write(path: Path, lines: Iterator[str]) -> None:
+    with atomic_writer(path) as file:
+        file.writelines(line + "\n" for line in lines)
+
+
+def _cameras(sightings: Sightings) -> Iterator[str]:
+    yield "# CAMERA_ID, MODEL, WIDTH, HEIGHT, fx, fy, cx, cy"
+    fx, fy, cx, cy = sightings.intrinsics
+    width, height = sightings.size
+    yield _line(1, "PINHOLE", width, height, fx, fy, cx + _CENTRE, cy + _CENTRE)
+
+
+def _images(model: Model) -> Iterator[str]:
+    yield "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
+    yield "# X, Y, POINT3D_ID of each landmark that the image has seen"
+    T_camera_world, pixels = se3.inverse(model.T_world_camera), model.pixels() + _CENTRE
+    quaternions = Rotation.from_matrix(T_camera_world[:, :3, :3]).as_quat(scalar_first=True, canonical=True)
+    order, starts = _grouped(model.sightings.frames, len(quaternions))
+    for frame, (T, quaternion) in enumerate(zip(T_camera_world, quaternions, strict=True)):
+        yield _line(frame + 1, *quaternion, *T[:3, 3], 1, image_name(frame))
+        seen = order[starts[frame] : starts[frame + 1]]
+        yield " ".join(_line(*pixels[point], point + 1) for point in seen)
+
+
+def _points(model: Model) -> Iterator[str]:
+    yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, (IMAGE_ID, POINT2D_IDX)"
+    frames = model.sightings.frames
+    order, starts = _grouped(frames, len(model.T_world_camera))
+    places = np.empty(len(frames), np.int64)  # of each point in the list of its image
+    places[order] = np.arange(len(frames)) - starts[frames[order]]
+    for point, (position, grey) in enumerate(zip(model.cloud.points, model.cloud.grey, strict=True)):
+        yield _line(point + 1, *position, grey, grey, grey, _UNKNOWN, frames[point] + 1, places[point])
+
+
+def _grouped(frames: NDArray[np.int32], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Points (M,) frame by frame, and where each of so many frames begins and the last one ends (count + 1,)."""
+    order = np.argsort(frames, kind="stable")
+    return order, np.searchsorted(frames[order], np.arange(count + 1))
+
+
+def _line(*values: object) -> str:
+    return " ".join(repr(float(value)) if isinstance(value, float) else str(value) for value in values)

@@ -1,0 +1,68 @@
+"""`landmarks.npz`: what the points of a run's maps do not say themselves, which frame saw each and through what camera.
+
+Arrays `frames`, (M,) int32, of the M points of map_before.ply and map_after.ply in their order; `intrinsics`, (4,)
+fx, fy, cx, cy, pixels; `size`, (2,) width and height.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import PinholeCamera
+from place_recognition.evaluation.array_file import read_array
+from slam.errors import DataError
+from slam.storage.atomic import atomic_writer
+
+_REMEDY = "make the run again with: revisit run SOURCE --out DIR"
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Which frame saw each landmark, through what camera.
+
+    Attributes:
+        frames: (M,) index of the frame.
+        intrinsics: (4,) fx, fy, cx, cy, pixels; (0, 0) is the centre of the first pixel.
+        size: (2,) width and height, pixels.
+    """
+
+    frames: NDArray[np.int32]
+    intrinsics: NDArray[np.float64]
+    size: NDArray[np.int32]
+
+
+def write_sightings(path: Path, frames: NDArray[np.int32], camera: PinholeCamera) -> None:
+    """Write landmarks.npz.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
+    size = np.array([camera.width, camera.height], np.int32)
+    with atomic_writer(path, "wb") as file:
+        np.savez_compressed(file, frames=frames, intrinsics=intrinsics, size=size)
+
+
+def read_sightings(path: Path) -> Sightings:
+    """Read landmarks.npz.
+
+    Raises:
+        DataError: missing or damaged.
+    """
+    try:
+        arrays = [read_array(path, name) for name in ("frames", "intrinsics", "size")]
+    except ValueError as error:
+        raise DataError(f"{path}: expected what saw the landmarks of a run, found {error}; {_REMEDY}") from None
+    kinds = [None if array is None else (array.dtype.str, array.ndim) for array in arrays]
+    frames, intrinsics, size = arrays
+    if frames is None or intrinsics is None or size is None or kinds != [("<i4", 1), ("<f8", 1), ("<i4", 1)]:
+        raise DataError(f"{path}: expected the arrays frames, intrinsics and size, found others; {_REMEDY}")
+    if intrinsics.shape != (4,) or size.shape != (2,) or not _is_camera(intrinsics, size) or (frames < 0).any():
+        raise DataError(f"{path}: expected a camera, and frames from 0 on, found others; {_REMEDY}")
+    return Sightings(frames, intrinsics, size)
+
+
+def _is_camera(intrinsics: NDArray[np.float64], size: NDArray[np.int32]) -> bool:
+    return bool(np.isfinite(intrinsics).all() and (intrinsics[:2] > 0).all() and (size > 0).all())

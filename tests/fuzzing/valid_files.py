@@ -1,0 +1,274 @@
+"""Small valid files of every kind that is read, and the recordings that they belong to."""
+
+import io
+import tempfile
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tomli_w
+from scipy.io import savemat
+
+from odometry import se3
+from odometry.camera import StereoCamera
+from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
+from slam.config import RunConfig, to_toml
+from slam.mapping.ply import write_cloud
+from slam.record import Cloud
+from slam.storage.calibration import write_calibration
+from slam.storage.landmarks import write_sightings
+from slam.storage.tables import FrameTable, write_frames, write_loops, write_stages
+from slam.storage.trajectory import write_kitti, write_tum
+
+from ..slam.datasets.layouts import BagStyle, taken, write_bag
+from ..slam.report import fabricate
+
+SIZE = (16, 12)
+TIMES = np.array([0.0, 0.1, 0.2])
+POSES = np.stack([se3.exp(np.array([0.01, 0.02 * k, 0.0, 0.1, 0.0, 1.0 * k])) for k in range(3)])
+IMAGE = np.random.default_rng(0).integers(0, 255, SIZE[::-1], np.uint8)
+CALIB = "".join(f"P{k}: 10 0 8 {-5.0 * (k % 2)} 0 10 6 0 0 0 1 0\n" for k in range(4)).encode()
+CAMERA = "fx = 10\nfy = 10\ncx = 7.5\ncy = 5.5\n"
+SENSOR = """T_BS:
+  cols: 4
+  rows: 4
+  data: [0, -1, 0, {x}, 1, 0, 0, 0, 0, 0, 1, 0.5, 0, 0, 0, 1]
+resolution: [16, 12]
+intrinsics: [20, 20.5, 7.5, 5.5]
+distortion_model: radial-tangential
+distortion_coefficients: [-0.02, 0.01, 0.0002, 0.00002]
+"""
+
+
+def images(folder: Path, names: tuple[str, ...]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        cv2.imwrite(str(folder / name), IMAGE)
+
+
+def kitti(root: Path) -> None:
+    """`sequences/07` with its times and poses; the calibration is left to be written."""
+    sequence = root / "sequences" / "07"
+    for camera in (0, 1):
+        images(sequence / f"image_{camera}", tuple(f"{k:06d}.png" for k in range(3)))
+    (sequence / "calib.txt").write_bytes(CALIB)
+    (sequence / "times.txt").write_text("0\n0.1\n0.2\n")
+    (root / "poses").mkdir(exist_ok=True)
+    write_kitti(root / "poses" / "07.txt", POSES)
+
+
+def tum_rgbd(root: Path) -> None:
+    images(root / "rgb", ("0.png", "1.png", "2.png"))
+    (root / "rgb.txt").write_bytes(RGB)
+    (root / "camera.toml").write_text(CAMERA)
+    write_tum(root / "groundtruth.txt", TIMES, POSES)
+
+
+RGB = b"# timestamp filename\n0.0 rgb/0.png\n0.1 rgb/1.png\n0.2 rgb/2.png\n"
+EUROC_LIST = b"#timestamp [ns],filename\n100000000,0.png\r\n200000000,1.png\r\n300000000,2.png\r\n"
+
+
+def euroc(root: Path) -> None:
+    for side in (0, 1):
+        camera = root / "mav0" / f"cam{side}"
+        images(camera / "data", ("0.png", "1.png", "2.png"))
+        (camera / "data.csv").write_bytes(EUROC_LIST)
+        (camera / "sensor.yaml").write_text(SENSOR.format(x=0.1))
+    # the right camera sits along the left one's x axis, which is the body's y
+    (root / "mav0" / "cam1" / "sensor.yaml").write_text(
+        SENSOR.format(x=0.1).replace("1, 0, 0, 0, 0", "1, 0, 0, 0.1, 0")
+    )
+    truth = root / "mav0" / "state_groundtruth_estimate0"
+    truth.mkdir(exist_ok=True)
+    (truth / "data.csv").write_bytes(EUROC_TRUTH)
+
+
+EUROC_TRUTH = "\n".join(
+    ["#timestamp, p_RS_R_x [m], ..."] + [f"{k}00000000,{k}.5,0,0,1,0,0.01,0" for k in range(5)]
+).encode()
+
+
+def own_camera(root: Path) -> None:
+    images(root / "left", ("1.png", "2.png", "3.png"))
+    images(root / "right", ("1.png", "2.png", "3.png"))
+    write_tum(root / "poses.tum", TIMES, POSES)
+
+
+def camera_files() -> list[bytes]:
+    lens = 'model = "radtan"\ndistortion = [-0.02, 0.01, 0.0002, 0.00002]\n'
+    right = f"[right_camera]\n{CAMERA}T_left_right = [[1,0,0,0.1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\n"
+    rest = 'left = "left"\nright = "right"\nground_truth = "poses.tum"\n'
+    fish_eye = 'model = "equidistant"\ndistortion = [0.01, 0.002, 0, 0]\n'
+    texts = (
+        f"{CAMERA}fps = 10\n",
+        f"{CAMERA}baseline = 0.5\nfps = 10\n{lens}{rest}",
+        f"{CAMERA}fps = 10\n{fish_eye}",
+        f"{CAMERA}fps = 10\n{lens}{right}{lens}",
+    )
+    return [text.encode() for text in texts]
+
+
+def image_files() -> list[bytes]:
+    colour = np.dstack([IMAGE] * 3)
+    deep = IMAGE.astype(np.uint16) << 8
+    encoded = [(s, IMAGE) for s in (".png", ".jpg", ".bmp", ".pgm", ".tiff")]
+    encoded += [
+        (".png", colour),
+        (".jpg", colour),
+        (".ppm", colour),
+        (".tiff", colour),
+        (".png", deep),
+        (".tiff", deep),
+    ]
+    return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in encoded]
+
+
+def video_files() -> list[bytes]:
+    return [_written(name, lambda path, c=codec: _write_video(path, c)) for name, codec in VIDEOS]
+
+
+VIDEOS = (("v.avi", "MJPG"), ("v.mp4", "mp4v"), ("v.mkv", "MJPG"))
+
+
+def _write_video(path: Path, codec: str) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, (32, 24))
+    for k in range(3):
+        writer.write(np.full((24, 32, 3), 60 * k, np.uint8))
+    writer.release()
+
+
+@cache
+def bags() -> dict[str, bytes]:
+    """A bag of each kind of storage, by the suffix of its file."""
+    drive = taken("ideal", 3)
+    grey = replace(drive, pairs=[(np.full_like(left, 90), np.full_like(right, 90)) for left, right in drive.pairs])
+    with tempfile.TemporaryDirectory() as name:
+        written = [write_bag(Path(name) / kind, grey, BagStyle(kind, "png")) for kind in ("ros1", "sqlite3", "mcap")]
+        files = [path if path.is_file() else next(path.glob("drive*")) for path in written]
+        metadata = {f"{file.suffix}.yaml": file.with_name("metadata.yaml").read_bytes() for file in files[1:]}
+        return {file.suffix: file.read_bytes() for file in files} | metadata
+
+
+def graphs() -> list[bytes]:
+    space = " ".join(str(float(i == j)) for i in range(6) for j in range(i, 6))
+    return [
+        b"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nEDGE_SE2 0 1 1 0 0.1 1 0 0 1 0 1\nFIX 0\n",
+        f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\nEDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 {space}\n"
+        f"EDGE_SE3:QUAT 1 0 -1 0 0 0 0 0 1 {space}\nFIX 0\n".encode(),
+        b"# only edges\nEDGE_SE2 0 1 1 0 0.1 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0.1 2 0 0 2 0 0\n",
+    ]
+
+
+def poses_kitti() -> bytes:
+    return _written("a.txt", lambda path: write_kitti(path, POSES))
+
+
+def poses_tum() -> bytes:
+    return b"# t tx ty tz qx qy qz qw\n" + _written("a.tum", lambda path: write_tum(path, TIMES, POSES))
+
+
+@cache
+def tables() -> dict[str, bytes]:
+    record = fabricate.record(4)
+    few = FrameTable(
+        TIMES, np.array([False, True, False]), ("", "too few", ""), np.array([9, 0, 8]), np.array([10, 2, 10]),
+        np.array([0.3, np.nan, 0.4]), {"track": np.array([1.0, 2.0, np.nan])},
+    )  # fmt: skip
+    return {
+        "frames.csv": _written("a.csv", lambda path: write_frames(path, few)),
+        "loops.csv": _written("a.csv", lambda path: write_loops(path, record.loops[:3])),
+        "loop_stages.csv": _written("a.csv", lambda path: write_stages(path, record.stages[:3])),
+        "matches.csv": b"query,match,score,accepted,inliers,verified\n5,,0.0,false,,true\n6,1,0.75,true,30,true\n",
+        "metrics.json": b'{"schema": 1, "frames": 4, "odometry": {"ate_m": 0.5, "t_rel": null}, "notes": {"a": "b"}}',
+    }
+
+
+def calibration() -> bytes:
+    from odometry.calibration import Calibration, CalibrationConfig
+
+    learned = Calibration.unknown(StereoCamera(10, 10, 8, 6, 0.5, *SIZE), CalibrationConfig())
+    return _written("a.toml", lambda path: write_calibration(path, learned))
+
+
+def configurations() -> list[bytes]:
+    return [to_toml(RunConfig()).encode(), b'seed = 7\nparadigm = "dynamic-sequences"\n[pose_graph]\n']
+
+
+SWEEP = b"""paradigms = ["tracked-words", "dynamic-sequences"]
+robust = ["pcm+gnc"]
+seeds = [0, 1]
+[[sources]]
+path = "data/kitti"
+sequence = "05"
+[[sources]]
+simulate = "blocks"
+laps = 2
+length = 300
+"""
+
+
+def vocabularies() -> list[bytes]:
+    words = np.array([[0.6, 0.8, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]], np.float32)
+    signs = np.where(words > 0, 0.5, -0.5).astype(np.float32)
+    kinds = (("surf-upright-64", words), ("orb", signs))
+    return [
+        _written("a.vocabulary", lambda path, k=kind, w=rows: save_vocabulary(path, Vocabulary(k, w, w[:, 0] + 1)))
+        for kind, rows in kinds
+    ]
+
+
+TRUTH = np.tril(np.ones((4, 4), np.uint8), -2)
+
+
+def matlab_files() -> list[bytes]:
+    from scipy.sparse import csc_matrix
+
+    out = []
+    for value in (TRUTH, TRUTH.astype(float), csc_matrix(TRUTH.astype(float))):
+        for compressed in (False, True):
+            file = io.BytesIO()
+            savemat(file, {"truth": value}, do_compression=compressed)
+            out.append(file.getvalue())
+    return out
+
+
+def arrays(name: str, value: np.ndarray) -> list[bytes]:
+    """`.npz` files with one array."""
+    plain, small = io.BytesIO(), io.BytesIO()
+    np.savez(plain, **{name: value})
+    np.savez_compressed(small, **{name: value})
+    return [plain.getvalue(), small.getvalue()]
+
+
+def sightings() -> list[bytes]:
+    camera = StereoCamera(10, 10, 8, 6, 0.5, *SIZE)
+    return [_written("a.npz", lambda path: write_sightings(path, np.array([0, 0, 2], np.int32), camera))]
+
+
+def array_files(*values: np.ndarray) -> list[bytes]:
+    """`.npy` files, as they lie within `.npz` ones."""
+    out = []
+    for value in values:
+        file = io.BytesIO()
+        np.save(file, value)
+        out.append(file.getvalue())
+    return out
+
+
+def clouds() -> list[bytes]:
+    cloud = Cloud(np.array([[0.0, 1, 2], [3, 4, 5]]), np.array([10, 200], np.uint8))
+    text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    return [_written("a.ply", lambda path: write_cloud(path, cloud)), text]
+
+
+def toml(values: dict[str, object]) -> bytes:
+    return tomli_w.dumps(values).encode("utf-8", "surrogatepass")
+
+
+def _written(name: str, write: object) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        write(path)  # type: ignore[operator]
+        return path.read_bytes()

@@ -1,0 +1,107 @@
+"""What a run does when the world fails it: one line that says so, and nothing half-written."""
+
+import os
+import resource
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from slam import cli, run
+from slam.storage.metrics import read_metrics
+
+from .datasets.layouts import taken, write_folders
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_folders(tmp_path_factory.mktemp("recording") / "drive", taken("ideal", FRAMES), fps=20)
+
+
+def revisit(*arguments: object) -> int:
+    return cli._exit_code(lambda: cli.app(["run", *map(str, arguments)]))
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file can grow beyond a size: to those who write, a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("revisit: ")]
+    return line
+
+
+def test_a_recording_that_goes_midway_is_named_and_the_earlier_run_stays(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, out, driven = shutil.copytree(recording, tmp_path / "drive"), tmp_path / "out", []
+    out.mkdir()
+    (out / "metrics.json").write_text("of the earlier run")
+
+    def pull_out_the_disk(processed: object) -> None:
+        driven.append(processed)
+        shutil.rmtree(drive, ignore_errors=True)
+
+    monkeypatch.setattr(run, "note", pull_out_the_disk)
+    assert revisit(drive, "--out", out, "--no-record", "--overwrite") == 1
+    assert 0 < len(driven) < FRAMES
+    assert only_line(capsys).endswith(
+        ".png: expected an image, found none; was the recording moved, or its disk taken out?"
+    )
+    assert [(item.name, item.read_text()) for item in out.iterdir()] == [("metrics.json", "of the earlier run")]
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing_behind(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with largest_file(500):
+        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 1
+    assert "cannot be written, File too large; choose another folder or make room" in only_line(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
+    recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert revisit(recording, "--out", tmp_path / "whole") == 0
+    sizes = {item.name: item.stat().st_size for item in (tmp_path / "whole").iterdir()}
+    largest = max(size for name, size in sizes.items() if name != "recording.rrd")
+    assert sizes["recording.rrd"] > 1.2 * largest
+    capfd.readouterr()
+    with largest_file(int(1.1 * largest)):
+        assert revisit(recording, "--out", tmp_path / "out") == 0
+    assert "recording.rrd: expected room for the recording" in " ".join(capfd.readouterr().err.split())
+    assert {item.name for item in (tmp_path / "out").iterdir()} == set(sizes) - {"recording.rrd"}
+    assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
+
+
+def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with largest_file(2000), run.run_log(tmp_path / "run.log"):
+        for _ in range(100):
+            run.log.info("frame 1: motion predicted")
+    assert (tmp_path / "run.log").stat().st_size <= 2000
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("out", ["file/out", 300 * "x", "nobody/out"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_drive(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "nobody").mkdir(mode=0o500)
+    if os.access(tmp_path / "nobody", os.W_OK) and out.startswith("nobody"):
+        pytest.skip("whoever runs this may write everywhere")
+    assert revisit(recording, "--out", tmp_path / out) == 1
+    assert only_line(capsys).startswith(f"revisit: {tmp_path / out}: ")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["file", "nobody"]
