@@ -1,7 +1,7 @@
 """`revisit info`: what a saved map holds, and where its bytes are."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -134,16 +134,19 @@ def _bytes_by_table(store: MapStore) -> dict[str, int]:
 
 def as_table(summary: Summary) -> Group:
     """The numbers for people."""
-    tables = [Table(title=escape(f"{summary.path}: {_mb(summary.bytes)}"), show_header=False, title_justify="left")]
-    for name, size in summary.tables.items():
-        tables[0].add_row(name, _mb(size))
+    shown: list[str | Table] = [escape(f"{summary.path}: {_mb(summary.bytes)}")]
+    shown.append(_listed((name, _mb(size)) for name, size in summary.tables.items()))
     for drive in summary.drives:
         state = "finished" if drive.finished else f"stopped after {drive.frames} frames"
-        title = escape(f"drive {drive.number}: {drive.name}, {state}")
-        tables.append(Table(title=title, show_header=False, title_justify="left"))
-        for row in _rows(drive):
-            tables[-1].add_row(*map(escape, row))
-    return Group(*tables)
+        shown += [escape(f"drive {drive.number}: {drive.name}, {state}"), _listed(_rows(drive))]
+    return Group(*shown)
+
+
+def _listed(rows: Iterable[tuple[str, str]]) -> Table:
+    table = Table(show_header=False)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    return table
 
 
 def _rows(drive: Drive) -> Iterator[tuple[str, str]]:
