@@ -155,7 +155,10 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
         toml(lambda t: t.replace("fps = 20\n", "")),
         r"left: expected the times of 3 images, found no times.txt",
     ),
-    "a folder that is not there": (toml(lambda t: 'left = "nowhere"\n' + t), r"expected images or a video called nowhere"),
+    "a folder that is not there": (
+        toml(lambda t: 'left = "nowhere"\n' + t),
+        r"expected images or a video called nowhere",
+    ),
     "poses missing": (toml(lambda t: 'ground_truth = "way.txt"\n' + t), r"way.txt: expected this file, found none"),
     "fewer right images": (lambda r: (r / "right" / "8.png").unlink(), r"right: expected 3 images as in left, found 2"),
     "times of other images": (
