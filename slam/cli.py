@@ -3,6 +3,7 @@
 Everything heavy is imported inside the commands, so that help answers at once.
 """
 
+import errno
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -34,6 +35,8 @@ vocabulary_app = typer.Typer(no_args_is_help=True)
 app.add_typer(vocabulary_app, name="vocabulary", help="Visual words for the paradigms that need them in advance.")
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # wherever a disk is full, that is no bug
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show_default=True)]
 # Named here and not taken from the catalogue, which is slow to import.
@@ -540,6 +543,12 @@ def _exit_code(command: Callable[[], None]) -> int:
     except RevisitError as error:
         print(f"revisit: {error}", file=sys.stderr)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"revisit: {RevisitError(f'{where}{error.strerror}; make room')}", file=sys.stderr)
+        return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except SystemExit as exit_:

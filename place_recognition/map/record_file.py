@@ -1,5 +1,6 @@
 """Records of one size, the latest in memory and the older ones in a temporary file."""
 
+import errno
 import os
 import tempfile
 from typing import Any
@@ -76,7 +77,7 @@ class RecordFile:
         except OSError as error:
             raise OSError(error.errno, f"{self._full(index)}: {error.strerror}") from error
         if written < size:
-            raise OSError(self._full(index))
+            raise OSError(errno.ENOSPC, self._full(index))
 
     def _full(self, index: int) -> str:
         needed = self.dtype.itemsize * (index + 1) / 1e9

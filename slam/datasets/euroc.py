@@ -24,6 +24,7 @@ from slam.datasets.source import Source
 from slam.datasets.stamped import CSV_NANOSECONDS, read_stamped
 from slam.errors import DataError
 from slam.storage.text import read_lines
+from slam.storage.trajectory import check_positions
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,7 @@ def _true_way(path: Path, left: Sensor) -> TrueWay | None:
         lengths = np.linalg.norm(rows[:, 4:], axis=1)
     if (lengths < 1e-6).any() or not np.isfinite(lengths).all():
         raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found others; copy the file again")
+    check_positions(path, rows[:, 1:4])
     T_world_body = np.repeat(np.eye(4)[None], len(rows), axis=0)
     T_world_body[:, :3, :3] = Rotation.from_quat(rows[:, [5, 6, 7, 4]]).as_matrix()
     T_world_body[:, :3, 3] = rows[:, 1:4]

@@ -17,6 +17,7 @@ from slam.storage.text import read_lines, read_numbers
 
 Array = NDArray[np.float64]
 
+FARTHEST_M = 1e12  # beyond the sun
 MAX_ROTATION_ERROR = 1e-2  # of R R^T - 1: files rounded to three digits pass, other matrices do not
 
 
@@ -39,6 +40,7 @@ def read_kitti(path: Path) -> Array:
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3] = rows
     _check_rotations(path, poses[:, :3, :3])
+    check_positions(path, rows[:, :, 3])
     return poses
 
 
@@ -69,10 +71,19 @@ def read_tum(path: Path) -> tuple[Array, Array]:
         raise DataError(
             f"{path}, pose {at}: expected a unit quaternion, found one of length {lengths[at]:g}; write the file again"
         )
+    check_positions(path, rows[:, 1:4])
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
     poses[:, :3, 3] = rows[:, 1:4]
     return rows[:, 0], poses
+
+
+def check_positions(path: Path, positions: Array) -> None:
+    """Raise DataError where positions (N, 3), metres, are farther away than anything that was ever driven to."""
+    far = np.abs(positions).max(axis=1) > FARTHEST_M
+    if far.any():
+        at = int(np.argmax(far))
+        raise DataError(f"{path}, pose {at}: expected a position in metres, found {positions[at]}; mend that line")
 
 
 def read_trajectory(path: Path) -> tuple[Array | None, Array]:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
 from place_recognition.evaluation.matrix import Matrix
-from slam.errors import OutputError
 from slam.record import DriveRecord, LoopRow
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
@@ -25,7 +24,7 @@ from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
 from slam.viewer.growing import Growing
 from slam.viewer.listener import listen
-from slam.viewer.parts import join, set_aside
+from slam.viewer.recording_file import RecordingFile
 from slam.viewer.viewer import ClosedLoop, Step
 
 _LOG = logging.getLogger(__name__)
@@ -69,8 +68,8 @@ class RerunViewer:
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
         self._positions = None if truth is None else truth[:, :3, 3]
         self._listener = None if mode == "record" else listen(web=mode == "web")
-        self._camera, self._path = camera, path
-        self._connect(path)
+        self._camera, self._file = camera, None if path is None else RecordingFile(path)
+        self._connect()
         self._send_blueprint(self._positions)
         self._log_scenery()
         self._first_time: float | None = None
@@ -144,26 +143,19 @@ class RerunViewer:
         """
         try:
             self._recording.flush(timeout_sec=_FLUSH_S)
-        except RuntimeError as error:
-            if self._listener is None and self._path is not None:
-                self._path.unlink(missing_ok=True)  # room for what is written after it
-                raise OutputError(
-                    f"{self._path.name}: expected room for the recording, found none ({error}); left out, make room"
-                ) from error
+        except RuntimeError:
             _LOG.warning("the viewer was closed before the run ended")
         finally:
             self._recording.disconnect()
             if self._listener is not None:
                 self._listener.stop()
-        if self._path is not None:
-            join(self._path)
+        if self._file is not None:
+            self._file.close()
 
-    def _connect(self, path: Path | None) -> None:
+    def _connect(self) -> None:
         sinks: list[object] = []
-        if path is not None:
-            set_aside(path)
-            _check_writable(path)
-            sinks.append(rr.FileSink(str(path)))
+        if self._file is not None:
+            sinks.append(rr.FileSink(str(self._file.pipe)))
         if self._listener is not None:
             sinks.append(rr.GrpcSink(self._listener.address))
         if sinks:
@@ -253,10 +245,3 @@ _CURVES = {
 
 def _pairs(rows: list[LoopRow]) -> list[tuple[int, int]]:
     return [(row.query, row.match) for row in rows]
-
-
-def _check_writable(path: Path) -> None:
-    try:
-        path.touch()
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write the recording ({error.strerror}); choose another folder") from error

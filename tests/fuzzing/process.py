@@ -13,7 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from .engines import ENGINES
-from .readers import READERS, outcome, prepare
+from .judging import outcome, prepare
+from .readers import READERS
 from .tally import Tally
 
 _MEMORY = 1 << 30

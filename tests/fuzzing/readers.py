@@ -1,8 +1,4 @@
-"""Every reader of a file that somebody else may have written; a new one is a line in `READERS`.
-
-What is expected of each is in `outcome`: a file is accepted, or refused by one line that names it, says what was
-expected and found, and what to do.
-"""
+"""Every reader of a file that somebody else may have written; a new one is a line in `READERS`."""
 
 import io
 import zipfile
@@ -21,7 +17,7 @@ from slam.datasets.dataset import Dataset
 from slam.datasets.images import read_grey, read_times
 from slam.datasets.open import open_drive
 from slam.datasets.video import open_video
-from slam.errors import DataError, RevisitError
+from slam.errors import DataError
 from slam.evaluation.truth import read_truth
 from slam.filter_training import read_similarities
 from slam.mapping.ply import read_cloud
@@ -37,6 +33,7 @@ from slam.storage.trajectory import read_trajectory
 
 from . import generation as made
 from . import valid_files as valid
+from . import valid_media as media
 
 Read = Callable[[Path], object]
 
@@ -70,47 +67,6 @@ class Reader:
     beside: Callable[[Path], None] = _nothing
     dressed: Callable[[bytes], bytes] = _as_it_is
     share: float = 1.0
-
-
-def outcome(reader: Reader, root: Path, data: bytes) -> bool:
-    """Whether a file is accepted.
-
-    Args:
-        reader: that is tried.
-        root: folder prepared with `prepare`.
-        data: the file.
-
-    Raises:
-        AssertionError: it was refused with a message that helps nobody, or accepted and is nonsense.
-    """
-    (root / reader.file).write_bytes(reader.dressed(data))
-    try:
-        reader.read(root)
-    except RevisitError as error:
-        _check_message(str(error), str(root))
-        _check_memory(error)
-        return False
-    return True
-
-
-def prepare(reader: Reader, root: Path) -> None:
-    """Make the folder for a reader."""
-    (root / reader.file).parent.mkdir(parents=True, exist_ok=True)
-    reader.beside(root)
-
-
-def _check_message(message: str, root: str) -> None:
-    assert root in message, f"names no file: {message}"
-    assert message.isprintable(), f"not one printable line: {message!r}"
-    assert "expected" in message or "unknown" in message, f"does not say what was expected: {message}"
-    assert ";" in message or "--" in message or ": " in message.split(root, 1)[1], f"no remedy: {message}"
-    assert len(message) <= 1500, f"{len(message)} characters: {message[:200]}"
-
-
-def _check_memory(error: BaseException | None) -> None:
-    while error is not None:
-        assert not isinstance(error, MemoryError), "refused only when the memory was used up"
-        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
 def _drive(root: Path) -> None:
@@ -200,15 +156,15 @@ def _truth(name: str) -> Read:
 
 
 def _bag(suffix: str) -> Callable[[], Sequence[bytes]]:
-    return lambda: [valid.bags()[suffix]]
+    return lambda: [media.bags()[suffix]]
 
 
 def _beside_ros2(suffix: str) -> Callable[[Path], None]:
     """A ROS 2 bag as a folder: the file of messages, and what describes it."""
 
     def beside(root: Path) -> None:
-        (root / f"drive{suffix}").write_bytes(valid.bags()[suffix])
-        (root / "metadata.yaml").write_bytes(valid.bags()[f"{suffix}.yaml"])
+        (root / f"drive{suffix}").write_bytes(media.bags()[suffix])
+        (root / "metadata.yaml").write_bytes(media.bags()[f"{suffix}.yaml"])
 
     return beside
 
@@ -251,10 +207,10 @@ READERS: dict[str, Reader] = {
         lambda: [valid.SENSOR.format(x=0.1).replace("1, 0, 0, 0, 0", "1, 0, 0, 0.1, 0").encode()],
         made.sensors(), valid.euroc),
     "camera.toml": Reader("camera.toml", _drive, valid.camera_files, made.camera_files(), valid.own_camera, share=2),
-    "images": Reader("a.png", _image, valid.image_files, made.files_of(*made.IMAGE_MARKS), share=6),
-    "video, AVI": Reader("v.avi", _video("v.avi"), lambda: valid.video_files()[:1], _MESSAGES, share=0.15),
-    "video, MP4": Reader("v.mp4", _video("v.mp4"), lambda: valid.video_files()[1:2], _MESSAGES, share=0.15),
-    "video, Matroska": Reader("v.mkv", _video("v.mkv"), lambda: valid.video_files()[2:], _MESSAGES, share=0.15),
+    "images": Reader("a.png", _image, media.image_files, made.files_of(*made.IMAGE_MARKS), share=6),
+    "video, AVI": Reader("v.avi", _video("v.avi"), lambda: media.video_files()[:1], _MESSAGES, share=0.15),
+    "video, MP4": Reader("v.mp4", _video("v.mp4"), lambda: media.video_files()[1:2], _MESSAGES, share=0.15),
+    "video, Matroska": Reader("v.mkv", _video("v.mkv"), lambda: media.video_files()[2:], _MESSAGES, share=0.15),
     "bag, ROS 1": Reader("d.bag", _at("d.bag", lambda p: _check_drive(open_drive(p))), _bag(".bag"), _MESSAGES,
         share=0.3),
     "bag, ROS 2": Reader("drive.db3", _drive, _bag(".db3"), _MESSAGES, _beside_ros2(".db3"), share=0.15),

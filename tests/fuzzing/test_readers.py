@@ -7,8 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from .judging import outcome, prepare
 from .mutations import mutated
-from .readers import READERS, outcome, prepare
+from .readers import READERS
 
 CORPUS = Path(__file__).parent / "corpus"  # files that once made a reader fail
 SLOW = ("video", "bag")

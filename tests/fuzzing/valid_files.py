@@ -1,8 +1,6 @@
 """Small valid files of every kind that is read, and the recordings that they belong to."""
 
 import io
-import tempfile
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -22,13 +20,11 @@ from slam.storage.landmarks import write_sightings
 from slam.storage.tables import FrameTable, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 
-from ..slam.datasets.layouts import BagStyle, taken, write_bag
 from ..slam.report import fabricate
+from .valid_media import IMAGE, SIZE, written
 
-SIZE = (16, 12)
 TIMES = np.array([0.0, 0.1, 0.2])
 POSES = np.stack([se3.exp(np.array([0.01, 0.02 * k, 0.0, 0.1, 0.0, 1.0 * k])) for k in range(3)])
-IMAGE = np.random.default_rng(0).integers(0, 255, SIZE[::-1], np.uint8)
 CALIB = "".join(f"P{k}: 10 0 8 {-5.0 * (k % 2)} 0 10 6 0 0 0 1 0\n" for k in range(4)).encode()
 CAMERA = "fx = 10\nfy = 10\ncx = 7.5\ncy = 5.5\n"
 SENSOR = """T_BS:
@@ -110,47 +106,6 @@ def camera_files() -> list[bytes]:
     return [text.encode() for text in texts]
 
 
-def image_files() -> list[bytes]:
-    colour = np.dstack([IMAGE] * 3)
-    deep = IMAGE.astype(np.uint16) << 8
-    encoded = [(s, IMAGE) for s in (".png", ".jpg", ".bmp", ".pgm", ".tiff")]
-    encoded += [
-        (".png", colour),
-        (".jpg", colour),
-        (".ppm", colour),
-        (".tiff", colour),
-        (".png", deep),
-        (".tiff", deep),
-    ]
-    return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in encoded]
-
-
-def video_files() -> list[bytes]:
-    return [_written(name, lambda path, c=codec: _write_video(path, c)) for name, codec in VIDEOS]
-
-
-VIDEOS = (("v.avi", "MJPG"), ("v.mp4", "mp4v"), ("v.mkv", "MJPG"))
-
-
-def _write_video(path: Path, codec: str) -> None:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10, (32, 24))
-    for k in range(3):
-        writer.write(np.full((24, 32, 3), 60 * k, np.uint8))
-    writer.release()
-
-
-@cache
-def bags() -> dict[str, bytes]:
-    """A bag of each kind of storage, by the suffix of its file."""
-    drive = taken("ideal", 3)
-    grey = replace(drive, pairs=[(np.full_like(left, 90), np.full_like(right, 90)) for left, right in drive.pairs])
-    with tempfile.TemporaryDirectory() as name:
-        written = [write_bag(Path(name) / kind, grey, BagStyle(kind, "png")) for kind in ("ros1", "sqlite3", "mcap")]
-        files = [path if path.is_file() else next(path.glob("drive*")) for path in written]
-        metadata = {f"{file.suffix}.yaml": file.with_name("metadata.yaml").read_bytes() for file in files[1:]}
-        return {file.suffix: file.read_bytes() for file in files} | metadata
-
-
 def graphs() -> list[bytes]:
     space = " ".join(str(float(i == j)) for i in range(6) for j in range(i, 6))
     return [
@@ -162,11 +117,11 @@ def graphs() -> list[bytes]:
 
 
 def poses_kitti() -> bytes:
-    return _written("a.txt", lambda path: write_kitti(path, POSES))
+    return written("a.txt", lambda path: write_kitti(path, POSES))
 
 
 def poses_tum() -> bytes:
-    return b"# t tx ty tz qx qy qz qw\n" + _written("a.tum", lambda path: write_tum(path, TIMES, POSES))
+    return b"# t tx ty tz qx qy qz qw\n" + written("a.tum", lambda path: write_tum(path, TIMES, POSES))
 
 
 @cache
@@ -177,9 +132,9 @@ def tables() -> dict[str, bytes]:
         np.array([0.3, np.nan, 0.4]), {"track": np.array([1.0, 2.0, np.nan])},
     )  # fmt: skip
     return {
-        "frames.csv": _written("a.csv", lambda path: write_frames(path, few)),
-        "loops.csv": _written("a.csv", lambda path: write_loops(path, record.loops[:3])),
-        "loop_stages.csv": _written("a.csv", lambda path: write_stages(path, record.stages[:3])),
+        "frames.csv": written("a.csv", lambda path: write_frames(path, few)),
+        "loops.csv": written("a.csv", lambda path: write_loops(path, record.loops[:3])),
+        "loop_stages.csv": written("a.csv", lambda path: write_stages(path, record.stages[:3])),
         "matches.csv": b"query,match,score,accepted,inliers,verified\n5,,0.0,false,,true\n6,1,0.75,true,30,true\n",
         "metrics.json": b'{"schema": 1, "frames": 4, "odometry": {"ate_m": 0.5, "t_rel": null}, "notes": {"a": "b"}}',
     }
@@ -189,7 +144,7 @@ def calibration() -> bytes:
     from odometry.calibration import Calibration, CalibrationConfig
 
     learned = Calibration.unknown(StereoCamera(10, 10, 8, 6, 0.5, *SIZE), CalibrationConfig())
-    return _written("a.toml", lambda path: write_calibration(path, learned))
+    return written("a.toml", lambda path: write_calibration(path, learned))
 
 
 def configurations() -> list[bytes]:
@@ -214,7 +169,7 @@ def vocabularies() -> list[bytes]:
     signs = np.where(words > 0, 0.5, -0.5).astype(np.float32)
     kinds = (("surf-upright-64", words), ("orb", signs))
     return [
-        _written("a.vocabulary", lambda path, k=kind, w=rows: save_vocabulary(path, Vocabulary(k, w, w[:, 0] + 1)))
+        written("a.vocabulary", lambda path, k=kind, w=rows: save_vocabulary(path, Vocabulary(k, w, w[:, 0] + 1)))
         for kind, rows in kinds
     ]
 
@@ -244,7 +199,7 @@ def arrays(name: str, value: np.ndarray) -> list[bytes]:
 
 def sightings() -> list[bytes]:
     camera = StereoCamera(10, 10, 8, 6, 0.5, *SIZE)
-    return [_written("a.npz", lambda path: write_sightings(path, np.array([0, 0, 2], np.int32), camera))]
+    return [written("a.npz", lambda path: write_sightings(path, np.array([0, 0, 2], np.int32), camera))]
 
 
 def array_files(*values: np.ndarray) -> list[bytes]:
@@ -260,15 +215,8 @@ def array_files(*values: np.ndarray) -> list[bytes]:
 def clouds() -> list[bytes]:
     cloud = Cloud(np.array([[0.0, 1, 2], [3, 4, 5]]), np.array([10, 200], np.uint8))
     text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
-    return [_written("a.ply", lambda path: write_cloud(path, cloud)), text]
+    return [written("a.ply", lambda path: write_cloud(path, cloud)), text]
 
 
 def toml(values: dict[str, object]) -> bytes:
     return tomli_w.dumps(values).encode("utf-8", "surrogatepass")
-
-
-def _written(name: str, write: object) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        write(path)  # type: ignore[operator]
-        return path.read_bytes()

@@ -1,16 +1,21 @@
 """What a run does when the world fails it: one line that says so, and nothing half-written."""
 
 import os
+import re
 import resource
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from place_recognition.map.record_file import RecordFile
 from slam import cli, run
+from slam.errors import OutputError
 from slam.storage.metrics import read_metrics
+from slam.viewer.recording_file import RecordingFile
 
 from .datasets.layouts import taken, write_folders
 
@@ -84,6 +89,36 @@ def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
     assert "recording.rrd: expected room for the recording" in " ".join(capfd.readouterr().err.split())
     assert {item.name for item in (tmp_path / "out").iterdir()} == set(sizes) - {"recording.rrd"}
     assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
+
+
+def test_whoever_writes_a_recording_never_waits_for_a_full_disk(tmp_path: Path) -> None:
+    with largest_file(100_000):
+        for size, fits in ((1000, True), (1 << 22, False)):
+            file = RecordingFile(tmp_path / "recording.rrd")
+            with file.pipe.open("wb") as pipe:
+                pipe.write(bytes(size))
+            with nullcontext() if fits else pytest.raises(OutputError, match=r"recording\.rrd: expected room"):
+                file.close()
+            assert (tmp_path / "recording.rrd").exists() == fits
+
+
+def test_a_temporary_disk_that_is_full_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def remember() -> None:
+        file = RecordFile(np.dtype([("x", "f8", 100)]), in_memory=2)
+        for _ in range(10):
+            file.append(np.zeros((), file.dtype))
+
+    with largest_file(1000):
+        assert cli._exit_code(remember) == 1
+    assert re.search(r"older images in .* point TMPDIR at a larger disk", only_line(capsys))
+
+
+def test_other_errors_of_the_system_keep_their_traceback() -> None:
+    def fail() -> None:
+        raise FileNotFoundError(2, "a bug")
+
+    with pytest.raises(FileNotFoundError):
+        cli._exit_code(fail)
 
 
 def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
