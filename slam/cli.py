@@ -168,6 +168,40 @@ def run(
 
 
 @app.command()
+def reprocess(
+    map_: Annotated[Path, typer.Argument(metavar="MAP", help="Map of one drive: a map.db, or a run with one.")],
+    out: Out,
+    paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
+    robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
+    source: Annotated[Path | None, typer.Option(help="The recording, if it is no longer where it was.")] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find the loops of a drive again, with other settings: motions and landmarks are taken from its map.
+
+    What is not given stays as it was. The images are read again, for the recogniser.
+
+    Example: revisit reprocess runs/kitti05 --paradigm hierarchical-places --out runs/kitti05-hp
+    """
+    from dataclasses import replace
+
+    from slam.map_store.remembered import source_of
+    from slam.run import RunOptions, run_recorded
+
+    found = source_of(map_)
+    found = found if source is None else replace(found, path=source)
+    options = RunOptions(
+        found.path, found.sequence, out, "none", overwrite, again=map_, config=config, kind=found.kind, fps=found.fps,
+        topics=found.topics,
+    )  # fmt: skip
+    chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}
+    settings = {name: value for name, value in chosen.items() if value is not None}
+    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+@app.command()
 def places(
     source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
     paradigm: Annotated[str, typer.Option(help=f"One of: {PARADIGM_NAMES}.")],

@@ -21,8 +21,8 @@ class Eyes(Protocol):
     """Answers how the camera moved since the previous frame, and how far away what it shows is."""
 
     @property
-    def odometry(self) -> StereoOdometry | MonoOdometry:
-        """What does the work."""
+    def odometry(self) -> StereoOdometry | MonoOdometry | None:
+        """What does the work; None where it has been done before."""
         ...
 
     def track(self, frame: Frame) -> Motion:

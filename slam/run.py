@@ -20,8 +20,17 @@ from slam.datasets.source import Source
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError, OutputError
 from slam.map_store.keeping import Keeper, NewDrive, NullKeeper, open_keeper
-from slam.map_store.known import check_fits, read_known
-from slam.map_store.resuming import Stopped, check_same, check_unfinished, find_stopped, is_complete, take_over
+from slam.map_store.known import Known, check_fits, read_known
+from slam.map_store.remembered import Build, read_drive, remembering
+from slam.map_store.resuming import (
+    Stopped,
+    check_drive,
+    check_same,
+    check_unfinished,
+    find_stopped,
+    is_complete,
+    take_over,
+)
 from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
@@ -59,6 +68,7 @@ class RunOptions:
         fps: images a second, where no file says when they were taken.
         topics: of a bag, left and right; empty to find them.
         command: that makes this run, where it is not what was typed.
+        again: map of the same drive, whose motions and landmarks are taken over; None to measure them.
     """
 
     source: Path
@@ -73,6 +83,7 @@ class RunOptions:
     fps: float | None = None
     topics: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
+    again: Path | None = None
 
     @property
     def recording(self) -> Source:
@@ -100,7 +111,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
         return False
     known = read_known(options.map_file) if options.map_file and not stopped else None
-    config = configure(options, settings, stopped.config if stopped else known.config if known else None)
+    config = configure(options, settings, _settings_so_far(options, stopped, known))
     drive = open_source(options.recording)
     if not drive.has_right and not config.mono:
         raise DataError(
@@ -108,6 +119,8 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         )
     if known:
         check_fits(known, drive, config)
+    if options.again:
+        check_drive(read_drive(options.again), drive)
     origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
     run = stopped.run if stopped else uuid4().hex
     new = NewDrive(drive.name, drive.camera, origin | {"run": run}, known.map_file if known else None)
@@ -116,7 +129,8 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
             open_keeper(folder, config, new) as keeper,
             shown(open_viewer(options, config, drive, folder.path, run), messages) as viewer,
         ):
-            finished = drive_through(drive, config, viewer, messages, keeper)
+            build = remembering(options.again) if options.again else build_parts
+            finished = drive_through(drive, config, viewer, messages, keeper, build)
             record = make_record(finished, origin)
             viewer.finish(record)
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
@@ -125,6 +139,13 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
     results.print(summary(record))
     results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
     return finished.interrupted
+
+
+def _settings_so_far(options: RunOptions, stopped: Stopped | None, known: Known | None) -> RunConfig | None:
+    """Settings of what the run goes on with; None where it begins anew."""
+    if stopped or known:
+        return (stopped or known).config  # type: ignore[union-attr]
+    return read_drive(options.again).config if options.again else None
 
 
 def _folder(options: RunOptions, stopped: Stopped | None, drive: Dataset, config: RunConfig) -> RunFolder:
@@ -188,7 +209,12 @@ def shown(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
 
 
 def drive_through(
-    drive: Dataset, config: RunConfig, viewer: Viewer, messages: Console, keeper: Keeper | None = None
+    drive: Dataset,
+    config: RunConfig,
+    viewer: Viewer,
+    messages: Console,
+    keeper: Keeper | None = None,
+    build: Build = build_parts,
 ) -> Finished:
     """Take the frames one by one; what is known when the drive ends, or when the user stops it.
 
@@ -196,11 +222,11 @@ def drive_through(
     """
     import cv2
 
-    warm_up(drive, config)
+    warm_up(drive, config, build)
     cv2.setRNGSeed(config.seed)
     rows = MatrixRows(_MATRIX_ROWS)
     keeper = keeper or NullKeeper()
-    slam = Slam(build_parts(drive.camera, config, rows), keeper.beginning)
+    slam = Slam(build(drive.camera, config, rows), keeper.beginning)
     watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     behind = keeper.recall(slam, rows, drive_log)
     watcher.recall(drive_log)
@@ -223,9 +249,9 @@ def drive_through(
     return Finished(drive, config, slam, drive_log, rows, ended.optimized, stop.made, seconds, behind, ended.met)
 
 
-def warm_up(drive: Dataset, config: RunConfig) -> None:
+def warm_up(drive: Dataset, config: RunConfig, build: Build = build_parts) -> None:
     """Have everything compiled by driving the first frames once, so that the clock counts driving alone."""
-    slam = Slam(build_parts(drive.camera, config))
+    slam = Slam(build(drive.camera, config, None))
     for index in range(min(_WARM_UP_FRAMES, len(drive))):
         slam.process(drive[index])
 

@@ -91,19 +91,27 @@ def check_same(stopped: Stopped, drive: Dataset, config: RunConfig) -> None:
         ConfigError: other settings.
         DataError: another drive.
     """
-    file, frames = stopped.map_file, stopped.frames
     if config != stopped.config:
         raise ConfigError(
-            f"{file}: the run was made with other settings than these; leave them out with --resume, "
+            f"{stopped.map_file}: the run was made with other settings than these; leave them out with --resume, "
             "or begin anew with --overwrite"
         )
-    with MapStore.open(file) as store:
+    check_drive(stopped, drive)
+
+
+def check_drive(stopped: Stopped, drive: Dataset) -> None:
+    """Check that a recording is the one of which a map was made.
+
+    Raises:
+        DataError: it is another one.
+    """
+    with MapStore.open(stopped.map_file) as store:
         times = store.timestamps(stopped.session.number)
-    same_times = np.array_equal(drive.timestamps[:frames], times)  # false, too, where there are fewer
+    same_times = np.array_equal(drive.timestamps[: stopped.frames], times)  # false, too, where there are fewer
     if drive.camera != stopped.session.camera or not same_times:
         raise DataError(
-            f"{file}: expected the drive that it was made of ({stopped.session.provenance.get('source')}, "
-            f"{frames} frames so far), found another; give that one, or begin anew with --overwrite"
+            f"{stopped.map_file}: expected the drive that it was made of ({stopped.session.provenance.get('source')}, "
+            f"{stopped.frames} frames so far), found another; give that one, or begin anew with --overwrite"
         )
 
 

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from slam.errors import ConfigError, DataError, OutputError
+from slam.map_store.remembered import source_of
 from slam.map_store.resuming import find_stopped
 from slam.map_store.store import MapStore
 from slam.run import RunOptions, run_recorded
@@ -176,3 +177,25 @@ def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive:
 def test_without_a_map_nothing_is_kept(drive: Path, tmp_path: Path):
     run(drive, tmp_path / "out", keep_map=False)
     assert not (tmp_path / "out" / "map.db").exists()
+
+
+def test_the_same_loops_are_found_again_without_odometry(undisturbed: Path, tmp_path: Path):
+    again = source_of(undisturbed)
+    options = RunOptions(again.path, again.sequence, tmp_path / "again", again=undisturbed)
+    run_recorded(options, WITHOUT_RECORDING, QUIET, QUIET)
+    found, expected = results(tmp_path / "again"), results(undisturbed)
+    expected.pop("calibration.toml")  # nothing new was learned of it
+    assert [name for name in expected if found[name] != expected[name]] == []
+
+
+def test_other_loops_are_found_with_another_paradigm(undisturbed: Path, circle_drive: Path, tmp_path: Path):
+    again = source_of(undisturbed)
+    options = RunOptions(again.path, again.sequence, tmp_path / "other", again=undisturbed)
+    run_recorded(options, WITHOUT_RECORDING | {"paradigm": "global-descriptor"}, QUIET, QUIET)
+    metrics = json.loads((tmp_path / "other" / "metrics.json").read_text())
+    assert metrics["places"]["paradigm"] == "global-descriptor"
+    name = "trajectory_odometry.txt"
+    assert (tmp_path / "other" / name).read_bytes() == (undisturbed / name).read_bytes()
+    elsewhere = RunOptions(circle_drive, None, tmp_path / "never", again=undisturbed)
+    with pytest.raises(DataError, match="expected the drive that it was made of"):
+        run_recorded(elsewhere, WITHOUT_RECORDING, QUIET, QUIET)
