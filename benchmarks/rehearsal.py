@@ -35,10 +35,11 @@ def run_all(drive: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     names = ", ".join(f'"{name}"' for name in PARADIGMS)
     config = out / "rehearsal.toml"
-    config.write_text(f'paradigms = [{names}]\nrecord = true\n\n[[sources]]\npath = "{drive.resolve()}"\nname = "kitti00"\n')
-    command = "from slam.cli import main; main()"
-    subprocess.run([sys.executable, "-c", command, "benchmark", str(config), "--out", str(out / "runs"), "--workers", "0"],
-                   check=True)  # fmt: skip
+    config.write_text(
+        f'paradigms = [{names}]\nrecord = true\n\n[[sources]]\npath = "{drive.resolve()}"\nname = "kitti00"\n'
+    )
+    command = [sys.executable, "-c", "from slam.cli import main; main()", "benchmark", str(config)]
+    subprocess.run([*command, "--out", str(out / "runs"), "--workers", "0"], check=True)
 
 
 def slowdown(run: Path) -> float:
@@ -60,7 +61,9 @@ def main() -> None:
     drive = arguments.drive or arguments.out / "drive"
     render(arguments.poses, drive)
     run_all(drive, arguments.out)
-    table = Table("paradigm", "frames/s", "end/begin", "memory MB", "ATE m", "corrected", "kept", "false", "R@P100", "±10")
+    table = Table(
+        "paradigm", "frames/s", "end/begin", "memory MB", "ATE m", "corrected", "kept", "false", "R@P100", "±10"
+    )
     for run in sorted((arguments.out / "runs" / "jobs").iterdir()):
         if not (run / "metrics.json").is_file():
             continue

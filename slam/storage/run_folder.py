@@ -126,7 +126,10 @@ class RunFolder:
 
 def unfinished(path: Path) -> list[Path]:
     """Folders of runs into `path` that have not ended, or were killed."""
-    return sorted(path.glob(f"{STAGING}*")) if path.is_dir() else []
+    try:
+        return sorted(path.glob(f"{STAGING}*")) if path.is_dir() else []
+    except OSError:  # a name that none can have
+        return []
 
 
 def _move_all(moves: list[tuple[Path, Path]]) -> None:

@@ -71,21 +71,25 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_behind(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with largest_file(500):
-        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 1
+        assert revisit(recording, "--out", tmp_path / "out", "--no-record", "--no-map") == 1
     assert "cannot be written, File too large; choose another folder or make room" in only_line(capsys)
+    assert list(tmp_path.iterdir()) == []
+    with largest_file(100_000):  # the tables fit, the first frames do not
+        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 1
+    assert "map.db: the map cannot be written" in only_line(capsys)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
     recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert revisit(recording, "--out", tmp_path / "whole") == 0
+    assert revisit(recording, "--out", tmp_path / "whole", "--no-map") == 0
     sizes = {item.name: item.stat().st_size for item in (tmp_path / "whole").iterdir()}
     largest = max(size for name, size in sizes.items() if name != "recording.rrd")
     assert sizes["recording.rrd"] > 1.2 * largest
     capfd.readouterr()
     with largest_file(int(1.1 * largest)):
-        assert revisit(recording, "--out", tmp_path / "out") == 0
+        assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
     assert "recording.rrd: expected room for the recording" in " ".join(capfd.readouterr().err.split())
     assert {item.name for item in (tmp_path / "out").iterdir()} == set(sizes) - {"recording.rrd"}
     assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
