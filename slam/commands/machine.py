@@ -1,0 +1,62 @@
+"""The command that looks at this machine."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from json import dumps
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from slam.commands.options import EXIT_FAILED
+
+if TYPE_CHECKING:
+    from slam.doctor import Check
+
+
+def doctor(
+    licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Check Python, the wheels and the system libraries; say what is missing and what to type.
+
+    Example: revisit doctor
+    """
+    if licences:
+        _print_licences(json)
+        return
+    from slam.doctor import check_machine
+
+    checks = check_machine()
+    (_print_json if json else _print_checks)(checks)
+    raise typer.Exit(EXIT_FAILED if any(check.problem for check in checks) else 0)
+
+
+def _print_checks(checks: Sequence["Check"]) -> None:
+    from rich.markup import escape
+
+    for check in checks:
+        mark = "[red]missing[/red]" if check.problem else "[green]ok[/green]"
+        words = escape(f"{check.name} {check.found}{check.problem}")
+        Console().print(f"{mark:>8}  {words}", highlight=False, soft_wrap=True)
+        if check.remedy:
+            Console().print(f"          type: {check.remedy}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_json(rows: Sequence[Any]) -> None:
+    """Print dataclasses as a list of objects."""
+    Console().print(dumps([asdict(row) for row in rows], indent=2), markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_licences(as_json: bool) -> None:
+    from rich.table import Table
+
+    from slam.licences import licences
+
+    if as_json:
+        _print_json(licences())
+        return
+    table = Table("package", "version", "licence", "needed by", title="What Revisit is installed with", box=None)
+    for one in licences():
+        table.add_row(one.package, one.version, one.licence, "Revisit" if one.direct else "another package")
+    Console().print(table)
