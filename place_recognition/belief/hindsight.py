@@ -36,8 +36,8 @@ class HindsightConfig:
     matches; twice and half of `near` and `bridged` give the same to 0.01. `weak` was chosen on those and on a drive
     along the way of KITTI 00, where kerbs and cars of one make at the same distances agreed over 26 m of two streets,
     with 5 to 31 for each image, and 300 in all: R@P100 rises from 0.89-0.92 to 0.94-0.96 there, and falls by 0.01 at
-    most elsewhere. With that, `alone` could go from 4 to 8, which tells
-    more of the images with which a revisit begins and ends.
+    most elsewhere. With that, `alone` could go from 4 to 6, which tells
+    more of the images with which a revisit begins and ends; 8 tells more of those before and after as well.
 
     Attributes:
         window: images before and after one that speak for it; an answer is late by so many. Of its matches within so
@@ -61,7 +61,7 @@ class HindsightConfig:
     most: float = 20.0
     slack: float = 2.0
     growth: float = 0.1
-    alone: float = 8.0
+    alone: float = 6.0
     near: int = 5
     bridged: float = 10.0
     weak: float = 5.0
