@@ -176,7 +176,7 @@ class MapStore:
         """
         try:
             yield
-        except (sqlite3.Error, ValueError, KeyError, TypeError) as error:
+        except (sqlite3.Error, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
             raise schema.damaged(self.path, error) from error
 
     def add_session(self, session: Session) -> None:

@@ -185,3 +185,13 @@ def test_a_damaged_piece_is_told_in_one_line(drive: Every, tmp_path: Path):
         drive_on(drive, config, keeper)
     assert str(path) in str(told.value)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(("table", "column"), [("frame", "reason"), ("session", "camera"), ("landmark", "grey")])
+def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
+    config, path = RunConfig(paradigm="global-descriptor"), tmp_path / "map.db"
+    with kept(path, drive, config) as (store, keeper):
+        drive_on(drive, config, keeper, 3)
+        store._connection.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO damaged")
+    with MapStore.open(path) as store, pytest.raises(DataError, match="expected a map store, found a damaged one"):
+        _ = store.sessions(), list(store.frames())
