@@ -9,12 +9,8 @@ a metre is in the odometry's unit, in each eighth of the drive: how far it drift
 clock starts; "cpu" is the processor time of all threads, which a busy machine disturbs less than the clock.
 """
 
-import argparse
-from pathlib import Path
-
-import cv2
 import numpy as np
-from odometry_drives import Array, Drive, StageTimes, chained, way
+from odometry_drives import Array, Drive, StageTimes, chained, measure, way
 
 from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
 from odometry.bundle import Bundle
@@ -64,20 +60,5 @@ def report(drive: Drive, times: StageTimes) -> None:
     times.print()
 
 
-def main() -> None:
-    """Parse the command line and measure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
-    parser.add_argument("sequences", nargs="+")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    arguments = parser.parse_args()
-    cv2.setNumThreads(arguments.threads)
-    times = StageTimes(STAGES)
-    track(Drive(arguments.root, arguments.sequences[0], 20), times)  # compiles and warms up
-    for name in arguments.sequences:
-        report(Drive(arguments.root, name, arguments.frames), times)
-
-
 if __name__ == "__main__":
-    main()
+    measure(__doc__, STAGES, track, report)

@@ -8,12 +8,8 @@ all threads, which a busy machine disturbs less than the clock; LIBVISO2's times
 an idle one.
 """
 
-import argparse
-from pathlib import Path
-
-import cv2
 import numpy as np
-from odometry_drives import Drive, StageTimes, chained, end_error, way
+from odometry_drives import Drive, StageTimes, chained, end_error, measure, way
 
 from odometry import Motion, StereoOdometry, front_end, locating, se3
 from odometry.window import SlidingWindow
@@ -56,20 +52,5 @@ def report(drive: Drive, times: StageTimes) -> None:
     times.print()
 
 
-def main() -> None:
-    """Parse the command line and measure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
-    parser.add_argument("sequences", nargs="+")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    arguments = parser.parse_args()
-    cv2.setNumThreads(arguments.threads)
-    times = StageTimes(STAGES)
-    track(Drive(arguments.root, arguments.sequences[0], 20), times)  # compiles and warms up
-    for name in arguments.sequences:
-        report(Drive(arguments.root, name, arguments.frames), times)
-
-
 if __name__ == "__main__":
-    main()
+    measure(__doc__, STAGES, track, report)

@@ -1,5 +1,6 @@
 """Reading drives in KITTI's layout for the benchmarks of the odometry, and running it over them."""
 
+import argparse
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -135,3 +136,30 @@ def end_error(poses: Array, truth: Array) -> float:
     if len(truth) < 2:
         return float("nan")
     return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / way(truth)
+
+
+def measure(
+    told: str | None,
+    stages: tuple[tuple[Any, str, str], ...],
+    track: Callable[[Drive, StageTimes], object],
+    report: Callable[[Drive, StageTimes], None],
+) -> None:
+    """Parse a command line that names drives, and report on each.
+
+    Args:
+        told: what `--help` says.
+        stages: of the odometry, for the clock.
+        track: runs it over a drive; called once before anything is measured, as that compiles.
+        report: runs it and prints what it was like.
+    """
+    parser = argparse.ArgumentParser(description=told, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", type=Path)
+    parser.add_argument("sequences", nargs="+")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(arguments.threads)
+    times = StageTimes(stages)
+    track(Drive(arguments.root, arguments.sequences[0], 20), times)
+    for name in arguments.sequences:
+        report(Drive(arguments.root, name, arguments.frames), times)

@@ -72,7 +72,7 @@ def main() -> None:
         table.add_row(
             places["paradigm"], f"{m['frames_per_second']:.1f}", f"{slowdown(run):.2f}", f"{m['peak_memory_mb']:.0f}",
             f"{m['odometry']['ate_m']:.2f}", f"{m['corrected']['ate_m']:.2f}", str(loops["kept"]), str(loops["false"]),
-            f"{places['recall_at_100_precision']:.3f}", f"{places['tolerance_10']['recall_at_100_precision']:.3f}",
+            f"{places['recall_at_100_precision']:.4f}", f"{places['tolerance_10']['recall_at_100_precision']:.4f}",
         )  # fmt: skip
     Console(width=120).print(table)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.camera import StereoCamera
+from odometry.camera import PinholeCamera, StereoCamera
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 _MEDIAN_3 = 2.366  # median of chi-square, 3 degrees of freedom
 _LIMIT_3 = 16.27  # its 99.9 % quantile
 _MAD_TO_SIGMA = 1.4826  # of Gauss
-_MIN_LANDMARKS = 6  # below this a pose has nothing to be checked against
+MIN_LANDMARKS = 6  # below this a pose has nothing to be checked against
 _ROUNDS = 15  # of reweighting at most
 _SETTLED = 1e-5  # rad and m: a step below this ends it
 _POLISH = 2  # steps of plain least squares on the inliers
@@ -110,7 +110,7 @@ def compare_units(camera: StereoCamera, points_a: Array, points_b: Array, config
     seen = se3.transform(se3.inverse(T_a_b), points_a)
     off = _stereo_pixels(camera, seen)[:, :2] - _stereo_pixels(camera, points_b)[:, :2]
     good = (np.linalg.norm(off, axis=1) < config.ransac_error_px) & (seen[:, 2] > 0)
-    if good.sum() < _MIN_LANDMARKS:
+    if good.sum() < MIN_LANDMARKS:
         return SAME_UNIT
     logs = np.log(seen[good, 2] / points_b[good, 2])
     middle = float(np.median(logs))
@@ -118,35 +118,50 @@ def compare_units(camera: StereoCamera, points_a: Array, points_b: Array, config
     return Unit(middle, float(np.hypot(spread / np.sqrt(good.sum()), config.systematic_unit)))
 
 
-def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Array | None:
-    """First guess of T_a_b (4, 4) from a's points and b's left pixels; OpenCV seeds its generator itself.
+def pose_from_pixels(
+    camera: PinholeCamera, points: Array, pixels: Array, error_px: float, iterations: int
+) -> Array | None:
+    """First guess of T_points_camera (4, 4) from points (K, 3) and the pixels (K, 2) that show them, or None.
 
-    The guess that RANSAC returns is EPnP's on its inliers, which a few landmarks at kilometres, of a disparity near
-    zero, throw off by metres. SQPnP (Terzakis, Lourakis, ECCV 2020) bears them.
+    OpenCV seeds its generator itself. The guess that RANSAC returns is EPnP's on its inliers, which a few landmarks at
+    kilometres, of a disparity near zero, throw off by metres. SQPnP (Terzakis, Lourakis, ECCV 2020) bears them.
+
+    Args:
+        camera: intrinsics.
+        points: in whatever frame the pose is to be found in.
+        pixels: of the camera.
+        error_px: reprojection error of an inlier.
+        iterations: samples drawn at most.
     """
-    if len(points_a) < _MIN_LANDMARKS:
+    if len(points) < MIN_LANDMARKS:
         return None
-    pixels_b = np.ascontiguousarray(_stereo_pixels(camera, points_b)[:, :2])
+    points, pixels = np.ascontiguousarray(points), np.ascontiguousarray(pixels)
     try:
         found, _, _, agree = cv2.solvePnPRansac(
-            points_a,
-            pixels_b,
+            points,
+            pixels,
             camera.K,
             None,
-            iterationsCount=config.ransac_iterations,
-            reprojectionError=config.ransac_error_px,
+            iterationsCount=iterations,
+            reprojectionError=error_px,
             confidence=0.9999,
             flags=cv2.SOLVEPNP_AP3P,
         )
         if not found or agree is None:
             return None
         agree = agree[:, 0]
-        found, w, t = cv2.solvePnP(points_a[agree], pixels_b[agree], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
+        found, w, t = cv2.solvePnP(points[agree], pixels[agree], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
     except cv2.error:  # thrown on degenerate configurations
         return None
     if not found or not np.isfinite(w).all() or not np.isfinite(t).all():
         return None
     return se3.inverse(se3.pose(cv2.Rodrigues(w)[0], t[:, 0]))
+
+
+def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Array | None:
+    """First guess of T_a_b (4, 4) from a's points and b's left pixels."""
+    pixels_b = _stereo_pixels(camera, points_b)[:, :2]
+    return pose_from_pixels(camera, points_a, pixels_b, config.ransac_error_px, config.ransac_iterations)
 
 
 def _refined(
@@ -163,7 +178,7 @@ def _refined(
     chi2 = system.linearize(T_a_b)
     # The better half tells the noise; where most matches are wrong it tells nothing, hence the bound.
     inliers = chi2 < _LIMIT_3 * np.clip(np.median(chi2) / _MEDIAN_3, 1.0, 4.0)
-    if inliers.sum() < _MIN_LANDMARKS:
+    if inliers.sum() < MIN_LANDMARKS:
         return None
     for _ in range(_POLISH):
         T_a_b = T_a_b @ se3.exp(system.step(inliers))
@@ -200,7 +215,7 @@ class _System:
         shift = np.array([0.0, 0.0, 1.0]) - np.einsum("kij,kj->ki", rotated, self._to_point[:, :, 2])
         self._shift = (whiten @ shift[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of frame b by X x w - v
-        motion = np.concatenate([_hats(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        motion = np.concatenate([hats(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
         return np.asarray(np.sum(self._error**2, axis=1))
 
@@ -241,7 +256,7 @@ def _pixel_jacobian(camera: StereoCamera, points: Array) -> Array:
     return J
 
 
-def _hats(points: Array) -> Array:
+def hats(points: Array) -> Array:
     """Skew matrices (K, 3, 3) of points (K, 3)."""
     x, y, z = points.T
     o = np.zeros_like(x)

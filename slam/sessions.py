@@ -97,7 +97,7 @@ def meeting(
     put = np.einsum("kij,lj->kli", said[:, :3, :3], seen) + said[:, None, :3, 3]  # loop k about the image of loop l
     apart = np.linalg.norm(put - np.einsum("llj->lj", put)[None], axis=2)
     between = np.abs(ways[:, None] - ways)
-    turned = np.degrees(se3_angles(said))
+    turned = np.degrees(_angles(said))
     agree = (apart <= config.near_m + config.drift * between) & (turned <= config.near_deg + config.drift * between)
     best = int(agree.sum(axis=1).argmax())
     together = np.flatnonzero(agree[best])
@@ -106,7 +106,7 @@ def meeting(
     return np.asarray(said[best])
 
 
-def se3_angles(poses: Array) -> Array:
+def _angles(poses: Array) -> Array:
     """Angles (K, K), radians, between the rotations of poses (K, 4, 4)."""
     traces = np.einsum("kij,lij->kl", poses[:, :3, :3], poses[:, :3, :3])
     angles: Array = np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0))

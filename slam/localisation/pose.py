@@ -5,19 +5,18 @@ Errors live in pixels of the image: its own noise, and what the noise of the map
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import PinholeCamera
+from slam.loop_geometry import MIN_LANDMARKS, hats, pose_from_pixels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _MEDIAN_2 = 1.386  # median of chi-square, 2 degrees of freedom
 _LIMIT_2 = 13.82  # its 99.9 % quantile
-_MIN_POINTS = 6  # below this a pose has nothing to be checked against
 _ROUNDS = 15  # of reweighting at most
 _SETTLED = 1e-5  # rad and m: a step below this ends it
 _NEAREST = 0.3  # m; nothing is seen closer
@@ -84,7 +83,9 @@ class CameraPose:
 
 def camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
     """Pose of a camera by RANSAC, refined; None without consensus."""
-    start = _ransac(camera, matches, config)
+    start = pose_from_pixels(
+        camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations
+    )
     return None if start is None else refined_pose(camera, matches, start, config)
 
 
@@ -95,7 +96,7 @@ def refined_pose(
 
     Reweighted least squares, then a plain one on the inliers for an honest covariance.
     """
-    if len(matches) < _MIN_POINTS:
+    if len(matches) < MIN_LANDMARKS:
         return None
     system = _System(camera, matches, config)
     for _ in range(_ROUNDS):
@@ -107,7 +108,7 @@ def refined_pose(
     chi2 = system.linearize(T_base_camera)
     # The better half tells the noise; where most matches are wrong it tells nothing, hence the bound.
     inliers = chi2 < _LIMIT_2 * np.clip(np.median(chi2) / _MEDIAN_2, 1.0, 4.0)
-    if np.sum(inliers) < _MIN_POINTS:
+    if np.sum(inliers) < MIN_LANDMARKS:
         return None
     weights = inliers * _shared(matches.features, inliers)
     for _ in range(_POLISH):
@@ -129,33 +130,6 @@ def _shared(features: NDArray[np.int64], inliers: Mask) -> Array:
     return 1.0 / np.maximum(counts[features], 1.0)
 
 
-def _ransac(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> Array | None:
-    """First guess of T_base_camera (4, 4); OpenCV seeds its generator itself."""
-    if len(matches) < _MIN_POINTS:
-        return None
-    pixels, points = np.ascontiguousarray(matches.pixels), np.ascontiguousarray(matches.points_base)
-    try:
-        found, _, _, agree = cv2.solvePnPRansac(
-            points,
-            pixels,
-            camera.K,
-            None,
-            iterationsCount=config.ransac_iterations,
-            reprojectionError=config.ransac_error_px,
-            confidence=0.9999,
-            flags=cv2.SOLVEPNP_AP3P,
-        )
-        if not found or agree is None:
-            return None
-        agree = agree[:, 0]
-        found, w, t = cv2.solvePnP(points[agree], pixels[agree], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
-    except cv2.error:  # thrown on degenerate configurations
-        return None
-    if not found or not np.isfinite(w).all() or not np.isfinite(t).all():
-        return None
-    return se3.inverse(se3.pose(cv2.Rodrigues(w)[0], t[:, 0]))
-
-
 class _System:
     """The linearised errors of matches, whitened."""
 
@@ -175,7 +149,7 @@ class _System:
         whiten[~ahead] = 0.0
         self._error = (whiten @ (self._matches.pixels - pixels)[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of the camera's frame by X x w - v
-        motion = np.concatenate([_hats(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        motion = np.concatenate([hats(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
         return np.where(ahead, np.sum(self._error**2, axis=1), np.inf)
 
@@ -198,10 +172,3 @@ def _projected(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
     J[:, 0, 0], J[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
     J[:, 1, 1], J[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
     return pixels, J
-
-
-def _hats(points: Array) -> Array:
-    """Skew matrices (K, 3, 3) of points (K, 3)."""
-    x, y, z = points.T
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)

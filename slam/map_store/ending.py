@@ -11,7 +11,7 @@ from slam.config import RunConfig
 from slam.loop_closing import LoopClosure
 from slam.map_store.store import Corrected, MapStore, Session, Verdict
 from slam.robust import Optimized
-from slam.sessions import Drive, Joined, join, meeting
+from slam.sessions import Drive, Joined, Step, join, meeting
 
 Array = NDArray[np.float64]
 Images = NDArray[np.int64]
@@ -83,21 +83,22 @@ def conclude(store: MapStore, session: Session, optimized: Optimized, config: Ru
     meetings = [loop for loop in loops if loop[1].match < session.first_image <= loop[1].query]
     known = _known(store.sessions(), session, meetings)
     before = np.concatenate([_images(store, one) for one in known]) if known else np.empty(0, np.int64)
-    loops = [loop for loop in loops if np.isin([loop[1].match, loop[1].query], [*before, *images]).all()]
-    poses = store.poses()
-    between = [_counted(loop, before, images) for _, loop in meetings if loop.match in before]
+    everything = np.concatenate([before, images])
+    together, poses = set(everything.tolist()), store.poses()
+    loops = [loop for loop in loops if {loop[1].match, loop[1].query} <= together]
+    between = [_counted(loop, before, images) for _, loop in meetings if loop.match in together]
     T_map_session = meeting(poses[before], optimized.poses, between)
     if T_map_session is None:
         return Conclusion(alone, Ended(optimized, Met(verified=len(meetings))))
-    drives = [_drive(store, _images(store, one), poses) for one in known]
-    drives.append(_drive(store, images, poses, T_map_session @ optimized.poses))
-    everything = np.concatenate([before, images])
+    poses[images], steps = T_map_session @ optimized.poses, store.steps()
+    drives = [_drive(steps, poses, _images(store, one)) for one in (*known, session)]
     joined = join(drives, [_counted(loop, everything, everything) for _, loop in loops], config.graph, config.robust)
     corrected = Corrected(
         everything, joined.poses, np.ones(len(everything)), _verdicts(loops, joined.optimized), known[0].world
     )
     mine = np.array([loop.match >= session.first_image for _, loop in loops], bool)
-    met = _met(joined, known, [number in dict(meetings) for number, _ in loops])
+    across = np.array([loop.match < session.first_image <= loop.query for _, loop in loops], bool)
+    met = _met(joined, known, across)
     return Conclusion(corrected, Ended(_of_one(optimized, joined, mine), met))
 
 
@@ -122,9 +123,9 @@ def _images(store: MapStore, session: Session) -> Images:
     return session.first_image + np.arange(store.images(session.number))
 
 
-def _drive(store: MapStore, images: Images, poses: Array, own: Array | None = None) -> Drive:
-    steps = store.steps()[images[0] + 1 : images[-1] + 1]
-    return Drive(tuple(steps), poses[images] if own is None else own)
+def _drive(steps: Sequence[Step], poses: Array, images: Images) -> Drive:
+    """One of the drives of which these are all steps and poses."""
+    return Drive(tuple(steps[images[0] + 1 : images[-1] + 1]), poses[images])
 
 
 def _counted(loop: LoopClosure, matches: Images, queries: Images) -> LoopClosure:
@@ -152,6 +153,6 @@ def _of_one(alone: Optimized, joined: Joined, mine: NDArray[np.bool_]) -> Optimi
     )
 
 
-def _met(joined: Joined, known: Sequence[Session], across: Sequence[bool]) -> Met:
-    kept = joined.optimized.kept[np.array(across, bool)]
+def _met(joined: Joined, known: Sequence[Session], across: NDArray[np.bool_]) -> Met:
+    kept = joined.optimized.kept[across]
     return Met(True, len(kept), int(kept.sum()), tuple(one.number for one in known), joined.T_world_session)

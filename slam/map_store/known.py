@@ -6,7 +6,7 @@ from pathlib import Path
 from slam.config import RunConfig, parse_config
 from slam.datasets.dataset import Dataset
 from slam.errors import ConfigError, DataError
-from slam.map_store.store import MAP_FILE, MapStore, Session
+from slam.map_store.store import MapStore, Session, map_file
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def read_known(path: Path) -> Known:
     Raises:
         DataError: there is none, it is damaged, or its last drive has not ended.
     """
-    file = path / MAP_FILE if path.is_dir() else path
+    file = map_file(path)
     with MapStore.open(file) as store:
         sessions = store.sessions()
     if not sessions or not sessions[-1].finished:

@@ -254,7 +254,7 @@ class MapStore:
         with self.reading():
             best = "SELECT coalesce(T_world_camera, T_world_online) FROM frame ORDER BY image"
             content = b"".join(row[0] for row in self._connection.execute(best))
-            return np.frombuffer(content, "<f8").reshape(-1, 4, 4)
+            return unpack(content, "<f8", -1, 4, 4)
 
     def units(self) -> Array:
         """(N,) of length of each image, in that of the first."""
