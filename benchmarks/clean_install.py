@@ -87,9 +87,11 @@ def main() -> None:
     arguments = parser.parse_args()
     titles = ("python", "frames/s", "ATE odometry, corrected [m]", "loops kept, false", "install [s]", "--help [s]")
     table = Table(*titles, "images", "results")
-    for number, interpreter in enumerate(arguments.interpreters):
-        table.add_row(*install_and_drive(interpreter, arguments.install, arguments.out.resolve() / str(number)))
-    Console(width=160).print(table)
+    try:
+        for number, interpreter in enumerate(arguments.interpreters):
+            table.add_row(*install_and_drive(interpreter, arguments.install, arguments.out.resolve() / str(number)))
+    finally:  # the rows that there are, where a later interpreter fails
+        Console(width=160).print(table)
 
 
 if __name__ == "__main__":
