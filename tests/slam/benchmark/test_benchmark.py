@@ -115,6 +115,14 @@ def test_a_job_that_kills_whatever_does_it_is_given_up(tmp_path: Path, cluster: 
     assert outcomes["job1"] == ""
 
 
+def test_our_own_processes_share_the_cores_and_keep_the_memory_that_they_free(tmp_path: Path, cluster: Cluster):
+    def tells_its_settings(job: Job) -> Outcome:
+        return Outcome(job.name, {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MALLOC_TRIM_THRESHOLD_")})
+
+    (done,) = cluster.run(tells_its_settings, some_jobs(tmp_path, 1))
+    assert done.metrics == {"OMP_NUM_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": None}
+
+
 def test_an_existing_scheduler_is_used_and_left_running(tmp_path: Path, cluster: Cluster):
     def tells_its_process(job: Job) -> Outcome:
         return Outcome(job.name, {"process": os.getpid()})
