@@ -16,8 +16,8 @@ _LOOPBACK = "127.0.0.1"
 _ALLOWED_DEATHS = 2  # of processes of our own that do the same job
 _TRIES = 5  # to greet a scheduler
 _PATIENCE_S = 20  # until a scheduler that does not answer is given up
-# Dask has its processes give freed memory back at once, which serves large tables. A run takes and frees arrays with each
-# frame and pays for it with a third of its time, all in the kernel. None: as in any other process.
+# Dask has its processes give freed memory back at once, which serves large tables. A run takes and frees arrays with
+# each frame and pays for it with a third of its time, all in the kernel. None: as in any other process.
 _ENVIRONMENT = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
 
 
