@@ -21,11 +21,11 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from slam.benchmark.cluster import Cluster
 from slam.benchmark.command import carry_out, make_jobs
-from slam.benchmark.engine import Engine, OneProcess
 from slam.benchmark.job import Job, run_job
 from slam.benchmark.sweep import read_sweep
+from slam.engine.cluster import Cluster
+from slam.engine.engine import Engine, OneProcess
 
 WORKERS = 3
 # What holds times differs from run to run; of the metrics the rest is compared.

@@ -1,19 +1,23 @@
-"""Jobs on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
+"""Work on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
 
 import logging
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
+from itertools import count, islice
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
 
-from slam.benchmark.engine import Work
-from slam.benchmark.job import Job, Outcome
-from slam.errors import ConfigError
+from numpy.typing import NDArray
+
+from slam.engine.engine import Done, Item, Lost, Result, stored
+from slam.errors import ConfigError, EngineError
 
 _LOOPBACK = "127.0.0.1"
-_ALLOWED_DEATHS = 2  # of processes of our own that do the same job
+_ALLOWED_DEATHS = 2  # of processes of our own that do the same item
 _TRIES = 5  # to greet a scheduler
 _PATIENCE_S = 20  # until a scheduler that does not answer is given up
 # Dask has its processes give freed memory back at once, which serves large tables. A run takes and frees arrays with
@@ -22,9 +26,9 @@ _ENVIRONMENT = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": No
 
 
 class Cluster:
-    """Does each job in the next process that is free (an Engine).
+    """Does each item in the next process that is free (an Engine).
 
-    A job whose process dies is given to another one; after some deaths the job is taken for what kills them, and fails.
+    An item whose process dies is given to another one; after some deaths it is taken for what kills them, and fails.
     Processes of our own listen on the loopback device only.
     """
 
@@ -48,27 +52,72 @@ class Cluster:
         """Of the scheduler, once begun."""
         return str(self._client.scheduler.address)
 
-    def run(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        """Do the work for every job; each outcome as it comes."""
-        waiting, running, done = deque(jobs), dict[Any, Job](), self._distributed.as_completed()
-        mark = uuid4().hex[:8]  # of this command: a scheduler would take an equal name for a job that it has done
+    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
+        """Do the work for every item; what becomes of each as it comes."""
+        waiting, running, done = deque(items), dict[Any, Item](), self._distributed.as_completed()
+        submit = self._submitter(work)
 
         def fill() -> None:
             # No more than can be done at once: what waits at a process that dies would be suspected as well.
-            while waiting and len(running) < max(1, sum(self._client.nthreads().values())):
-                job = waiting.popleft()
-                future = self._client.submit(work, job, key=f"{job.name}-{mark}", pure=False)
-                running[future] = job
+            while waiting and len(running) < self._free:
+                item = waiting.popleft()
+                future = submit(item)
+                running[future] = item
                 done.add(future)
 
         try:
             fill()
             for future in done:
-                outcome = _outcome(running.pop(future), future)
+                item = running.pop(future)
+                ended = Done(item, future.result()) if future.status == "finished" else Lost(item, _reason(future))
                 fill()
-                yield outcome
+                yield ended
         finally:
             self._client.cancel(list(running))
+
+    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """The results in the order of the items; twice as many as can be done at once are begun ahead.
+
+        Raises:
+            EngineError: the processes that did an item died, or the scheduler was lost. What the work raises is raised.
+        """
+        waiting, begun, submit = iter(items), deque[Any](), self._submitter(work)
+        try:
+            while True:
+                begun.extend(map(submit, islice(waiting, max(0, 2 * self._free - len(begun)))))
+                if not begun:
+                    return
+                yield self._result(begun.popleft())
+        finally:
+            self._client.cancel(list(begun))
+
+    def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
+        """The array in a file of the folder.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        return stored(array, folder)
+
+    @property
+    def _free(self) -> int:
+        """Items that can be done at once."""
+        return max(1, sum(self._client.nthreads().values()))
+
+    def _submitter(self, work: Callable[[Item], Result]) -> Callable[[Item], Any]:
+        """What begins an item, and gives its future."""
+        mark = uuid4().hex[:8]  # of these items: a scheduler would take an equal name for what it has done
+        numbers = count()
+        return lambda item: self._client.submit(work, item, key=f"revisit-{mark}-{next(numbers)}", pure=False)
+
+    def _result(self, future: Any) -> Any:
+        deaths = (self._distributed.KilledWorker, CancelledError)
+        try:
+            return future.result()
+        except deaths:
+            raise EngineError(
+                f"expected worker processes that live, {_reason(future)}; give them more memory, or --workers 0"
+            ) from None
 
     def __enter__(self) -> Self:
         """Start the processes, or reach the scheduler.
@@ -122,11 +171,10 @@ class Cluster:
             )
 
 
-def _outcome(job: Job, future: Any) -> Outcome:
-    if future.status == "finished":
-        return future.result()
+def _reason(future: Any) -> str:
+    """Why there is no result, one line."""
     reason = " ".join(str(future.exception()).split()) if future.status == "error" else future.status
-    return Outcome(job.name, {}, f"the worker failed: {reason}")
+    return f"the worker failed: {reason}"
 
 
 def _library() -> Any:
@@ -134,7 +182,7 @@ def _library() -> Any:
         import distributed
     except ImportError:
         raise ConfigError(
-            "a benchmark on several processes needs dask.distributed, which is not installed; type: "
+            "several processes need dask.distributed, which is not installed; type: "
             "pip install 'revisit-slam[cluster]', or give --workers 0"
         ) from None
     return distributed
