@@ -8,6 +8,7 @@ The ideal is the processor time of the single process divided by the cores there
 import argparse
 import json
 import os
+import resource
 import signal
 import tempfile
 import threading
@@ -38,7 +39,7 @@ class Measured:
     """A sweep that has been run.
 
     Attributes:
-        wall, processor: seconds; the processor's those of this process and its threads alone.
+        wall, processor: seconds; the processor's are those of all processes.
         results: by run and file, what must not depend on who did it.
     """
 
@@ -55,13 +56,18 @@ def measure(config: Path, out: Path, engine: Engine) -> Measured:
     """
     jobs = make_jobs(read_sweep(config), out)
     (out / "jobs").mkdir(parents=True)
-    wall, processor = time.perf_counter(), time.process_time()
+    wall, processor = time.perf_counter(), processor_seconds()
     with engine:
         rows = carry_out(jobs, engine, run_job, out, Console(quiet=True))
-    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    wall, processor = time.perf_counter() - wall, processor_seconds() - processor
     if failed := [row.error for row in rows if row.error]:
         raise SystemExit(f"{len(failed)} runs failed, the first: {failed[0]}")
     return Measured(wall, processor, {name: value for job in jobs for name, value in results(job).items()})
+
+
+def processor_seconds() -> float:
+    """Of this process, and of those it has started that have ended."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def results(job: Job) -> dict[str, object]:
@@ -106,7 +112,9 @@ def main() -> None:
             names = alone.results.keys() | found.results.keys()
             differ = sorted(name for name in names if alone.results.get(name) != found.results.get(name))
             told = ", ".join(differ[:3]) or "none"
-            table.add_row(name, f"{found.wall:.1f}", "", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told)
+            table.add_row(
+                name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
+            )
 
         tell(f"{WORKERS} workers", measure(config, Path(folder) / "whole", Cluster(WORKERS, None)))
         with one_killed(ideal / 2):
