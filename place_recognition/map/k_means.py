@@ -114,9 +114,9 @@ def _fill_empty(centres: Floats, counts: Floats) -> None:
     spare = np.float32(max(counts.sum() - len(counts), 1))
     shift = np.where(np.arange(centres.shape[1]) % 2, -_SPLIT, _SPLIT)
     chances = ((counts - 1) / spare).tolist()
-    for empty in np.flatnonzero(counts == 0):
+    for empty in np.flatnonzero(counts == 0).tolist():
         full = next(k for k in cycle(range(len(chances))) if draws.rand_float() < chances[k])
         centres[empty], centres[full] = centres[full] * (1 + shift), centres[full] * (1 - shift)
         counts[empty] = counts[full] / 2
         counts[full] -= counts[empty]
-        chances[empty], chances[full] = ((counts[[empty, full]] - 1) / spare).tolist()
+        chances[empty], chances[full] = (float((counts[k] - 1) / spare) for k in (empty, full))

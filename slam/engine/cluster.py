@@ -1,10 +1,11 @@
 """Work on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
 
 import logging
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from itertools import count, islice
 from pathlib import Path
 from types import TracebackType
@@ -20,9 +21,17 @@ _LOOPBACK = "127.0.0.1"
 _ALLOWED_DEATHS = 2  # of processes of our own that do the same item
 _TRIES = 5  # to greet a scheduler
 _PATIENCE_S = 20  # until a scheduler that does not answer is given up
-# Dask has its processes give freed memory back at once, which serves large tables. A run takes and frees arrays with
-# each frame and pays for it with a third of its time, all in the kernel. None: as in any other process.
-_ENVIRONMENT = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
+_LOOK_S = 0.05  # between two looks at what has ended
+# What dask sets up for large tables is not for runs, which take and free arrays with each frame. Giving freed memory
+# back at once costs a third of their time, all in the kernel; None leaves the allocator as it is elsewhere. Threads of
+# OpenCV where each core has its process cost a tenth, a profiler that looks every 10 ms a twentieth. And a process that
+# comes back late, as it may where all cores are busy, is not given up for good.
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.nanny.pre-spawn-environ.OPENCV_FOR_THREADS_NUM": 1,
+    "distributed.worker.profile.enabled": False,
+    "distributed.deploy.lost-worker-timeout": "1 day",
+}
 
 
 class Cluster:
@@ -67,11 +76,12 @@ class Cluster:
 
         try:
             fill()
-            for future in done:
-                item = running.pop(future)
-                ended = Done(item, future.result()) if future.status == "finished" else Lost(item, _reason(future))
-                fill()
-                yield ended
+            while running:
+                ready = next(done) if done.has_ready() else None
+                ended = [] if ready is None else [_ended(running.pop(ready), ready)]
+                fill()  # also where nothing has ended: a process that had died may be back
+                yield from ended
+                time.sleep(0 if ended else _LOOK_S)
         finally:
             self._client.cancel(list(running))
 
@@ -114,9 +124,9 @@ class Cluster:
         deaths = (self._distributed.KilledWorker, CancelledError)
         try:
             return future.result()
-        except deaths:
+        except deaths as error:
             raise EngineError(
-                f"expected worker processes that live, {_reason(future)}; give them more memory, or --workers 0"
+                f"expected worker processes that live, {_reason(error)}; give them more memory, or --workers 0"
             ) from None
 
     def __enter__(self) -> Self:
@@ -127,6 +137,7 @@ class Cluster:
         """
         address = self._scheduler
         try:
+            self._open.enter_context(_settings())
             where = self._open.enter_context(self._own()) if address is None else address
             self._client = self._open.enter_context(self._greeted(where))
         except (OSError, ValueError) as error:
@@ -155,26 +166,38 @@ class Cluster:
 
     def _own(self) -> Any:
         """Processes with one thread each. Their memory is what runs need, not what dask would have them share."""
-        import dask
-
         settings = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0", "allowed_failures": _ALLOWED_DEATHS}
-        with dask.config.set(_ENVIRONMENT):
-            return self._distributed.LocalCluster(
-                n_workers=self._workers,
-                threads_per_worker=1,
-                processes=True,
-                host=_LOOPBACK,
-                dashboard_address=None,
-                scheduler_kwargs=settings,
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-            )
+        return self._distributed.LocalCluster(
+            n_workers=self._workers,
+            threads_per_worker=1,
+            processes=True,
+            host=_LOOPBACK,
+            dashboard_address=None,
+            scheduler_kwargs=settings,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
 
 
-def _reason(future: Any) -> str:
+def _ended(item: Item, future: Any) -> Done[Item, Any] | Lost[Item]:
+    # Its state may still change: a result is lost with the process that keeps it, and then made again.
+    try:
+        return Done(item, future.result())
+    except Exception as error:
+        return Lost(item, _reason(error))
+
+
+def _reason(error: Exception) -> str:
     """Why there is no result, one line."""
-    reason = " ".join(str(future.exception()).split()) if future.status == "error" else future.status
-    return f"the worker failed: {reason}"
+    return f"the worker failed: {' '.join(str(error).split())}"
+
+
+def _settings() -> AbstractContextManager[object]:
+    """Has dask work as runs need it, in processes that are started meanwhile."""
+    import dask
+
+    context: AbstractContextManager[object] = dask.config.set(_SETTINGS)
+    return context
 
 
 def _library() -> Any:

@@ -5,6 +5,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import dask
 import distributed
 import numpy as np
 import psutil
@@ -101,9 +103,14 @@ def test_an_item_that_kills_whatever_does_it_is_given_up(cluster: Cluster):
         next(cluster.map(dies, range(2)))
 
 
+def settings_there(_: int) -> tuple[object, ...]:
+    """Of the process that is asked."""
+    names = ("OMP_NUM_THREADS", "MALLOC_TRIM_THRESHOLD_")
+    return (*map(os.environ.get, names), cv2.getNumThreads(), dask.config.get("distributed.worker.profile.enabled"))
+
+
 def test_our_own_processes_share_the_cores_and_keep_the_memory_that_they_free(cluster: Cluster):
-    assert next(cluster.map(os.environ.get, ["OMP_NUM_THREADS"])) == "1"
-    assert next(cluster.map(os.environ.get, ["MALLOC_TRIM_THRESHOLD_"])) is None
+    assert list(cluster.map(settings_there, [0])) == [("1", None, 1, False)]
 
 
 def test_an_existing_scheduler_is_used_and_left_running(cluster: Cluster):
