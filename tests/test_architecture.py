@@ -21,8 +21,8 @@ QUARANTINE = {
     "yaml": ("slam/datasets/euroc",),
     "faiss": ("place_recognition/",),
     "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
-    "distributed": ("slam/benchmark/cluster",),
-    "dask": ("slam/benchmark/cluster",),
+    "distributed": ("slam/engine/cluster",),
+    "dask": ("slam/engine/cluster",),
     "evo": (),
     "pycolmap": (),
 }

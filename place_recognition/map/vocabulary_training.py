@@ -1,15 +1,16 @@
 """Words from many descriptors: k-means for float descriptors, hierarchical k-majority for binary ones.
 
 `revisit vocabulary train` works with it, and `benchmarks/default_vocabulary.py`, which built the words that ship.
-FAISS does the k-means; it is imported when words are trained, and not before.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.map.k_majority import k_majority
+from place_recognition.map.k_means import Rows, Spread, blocks, k_means
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.map.vocabulary_file import bit_size, on_steps
 
@@ -80,13 +81,14 @@ class DescriptorSample:
         self.seen += len(descriptors)
 
 
-def train_vocabulary(kind: str, descriptors: Floats, config: TrainingConfig) -> Vocabulary:
+def train_vocabulary(kind: str, descriptors: Floats, config: TrainingConfig, spread: Spread = map) -> Vocabulary:
     """Words and weights from descriptors.
 
     Args:
         kind: of the features (FeatureExtractor.kind).
         descriptors: (N, D); binary ones, all of +-1 / sqrt(D), get binary words.
         config: how.
+        spread: what shares the work; the bits do not depend on it. The tree of binary words is made here alone.
 
     Raises:
         ValueError: fewer descriptors than words.
@@ -97,42 +99,29 @@ def train_vocabulary(kind: str, descriptors: Floats, config: TrainingConfig) -> 
             " give more images or ask for fewer words"
         )
     make_words = _binary_words if _is_binary(descriptors) else _float_words
-    words = make_words(np.ascontiguousarray(descriptors, np.float32), config)
+    words = make_words(descriptors, config, spread)
     unweighted = Vocabulary(kind, words, np.zeros(len(words), np.float32))
-    return Vocabulary(kind, words, inverse_frequencies(unweighted, descriptors))
+    return Vocabulary(kind, words, inverse_frequencies(unweighted, descriptors, spread))
 
 
-def inverse_frequencies(vocabulary: Vocabulary, descriptors: Floats) -> Floats:
+def inverse_frequencies(vocabulary: Vocabulary, descriptors: Floats, spread: Spread = map) -> Floats:
     """Weights (W,) log(N / N_i): N descriptors in all, N_i of them nearest to word i (Bampis et al., IROS 2016, eq. 3).
 
     A word that no descriptor is nearest to weighs as if one were.
     """
-    counts = np.bincount(vocabulary.assign(descriptors), minlength=len(vocabulary))
+    counts = sum(spread(partial(_count, vocabulary), blocks(descriptors)), np.zeros(len(vocabulary), np.int64))
     return np.log(len(descriptors) / np.maximum(counts, 1)).astype(np.float32)
 
 
-def _float_words(descriptors: Floats, config: TrainingConfig) -> Floats:
-    import faiss
-
-    # One thread: the sums of a matrix product, and with them a close decision, may depend on how many share it.
-    threads = faiss.omp_get_max_threads()
-    faiss.omp_set_num_threads(1)
-    try:
-        means = faiss.Kmeans(
-            descriptors.shape[1],
-            config.words,
-            niter=config.iterations,
-            seed=config.seed,
-            min_points_per_centroid=1,
-            max_points_per_centroid=len(descriptors),
-        )
-        means.train(descriptors)
-    finally:
-        faiss.omp_set_num_threads(threads)
-    return on_steps(np.asarray(means.centroids, np.float32))
+def _count(vocabulary: Vocabulary, rows: Rows) -> NDArray[np.int64]:
+    return np.bincount(vocabulary.assign(rows.values), minlength=len(vocabulary))
 
 
-def _binary_words(descriptors: Floats, config: TrainingConfig) -> Floats:
+def _float_words(descriptors: Floats, config: TrainingConfig, spread: Spread) -> Floats:
+    return on_steps(k_means(descriptors, config.words, config.iterations, config.seed, spread))
+
+
+def _binary_words(descriptors: Floats, config: TrainingConfig, _: Spread) -> Floats:
     size = descriptors.shape[1]
     bits = k_majority(descriptors > 0, config.words, BRANCHING, np.random.default_rng(config.seed))
     return np.where(bits, bit_size(size), -bit_size(size)).astype(np.float32)

@@ -2,24 +2,26 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 from rich.console import Console
 
-from slam.benchmark.cluster import Cluster
-from slam.benchmark.engine import Engine, OneProcess, Work
 from slam.benchmark.job import Job, Outcome, check_job, finished, run_job
 from slam.benchmark.latex import write_latex
 from slam.benchmark.report import write_report
 from slam.benchmark.results import Row, make_row, summary, told, write_csv, write_json
 from slam.benchmark.sweep import Recorded, Simulated, Sweep, read_sweep
 from slam.datasets.source import Source
-from slam.errors import ConfigError, OutputError
+from slam.engine.choice import choose_engine
+from slam.engine.engine import Done, Engine, Lost
+from slam.errors import OutputError
 from slam.progress import progress_bar
 from slam.simulation import simulate
+
+Work = Callable[[Job], Outcome]
 
 
 @dataclass(frozen=True)
@@ -45,13 +47,7 @@ class BenchmarkOptions:
         Raises:
             ConfigError: there cannot be so many, or both are given, or dask is not installed.
         """
-        if self.scheduler is not None and self.workers is not None:
-            raise ConfigError("--scheduler: expected no --workers beside it, found both; the scheduler has its own")
-        workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
-        if workers < 0:
-            raise ConfigError(f"--workers: expected 0 or more, found {workers}")
-        alone = workers == 0 and self.scheduler is None
-        return OneProcess() if alone else Cluster(workers, self.scheduler)
+        return choose_engine(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
 
 
 def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console) -> bool:
@@ -146,6 +142,10 @@ def carry_out(jobs: Sequence[Job], engine: Engine, work: Work, out: Path, result
 def _outcomes(jobs: Sequence[Job], engine: Engine, work: Work) -> Iterator[tuple[Job, Outcome]]:
     done = [(job, outcome) for job in jobs if (outcome := finished(job))]
     yield from done
-    left = {job.name: job for job in jobs if job.name not in {job.name for job, _ in done}}
-    for outcome in engine.run(work, list(left.values())):
-        yield left[outcome.name], outcome
+    names = {job.name for job, _ in done}
+    for ended in engine.run(work, [job for job in jobs if job.name not in names]):
+        yield ended.item, _outcome(ended)
+
+
+def _outcome(ended: Done[Job, Outcome] | Lost[Job]) -> Outcome:
+    return Outcome(ended.item.name, {}, ended.reason) if isinstance(ended, Lost) else ended.result

@@ -1,9 +1,12 @@
 """A small simulated drive, rendered once for all tests of the chain."""
 
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from slam.engine.cluster import Cluster
 from slam.simulation import DriveSpec, simulate
 
 
@@ -12,3 +15,13 @@ def circle_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two laps of 160 m, images at half of KITTI's size, in KITTI layout."""
     spec = DriveSpec(shape="circle", laps=2, length=160.0, width=620, height=188, seed=3)
     return simulate(spec, tmp_path_factory.mktemp("circle") / "drive")
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[Cluster]:
+    """Two processes; the second death of an item is its last, as each takes seconds."""
+    with pytest.MonkeyPatch.context() as patch, ExitStack() as open_:
+        patch.setattr("slam.engine.cluster._ALLOWED_DEATHS", 1)
+        started = open_.enter_context(Cluster(2, None))
+        patch.undo()
+        yield started

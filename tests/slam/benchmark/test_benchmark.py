@@ -1,26 +1,21 @@
 """Many runs, by one process and by several: the same results, whatever dies meanwhile."""
 
 import json
-import os
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
-import distributed
-import psutil
 import pytest
 from rich.console import Console
 
 from slam import cli
-from slam.benchmark.cluster import Cluster
 from slam.benchmark.command import BenchmarkOptions, carry_out, make_jobs, run_benchmark
-from slam.benchmark.engine import OneProcess
-from slam.benchmark.job import Job, Outcome, check_job, run_job
+from slam.benchmark.job import Job, check_job, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
-from slam.errors import ConfigError, OutputError
+from slam.engine.engine import Engine, OneProcess
+from slam.errors import OutputError
 
 QUIET = Console(quiet=True)
 SWEEP = """
@@ -54,20 +49,11 @@ def alone(sweep: Path) -> Path:
     return out
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """Two processes; the second death of a job is its last, as each takes seconds."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("slam.benchmark.cluster._ALLOWED_DEATHS", 1)
-        with Cluster(2, None) as started:
-            yield started
-
-
 def some_jobs(folder: Path, count: int) -> list[Job]:
     return [Job("s", Source(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
 
 
-def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Cluster):
+def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Engine):
     out = sweep.parent / "several"
     jobs = make_jobs(read_sweep(sweep), out)
     (out / "sources").mkdir(parents=True)
@@ -88,91 +74,6 @@ def figures(folder: Path) -> dict:
     metrics["source"] = metrics["recording"]["path"] = Path(metrics["source"]).name
     metrics["graph"].pop("seconds")
     return {key: value for key, value in metrics.items() if key not in TIMES}
-
-
-def test_a_job_whose_process_dies_is_done_by_another(tmp_path: Path, cluster: Cluster):
-    def dies_once(job: Job) -> Outcome:
-        mark = job.folder.with_suffix(".died")
-        if job.seed == 1 and not mark.exists():
-            mark.touch()
-            os._exit(1)
-        return Outcome(job.name, {"frames": job.seed})
-
-    outcomes = {done.name: done for done in cluster.run(dies_once, some_jobs(tmp_path, 4))}
-    assert (tmp_path / "job1.died").exists()
-    assert {name: done.metrics["frames"] for name, done in outcomes.items()} == {f"job{n}": n for n in range(4)}
-
-
-def test_a_job_that_kills_whatever_does_it_is_given_up(tmp_path: Path, cluster: Cluster):
-    def dies(job: Job) -> Outcome:
-        if job.seed == 0:
-            os._exit(1)
-        return Outcome(job.name, {})
-
-    outcomes = {done.name: done.error for done in cluster.run(dies, some_jobs(tmp_path, 2))}
-    assert "the worker failed" in outcomes["job0"]
-    assert "\n" not in outcomes["job0"]
-    assert outcomes["job1"] == ""
-
-
-def test_an_existing_scheduler_is_used_and_left_running(tmp_path: Path, cluster: Cluster):
-    def tells_its_process(job: Job) -> Outcome:
-        return Outcome(job.name, {"process": os.getpid()})
-
-    for _ in range(2):
-        with Cluster(0, cluster.address) as guest:
-            (done,) = guest.run(tells_its_process, some_jobs(tmp_path, 1))
-        assert done.metrics["process"] in {child.pid for child in psutil.Process().children(recursive=True)}
-
-
-def test_a_scheduler_whose_greeting_comes_with_other_news_is_greeted_again(
-    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
-):
-    client, calls = distributed.Client, []
-
-    def disturbed_once(*arguments: object, **settings: object) -> distributed.Client:
-        calls.append(arguments)
-        assert len(calls) > 1
-        return client(*arguments, **settings)
-
-    monkeypatch.setattr(distributed, "Client", disturbed_once)
-    with Cluster(0, cluster.address) as guest:
-        (done,) = guest.run(lambda job: Outcome(job.name, {}), some_jobs(tmp_path, 1))
-    assert (done.name, len(calls)) == ("job0", 2)
-
-
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("slam.benchmark.cluster._PATIENCE_S", 0.2)
-    with pytest.raises(ConfigError, match="--scheduler tcp://127"), Cluster(0, "tcp://127.0.0.1:1"):
-        pass
-
-
-def test_results_come_as_they_are_ready_and_an_error_of_one_job_is_its_own(tmp_path: Path, cluster: Cluster):
-    def waits(job: Job) -> Outcome:
-        if job.seed == 1:
-            raise RuntimeError("out\nof luck")
-        while job.seed == 0 and not (tmp_path / "go").exists():
-            time.sleep(0.01)
-        return Outcome(job.name, {})
-
-    done = cluster.run(waits, some_jobs(tmp_path, 3))
-    early = [next(done), next(done)]
-    assert {outcome.name for outcome in early} == {"job1", "job2"}  # the first waits until these have been seen
-    assert [outcome.error for outcome in early if outcome.error] == ["the worker failed: out of luck"]
-    (tmp_path / "go").touch()
-    assert next(done).name == "job0"
-
-
-def test_nothing_listens_beyond_this_machine(cluster: Cluster):
-    ours = psutil.Process()
-    listening = [
-        connection.laddr.ip
-        for process in (ours, *ours.children(recursive=True))
-        for connection in process.net_connections(kind="inet")
-        if connection.status == psutil.CONN_LISTEN
-    ]
-    assert len(listening) >= 3  # a scheduler and two workers
-    assert set(listening) == {"127.0.0.1"}
 
 
 def test_a_benchmark_leaves_its_figures_and_each_run_whole(alone: Path):

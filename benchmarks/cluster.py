@@ -1,0 +1,129 @@
+"""A sweep by one process and by three on loopback, one of which is killed: how long, and are the results the same?
+
+python benchmarks/cluster.py sweep.toml
+
+The ideal is the processor time of the single process divided by the cores there are. It takes a machine with nothing
+else to do, and runs enough that the start of three processes, and the work that dies with one, are a small part.
+"""
+
+import argparse
+import json
+import os
+import resource
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+from rich.console import Console
+from rich.table import Table
+
+from slam.benchmark.command import carry_out, make_jobs
+from slam.benchmark.job import Job, run_job
+from slam.benchmark.sweep import read_sweep
+from slam.engine.cluster import Cluster
+from slam.engine.engine import Engine, OneProcess
+
+WORKERS = 3
+# What holds times differs from run to run; of the metrics the rest is compared.
+TIMED = {"frames.csv", "report.html", "run.log", "recording.rrd", "map.db", "metrics.json"}
+TIMES = {"command", "timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "memory_mb"}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A sweep that has been run.
+
+    Attributes:
+        wall, processor: seconds; the processor's are those of all processes.
+        results: by run and file, what must not depend on who did it.
+    """
+
+    wall: float
+    processor: float
+    results: dict[str, object]
+
+
+def measure(config: Path, out: Path, engine: Engine) -> Measured:
+    """Run a sweep, the start and the end of the engine included.
+
+    Raises:
+        SystemExit: a run failed.
+    """
+    jobs = make_jobs(read_sweep(config), out)
+    (out / "jobs").mkdir(parents=True)
+    wall, processor = time.perf_counter(), processor_seconds()
+    with engine:
+        rows = carry_out(jobs, engine, run_job, out, Console(quiet=True))
+    wall, processor = time.perf_counter() - wall, processor_seconds() - processor
+    if failed := [row.error for row in rows if row.error]:
+        raise SystemExit(f"{len(failed)} runs failed, the first: {failed[0]}")
+    return Measured(wall, processor, {name: value for job in jobs for name, value in results(job).items()})
+
+
+def processor_seconds() -> float:
+    """Of this process, and of those it has started that have ended."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def results(job: Job) -> dict[str, object]:
+    """Everything in a run's folder that must not depend on when and where it was done."""
+    metrics = json.loads((job.folder / "metrics.json").read_text())
+    metrics["graph"].pop("seconds")
+    kept = {f"metrics.json: {name}": value for name, value in metrics.items() if name not in TIMES}
+    files = {path.name: path.read_bytes() for path in job.folder.iterdir() if path.name not in TIMED}
+    return {f"{job.name}/{name}": value for name, value in (files | kept).items()}
+
+
+@contextmanager
+def one_killed(seconds: float) -> Iterator[None]:
+    """Kill after so many seconds the process that has worked most of those started meanwhile."""
+    timer = threading.Timer(seconds, kill_busiest)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def kill_busiest() -> None:
+    """Kill the process below this one that has worked most: one of the workers."""
+    workers = psutil.Process().children(recursive=True)
+    busiest = max(workers, key=lambda process: sum(process.cpu_times()[:2]))
+    os.kill(busiest.pid, signal.SIGKILL)
+
+
+def main() -> None:
+    """Run three times, compare, print a line for each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("config", type=Path)
+    config, cores = parser.parse_args().config, len(os.sched_getaffinity(0))
+    table = Table("", "wall s", "processor s", f"ideal on {cores} cores", "ratio", "results that differ")
+    with tempfile.TemporaryDirectory() as folder:
+        alone = measure(config, Path(folder) / "alone", OneProcess())
+        ideal = alone.processor / cores
+        table.add_row("one process", f"{alone.wall:.1f}", f"{alone.processor:.1f}", "", "", "")
+
+        def tell(name: str, found: Measured) -> None:
+            names = alone.results.keys() | found.results.keys()
+            differ = sorted(name for name in names if alone.results.get(name) != found.results.get(name))
+            told = ", ".join(differ[:3]) or "none"
+            table.add_row(
+                name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
+            )
+
+        whole = measure(config, Path(folder) / "whole", Cluster(WORKERS, None))
+        tell(f"{WORKERS} workers", whole)
+        with one_killed(whole.wall / 2):
+            killed = measure(config, Path(folder) / "killed", Cluster(WORKERS, None))
+        tell(f"one killed after {whole.wall / 2:.0f} s", killed)
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Who does the work: this process, or many, on this machine or on others."""
