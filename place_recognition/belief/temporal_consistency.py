@@ -20,7 +20,7 @@ class ConsistencyConfig:
         certain: evidence of the proofs before that leaves no doubt of a way, powers of ten; twice what is enough for a
             match (HindsightConfig.sure). Along the way of KITTI 00, simulated, to follow such ways closely raises
             R@P100 by 0.006 (the sequences), with 0 or 100 false matches become surer as well and it falls by as much;
-            on three simulated towns that had no say in it, it changes by -0.007 to 0.005, most often by less than 0.001.
+            on three simulated towns that had no say in it, it changes by -0.007 to 0.005, mostly by less than 0.001.
     """
 
     trail: int = 10
