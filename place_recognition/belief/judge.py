@@ -26,6 +26,7 @@ class Judge:
         chosen = self._chosen(query, list(candidates), horizon)
         proofs = self._proofs(pair(self._images, query, location, self._proof) for location in chosen)
         if proofs:
+            proofs = self._followed(proofs, horizon)
             self._consistency.remember(max(proofs, key=self._weight))
         return tuple(proofs)
 
@@ -43,6 +44,28 @@ class Judge:
             if proofs[-1].evidence >= self._proof.plenty:
                 break
         return proofs
+
+    def _followed(self, proofs: list[Proof], horizon: int) -> list[Proof]:
+        """The proofs, and those of the locations beside the likeliest one, on to the neighbour that says most.
+
+        Only on a way that is certain: where it ends, images show less and less of it, and the best match counts. To
+        search everywhere for what fits best by chance makes false matches surer as well.
+        """
+        likeliest = max(proofs, key=self._weight)
+        if likeliest.evidence == 0.0 or not self._consistency.is_certain(likeliest):
+            return proofs
+        known = {proof.location: proof for proof in proofs}
+        for _ in range(self._proof.followed):
+            if likeliest.evidence >= self._proof.plenty:
+                break
+            beside = [k for k in (likeliest.location - 1, likeliest.location + 1) if 0 <= k <= horizon]
+            new = [pair(self._images, likeliest.query, k, self._proof) for k in beside if k not in known]
+            known |= {proof.location: proof for proof in self._proofs(new)}
+            best = max((known[k] for k in beside if k in known), key=lambda proof: proof.evidence, default=likeliest)
+            if best.evidence <= likeliest.evidence:
+                break
+            likeliest = best
+        return list(known.values())
 
     def _weight(self, proof: Proof) -> float:
         """Evidence, and as much again at most by the way so far: it cannot speak where the image does not."""

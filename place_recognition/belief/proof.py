@@ -29,6 +29,7 @@ class ProofConfig:
             same size, and what is left out is mostly wrong, or shows that the two cameras stood far apart.
         compared: strongest features of each image by which the candidates are ranked.
         tried: best candidates whose geometry is checked.
+        followed: steps to a neighbour that says more, on a way that is certain.
         object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
         plenty: evidence of an image alone that leaves no doubt: no further candidate is looked at.
         verification: what proves a revisit.
@@ -39,6 +40,7 @@ class ProofConfig:
     zoom: float = 1.35
     compared: int = 200
     tried: int = 4
+    followed: int = 3
     object_share: float = 0.1
     plenty: float = 60.0
     verification: VerificationConfig = field(default_factory=VerificationConfig)

@@ -17,12 +17,17 @@ class ConsistencyConfig:
             driven at different speeds and directions.
         slack: images that it may be off besides.
         around: images to both sides of where the match is expected that are looked at.
+        certain: evidence of the proofs before that leaves no doubt of a way, powers of ten; twice what is enough for a
+            match (HindsightConfig.sure). Along the way of KITTI 00, simulated, to follow such ways closely raises
+            R@P100 by 0.006 (the sequences), with 0 or 100 false matches become surer as well and it falls by as much;
+            on three simulated towns that had no say in it, it changes by -0.007 to 0.005, mostly by less than 0.001.
     """
 
     trail: int = 10
     speed: float = 3.0
     slack: int = 2
     around: int = 4
+    certain: float = 200.0
 
 
 class TemporalConsistency:
@@ -55,6 +60,10 @@ class TemporalConsistency:
         surest = max(recent, key=lambda proof: proof.evidence)
         centre = surest.location + self._step(surest) * (query - surest.query)
         return [centre + offset for offset in sorted(range(-self.config.around, self.config.around + 1), key=abs)]
+
+    def is_certain(self, proof: Proof) -> bool:
+        """Whether the proofs before that agree with this one leave no doubt of the way."""
+        return self.trail(proof) >= self.config.certain
 
     def _step(self, surest: Proof) -> int:
         """Images by which the match moves for each query: 1, or -1 where the way is driven backwards."""

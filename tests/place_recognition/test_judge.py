@@ -53,5 +53,26 @@ def test_a_match_that_moves_on_needs_no_proposal(store):
     assert [proof.location for proof in one.judge(26, [], 15)] == [6]
 
 
+def behind(certain: float) -> list[int]:
+    """What is looked at when a car that has driven the second lap falls two images behind."""
+    images, lap = ImageStore(300), sliding_view(textured_world(900, seed=5), list(range(0, 580, 29)))
+    for image in [*lap, *lap[:10], lap[8]]:
+        images.add(Surf().extract(image))
+    one = Judge(images, ProofConfig(plenty=1000.0), ConsistencyConfig(around=0, certain=certain))
+    for query in range(20, 30):
+        one.judge(query, [query - 20], 15)
+    return [proof.location for proof in one.judge(30, [], 15)]
+
+
+def test_on_a_certain_way_neighbours_that_say_more_are_found():
+    assert behind(certain=200.0) == [10, 9, 11, 8, 7]
+    assert behind(certain=1e9) == [10]
+
+
+def test_elsewhere_no_neighbour_is_asked(store):
+    one = Judge(store, ProofConfig(plenty=1000.0), ConsistencyConfig())
+    assert [proof.location for proof in one.judge(28, [7], 15)] == [7]
+
+
 def test_without_candidates_there_is_no_proof(store):
     assert judge(store).judge(25, [], 15) == ()
