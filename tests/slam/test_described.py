@@ -1,4 +1,4 @@
-"""Features found ahead by the thread that reads are those that the chain would have found, and nobody finds them twice."""
+"""Features found ahead by the thread that reads are those the chain would have found, and nobody finds them twice."""
 
 import threading
 from dataclasses import dataclass, field
