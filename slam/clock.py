@@ -3,9 +3,12 @@
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Item = TypeVar("Item")
 
 
 class StageClock:
@@ -28,6 +31,16 @@ class StageClock:
         """Milliseconds of each stage since the last lap; starts the next one."""
         spent, self._milliseconds = self._milliseconds, {}
         return spent
+
+
+def timed(items: Iterator[Item], clock: StageClock) -> Iterator[Item]:
+    """Pass items on, counting the wait for each as the stage `read`."""
+    while True:
+        with clock.stage("read"):
+            item = next(items, None)
+        if item is None:
+            return
+        yield item
 
 
 def timing_ms(stage_ms: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str, float]]:

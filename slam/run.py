@@ -11,9 +11,10 @@ from uuid import uuid4
 from rich.console import Console
 
 from place_recognition.evaluation.matrix import MatrixRows
-from slam.clock import StageClock
+from slam.clock import timed
 from slam.config import RunConfig
-from slam.datasets.dataset import Dataset, Frame
+from slam.datasets.dataset import Dataset
+from slam.datasets.described import Described
 from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
@@ -231,8 +232,9 @@ def drive_through(
     behind = keeper.recall(slam, rows, drive_log)
     watcher.recall(drive_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(drive, begin=behind), slam.clock):
-            processed = slam.process(frame)
+        described = Described(drive, slam.parts.features.extractor)
+        for frame, features in timed(prefetch(described, begin=behind), slam.clock):
+            processed = slam.process(frame, features)
             note(processed)
             drive_log.add(processed, watcher.show(processed))
             keeper.add(processed, drive_log.stage_ms[-1])
@@ -269,16 +271,6 @@ def note_loops(attempts: Sequence[LoopAttempt]) -> None:
         if attempt.reason:
             verdict = "closed" if attempt.closed else "not closed"
             log.info("loop %d -> %s %s: %s", attempt.belief.query, attempt.belief.match, verdict, attempt.reason)
-
-
-def timed(frames: Iterator[Frame], clock: StageClock) -> Iterator[Frame]:
-    """Pass frames on, counting the wait for each as the stage `read`."""
-    while True:
-        with clock.stage("read"):
-            frame = next(frames, None)
-        if frame is None:
-            return
-        yield frame
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.clock import StageClock
 from slam.datasets.dataset import Frame
@@ -121,10 +121,15 @@ class Slam:
         self._travelled = beginning.travelled
         self._frames = 0
 
-    def process(self, frame: Frame) -> Processed:
-        """Process the next frame of a drive; `frame.index` counts from 0 without gaps."""
+    def process(self, frame: Frame, features: LocalFeatures | None = None) -> Processed:
+        """Process the next frame of a drive.
+
+        Args:
+            frame: `frame.index` counts from 0 without gaps.
+            features: of the left image, by `parts.features.extractor`; None to find them here.
+        """
         motion = self._move(frame)
-        landmarks = self._look(frame)
+        landmarks = self._look(frame, features)
         beliefs = self._recognise(frame)
         attempts = self._close_all(beliefs)
         is_key_frame = self._map(frame.index, landmarks)
@@ -173,11 +178,14 @@ class Slam:
                 self.parts.graph.add_odometry(motion.T_previous_current, motion.covariance)
         self._frames += 1
 
-    def _look(self, frame: Frame) -> Landmarks:
+    def _look(self, frame: Frame, features: LocalFeatures | None) -> Landmarks:
+        image = self._first + frame.index
+        if features is not None:
+            self.parts.features.give(image, features)
         with self.clock.stage("features"):
-            self.parts.features.of(self._first + frame.index, frame.left)
+            self.parts.features.of(image, frame.left)
         with self.clock.stage("landmarks"):
-            return self.parts.loop_closer.remember(self._first + frame.index, frame.left, frame.right)
+            return self.parts.loop_closer.remember(image, frame.left, frame.right)
 
     def _recognise(self, frame: Frame) -> list[Belief]:
         with self.clock.stage("place recognition"):

@@ -59,6 +59,15 @@ class SharedFeatures:
         """What the descriptors are, for example "surf-upright-64"."""
         return self._extractor.kind
 
+    @property
+    def extractor(self) -> FeatureExtractor:
+        """What describes the images; it keeps nothing of them, so that another thread may use it ahead."""
+        return self._extractor
+
+    def give(self, image_id: int, features: LocalFeatures) -> None:
+        """Take over what the extractor said of the image of this id, asked by somebody else."""
+        self._latest = (image_id, features)
+
     def of(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of image (H, W) uint8, which is known by image_id."""
         if self._latest is None or self._latest[0] != image_id:

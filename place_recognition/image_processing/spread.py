@@ -52,7 +52,7 @@ def strongest_spread(
     return order[np.sort(np.argsort(crowded, kind="stable")[:count])]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rank_in_square(squares: Indices, count: int) -> Indices:
     """How many of the squares (N,), each below count, are the same as this one and come before it."""
     seen, rank = np.zeros(count, np.int64), np.empty(len(squares), np.int64)

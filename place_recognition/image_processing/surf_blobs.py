@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.surf_hessian import Floats, Ints, determinant_row
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _mark_row(ring: Floats, level: int, y: int, threshold: np.float32, marks: NDArray[np.uint8]) -> None:
     """Mark (W' - 2,) the places of a row above the threshold and not below their six nearest neighbours."""
     n = len(marks)
@@ -24,7 +24,7 @@ def _mark_row(ring: Floats, level: int, y: int, threshold: np.float32, marks: ND
         marks[i] = (v > threshold) & beside & (v > smaller[i]) & (v >= larger[i])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _take_cube(ring: Floats, level: int, place: tuple[int, int], cube: NDArray[np.float64]) -> bool:
     """Copy the neighbourhood of a place into cube (3, 3, 3) of level, row and column; whether it peaks there.
 
@@ -43,7 +43,7 @@ def _take_cube(ring: Floats, level: int, place: tuple[int, int], cube: NDArray[n
     return peak
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def top_of_parabola(cube: NDArray[np.float64]) -> tuple[float, float, float]:
     """Offset in x, y and level from the middle of a cube (3, 3, 3) of level, row and column; 0 where it is flat."""
     centre = 2 * cube[1, 1, 1]
@@ -64,7 +64,7 @@ def top_of_parabola(cube: NDArray[np.float64]) -> tuple[float, float, float]:
     return half * dx, half * dy, half * ds
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _blobs_of_row(ring: Floats, place: tuple[int, int], marks: NDArray[np.uint8], found: Floats, count: int) -> int:
     """Write the blobs among the marked places of a level and row to found[count:]; the new count.
 
@@ -83,7 +83,7 @@ def _blobs_of_row(ring: Floats, place: tuple[int, int], marks: NDArray[np.uint8]
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_blobs(planes: Ints, sizes: Ints, threshold: float) -> Floats:
     """Where determinants peak over place and scale, in reading order of rows.
 

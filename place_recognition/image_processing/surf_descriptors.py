@@ -29,7 +29,7 @@ def cell_weights() -> Floats:
     return (shares * gaussian[:, None]).astype(np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints:
     """Integral coordinates (GRID,) below the lines of a square along one axis, their fractions into shares (GRID,).
 
@@ -44,7 +44,7 @@ def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints
     return below
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _integral_at(integral: Ints, lines: tuple[Ints, Ints], shares: Floats, out: Floats) -> None:
     """Integral image at the crossings of grid lines, into out (GRID, GRID), but for what row and column sums add.
 
@@ -69,7 +69,7 @@ def _integral_at(integral: Ints, lines: tuple[Ints, Ints], shares: Floats, out: 
             out[i, j] = line[k] + shares[1, j] * (line[k + 1] - line[k])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[np.bool_]) -> None:
     """Responses of the wavelets around a point, into haar (2, SAMPLES, SAMPLES): to the right and downwards.
 
@@ -92,7 +92,7 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
             haar[1, i, j] = right - left - 2 * (centre[j + 2] - top[j + 2] - centre[j] + top[j])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
     """Gather responses in cells: out (CELLS, CELLS, 4) receives sums of dx, |dx|, dy, |dy|, normalised to length 1."""
     sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
@@ -117,7 +117,7 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
         out /= norm
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
     """Upright SURF descriptors (N, 64) float32 of unit length; all zeros where the surroundings are perfectly even.
 

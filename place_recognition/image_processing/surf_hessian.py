@@ -14,7 +14,7 @@ Floats = NDArray[np.float32]
 CROSS_WEIGHT = 0.912  # makes up for the boxes' poor fit to the mixed Gaussian derivative (eq. 3 of the paper)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def take_apart(integral: Ints, step: int) -> Ints:
     """Columns 0, step, 2 step, ... of an integral image, then columns 1, 1 + step, ...: (step, H + 1, any) int32.
 
@@ -31,14 +31,14 @@ def take_apart(integral: Ints, step: int) -> Ints:
     return planes
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _run(planes: Ints, row: int, column: int, count: int) -> Ints:
     """So many values of a row of the integral image, step apart, from a column on."""
     step = len(planes)
     return planes[column % step, row, column // step : column // step + count]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _second_difference_down(planes: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints) -> None:
     """Three boxes one above the other, weighted 1, -2, 1, at each of the n = len(out) places.
 
@@ -56,7 +56,7 @@ def _second_difference_down(planes: Ints, rows: tuple[int, int, int, int], colum
         out[i] = np.int32(whole - np.int32(3) * middle)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _second_difference_across(
     planes: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints
 ) -> None:
@@ -72,7 +72,7 @@ def _second_difference_across(
         out[i] = np.int32(whole - np.int32(3) * middle)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _difference_of_pair(planes: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints) -> None:
     """Left box minus right box, with a gap between them; see _second_difference_down."""
     n = len(out)
@@ -84,14 +84,14 @@ def _difference_of_pair(planes: Ints, rows: tuple[int, int], columns: tuple[int,
         out[i] = np.int32((b1[i] - a1[i] - b0[i] + a0[i]) - (b3[i] - a3[i] - b2[i] + a2[i]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _whole_filters(pixels: int, half: int, step: int) -> tuple[int, int]:
     """First sample with a whole filter inside so many pixels, and how many there are; samples are step apart."""
     first = -(-half // step)
     return first, max((pixels - 1 - half) // step + 1 - first, 0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def determinant_row(planes: Ints, y: int, size: int, work: Ints, out: Floats) -> None:
     """Determinants of the Hessian by box filters of one size along a row, step pixels apart, into out; 0 at the rim.
 

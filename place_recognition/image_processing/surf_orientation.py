@@ -17,7 +17,7 @@ DIRECTIONS = 72  # positions of the sliding window on its way round
 WINDOW = DIRECTIONS // 6  # its opening, 60 degrees
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _haar(integral: Ints, x: float, y: float, radius: int) -> tuple[float, float]:
     """Responses to the right and downwards of the wavelet centred nearest to a pixel; 0 if it leaves the image."""
     # a wavelet of even width is centred half a pixel before the integral coordinate of its middle
@@ -32,7 +32,7 @@ def _haar(integral: Ints, x: float, y: float, radius: int) -> tuple[float, float
     return float(whole - 2 * (s - n - sw + nw)), float(whole - 2 * (e - ne - w + nw))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64]:
     """Sums (DIRECTIONS, 2) of the weighted responses in the disc around a point (x, y, scale), by their direction."""
     sums, scale = np.zeros((DIRECTIONS, 2)), point[2]
@@ -48,7 +48,7 @@ def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64
     return sums
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def orientation(integral: Ints, point: Floats) -> float:
     """Direction of a point (x, y, scale), radians from x towards y: of the longest sum of gradients in a window."""
     sums = _gradients_by_direction(integral, point)
@@ -63,7 +63,7 @@ def orientation(integral: Ints, point: Floats) -> float:
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _turned_haar(integral: Ints, point: Floats, angle: float, haar: Floats) -> None:
     """Responses of the square turned by an angle, into haar (2, SAMPLES, SAMPLES): along it and across; 0 outside."""
     x, y, scale = point[0], point[1], point[2]
@@ -75,7 +75,7 @@ def _turned_haar(integral: Ints, point: Floats, angle: float, haar: Floats) -> N
             haar[0, i, j], haar[1, i, j] = cos * dx + sin * dy, cos * dy - sin * dx
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def describe_oriented(integral: Ints, points: Floats, weights: Floats) -> Floats:
     """SURF descriptors (N, 64) that turn with the image; see `describe_upright` for arguments and values."""
     out = np.zeros((len(points), CELLS, CELLS, 4), np.float32)

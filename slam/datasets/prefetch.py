@@ -27,7 +27,7 @@ def prefetch(recording: Recording[Item], ahead: int = 4, begin: int = 0) -> Iter
     Raises:
         DataError: where the frame is reached that cannot be read; the frames before it are given.
     """
-    # One thread: decoding lets go of the interpreter, and more threads would compete with the odometry's own.
+    # One thread: decoding and describing let go of the interpreter, and more would compete with the odometry's own.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
     waiting: deque[Future[Item]] = deque()
     try:

@@ -1,7 +1,7 @@
 """One drive through a recogniser: images in, beliefs out."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures, SharedFeatures
 from place_recognition.paradigms.catalogue import ParadigmsConfig, local_features
 from place_recognition.recognizer import Belief, PlaceRecognizer, RowSink
-from slam.clock import StageClock
+from slam.clock import StageClock, timed
 from slam.datasets.prefetch import Recording, prefetch
 from slam.parts import build_recognizer
 
@@ -99,7 +99,7 @@ def recognise(
     _warm_up(images, bench)
     done = Recognised()
     recognizer, start = bench.build(done.rows), time.perf_counter()
-    for index, image in enumerate(_timed(prefetch(images), bench.clock)):
+    for index, image in enumerate(timed(prefetch(images), bench.clock)):
         with bench.clock.stage("place recognition"):
             done.beliefs += recognizer.observe(index, image, float("nan"))
         done.stage_ms.append(_apart(bench.clock.lap()))
@@ -123,16 +123,6 @@ def _warm_up(images: Recording[Image], bench: Bench) -> None:
     for index in range(min(_WARM_UP_IMAGES, len(images))):
         recognizer.observe(index, images[index], float("nan"))
     bench.clock.lap()
-
-
-def _timed(images: Iterator[Image], clock: StageClock) -> Iterator[Image]:
-    """Pass images on, counting the wait for each as the stage `read`."""
-    while True:
-        with clock.stage("read"):
-            image = next(images, None)
-        if image is None:
-            return
-        yield image
 
 
 def _apart(spent: dict[str, float]) -> dict[str, float]:
