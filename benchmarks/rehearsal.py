@@ -43,7 +43,7 @@ def run_all(drive: Path, out: Path) -> None:
 
 
 def slowdown(run: Path) -> float:
-    """Median time of a frame at the end of a run over that at its beginning; the very first frames left out."""
+    """Mean time of a frame at the end of a run over that at its beginning; the very first frames left out."""
     with (run / "frames.csv").open() as file:
         rows = list(csv.DictReader(file))
     stages = [name for name in rows[0] if name.endswith("_ms")]

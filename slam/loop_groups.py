@@ -6,6 +6,7 @@ odometry between their ends must close. Over a short stretch odometry hardly dri
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +70,8 @@ class LoopGroups:
         Returns:
             Loops of that group nearby, the latest first; none where it begins a group.
         """
-        near = [k for k, known in self._known.items() if self._of_one_stretch(known.loop, loop)]
-        near = near[: -_NEIGHBOURS - 1 : -1]
+        latest_first = reversed(self._known.items())
+        near = list(islice((k for k, known in latest_first if self._of_one_stretch(known.loop, loop)), _NEIGHBOURS))
         agreeing = (k for k in near if self._disagreement(self._known[k].loop, loop) <= self._config.agreement_chi2)
         first = next(agreeing, None)
         group = number if first is None else self._known[first].group

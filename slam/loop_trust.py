@@ -181,7 +181,7 @@ class LoopTrust:
 
     def _reconsider(self, group: int) -> None:
         """Take in a group that the map has excluded if it no longer does."""
-        used = self._map.used
+        used = set(self._map.used)
         waiting = [k for k in self._groups.members(group) if k not in used]
         if len(waiting) < 2 or not used:
             return
@@ -219,7 +219,7 @@ class LoopTrust:
 
     def _welcome(self) -> bool:
         """Take in the waiting loops that the map agrees with by now; whether there were any."""
-        used = self._map.used
+        used = set(self._map.used)
         waiting = [k for k in self._groups.numbers if k not in used and self._dropped[k] < _DROPS] if used else []
         chi2 = self._map.chi2(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.inlier_chi2]
