@@ -3,11 +3,19 @@
 python benchmarks/cluster.py sweep.toml
 
 The ideal is the processor time of the single process divided by the cores there are. It takes a machine with nothing
-else to do, and runs enough that the start of three processes, and the work that dies with one, are a small part.
+else to do, and runs enough that the start of three processes, and the work that dies with one, are a small part:
+
+    revisit simulate circle --laps 2 --length 160 --width 620 --height 188 --seed 3 --out data/small
+
+and in sweep.toml
+
+    paradigms = ["sequence-histograms", "dynamic-sequences", "hierarchical-places", "tracked-words"]
+    seeds = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+    [[sources]]
+    path = "data/small"
 """
 
 import argparse
-import json
 import os
 import resource
 import signal
@@ -22,17 +30,15 @@ from pathlib import Path
 import psutil
 from rich.console import Console
 from rich.table import Table
+from run_results import differing, lasting_results
 
 from slam.benchmark.command import carry_out, make_jobs
-from slam.benchmark.job import Job, run_job
+from slam.benchmark.job import run_job
 from slam.benchmark.sweep import read_sweep
 from slam.engine.cluster import Cluster
 from slam.engine.engine import Engine, OneProcess
 
 WORKERS = 3
-# What holds times differs from run to run; of the metrics the rest is compared.
-TIMED = {"frames.csv", "report.html", "run.log", "recording.rrd", "map.db", "metrics.json"}
-TIMES = {"command", "timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "memory_mb"}
 
 
 @dataclass(frozen=True)
@@ -63,21 +69,13 @@ def measure(config: Path, out: Path, engine: Engine) -> Measured:
     wall, processor = time.perf_counter() - wall, processor_seconds() - processor
     if failed := [row.error for row in rows if row.error]:
         raise SystemExit(f"{len(failed)} runs failed, the first: {failed[0]}")
-    return Measured(wall, processor, {name: value for job in jobs for name, value in results(job).items()})
+    left = {job.name: lasting_results(job.folder) for job in jobs}
+    return Measured(wall, processor, {f"{run}/{name}": of[name] for run, of in left.items() for name in of})
 
 
 def processor_seconds() -> float:
     """Of this process, and of those it has started that have ended."""
     return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-
-
-def results(job: Job) -> dict[str, object]:
-    """Everything in a run's folder that must not depend on when and where it was done."""
-    metrics = json.loads((job.folder / "metrics.json").read_text())
-    metrics["graph"].pop("seconds")
-    kept = {f"metrics.json: {name}": value for name, value in metrics.items() if name not in TIMES}
-    files = {path.name: path.read_bytes() for path in job.folder.iterdir() if path.name not in TIMED}
-    return {f"{job.name}/{name}": value for name, value in (files | kept).items()}
 
 
 @contextmanager
@@ -110,9 +108,7 @@ def main() -> None:
         table.add_row("one process", f"{alone.wall:.1f}", f"{alone.processor:.1f}", "", "", "")
 
         def tell(name: str, found: Measured) -> None:
-            names = alone.results.keys() | found.results.keys()
-            differ = sorted(name for name in names if alone.results.get(name) != found.results.get(name))
-            told = ", ".join(differ[:3]) or "none"
+            told = ", ".join(differing(alone.results, found.results)[:3]) or "none"
             table.add_row(
                 name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
             )

@@ -4,7 +4,6 @@ python benchmarks/kill_and_resume.py ~/.cache/revisit/demo-0 --kills 20
 """
 
 import argparse
-import json
 import random
 import subprocess
 import sys
@@ -14,27 +13,15 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from run_results import differing, lasting_results
 
 from slam.map_store.resuming import find_stopped
-
-# What holds times differs from run to run; of the metrics the rest is compared.
-_TIMED = {"frames.csv", "report.html", "run.log", "recording.rrd", "map.db", "metrics.json"}
-_TIMES = {"command", "timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "memory_mb"}
 
 
 def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
     """What runs the chain in a process of its own."""
     run = [sys.executable, "-c", "from slam.cli import main; main()", "run", str(arguments.source), "--out", str(out)]
     return [*run, "--paradigm", arguments.paradigm, "--no-record", *more]
-
-
-def results(out: Path) -> dict[str, object]:
-    """Everything in a run's folder that must not depend on how often it was killed."""
-    metrics = json.loads((out / "metrics.json").read_text())
-    metrics["graph"].pop("seconds")
-    kept = {name: value for name, value in metrics.items() if name not in _TIMES}
-    files = {path.name: path.read_bytes() for path in out.iterdir() if path.name not in _TIMED}
-    return files | {f"metrics.json: {name}": value for name, value in kept.items()}
 
 
 def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple[int, float]:
@@ -63,12 +50,11 @@ def main() -> None:
         begin = time.perf_counter()
         subprocess.run(command(arguments, Path(folder) / "undisturbed"), check=True, capture_output=True)
         whole = time.perf_counter() - begin
-        expected = results(Path(folder) / "undisturbed")
+        expected = lasting_results(Path(folder) / "undisturbed")
         for number in range(arguments.kills):
             out, seconds = Path(folder) / f"killed-{number}", moments.uniform(0, whole)
             frames, rest = kill_once(arguments, out, seconds)
-            found = results(out)
-            differs = sorted(name for name in expected | found if expected.get(name) != found.get(name))
+            differs = differing(expected, lasting_results(out))
             table.add_row(f"{seconds:.1f}", str(frames), f"{rest:.1f}", ", ".join(differs) or "nothing")
     console.print(table)
     console.print(f"undisturbed: {whole:.1f} s")

@@ -3,6 +3,7 @@
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008. Written here because the once patented
 module is not in OpenCV's wheels, and every threshold of the bag of tracked words presupposes these 64 numbers.
 Upright by default: a car's camera does not roll, and what need not be estimated cannot be estimated wrongly.
+The compiled parts let go of the interpreter: images are described by a thread that reads ahead.
 """
 
 from dataclasses import dataclass, field
