@@ -12,9 +12,10 @@ from types import TracebackType
 from typing import Any, Self
 from uuid import uuid4
 
+import numpy as np
 from numpy.typing import NDArray
 
-from slam.engine.engine import Done, Item, Lost, Result, stored
+from slam.engine.engine import Done, Item, Lost, Result
 from slam.errors import ConfigError, EngineError
 
 _LOOPBACK = "127.0.0.1"
@@ -102,12 +103,14 @@ class Cluster:
             self._client.cancel(list(begun))
 
     def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
-        """The array in a file of the folder.
+        """The array in a .npy file of the folder, mapped into memory when it is read.
 
         Raises:
             OSError: it cannot be written.
         """
-        return stored(array, folder)
+        path = folder / "shared.npy"
+        np.save(path, array)
+        return np.lib.format.open_memmap(path, mode="r")
 
     @property
     def _free(self) -> int:

@@ -6,7 +6,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 
 Item = TypeVar("Item")
@@ -85,14 +84,3 @@ class OneProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End: there is nothing to end."""
-
-
-def stored(array: NDArray[Any], folder: Path) -> NDArray[Any]:
-    """The array in a .npy file of the folder, mapped into memory when it is read.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    path = folder / "shared.npy"
-    np.save(path, array)
-    return np.lib.format.open_memmap(path, mode="r")
