@@ -1,7 +1,7 @@
 """A second drive through the streets of a first one: are they joined, and where does the first map place images of it?
 
-    revisit simulate blocks --laps 2 --length 800 --lateral-offset 1.5 --relight --alike --moving-cars 8 \
-        --seed 7 --out data/blocks7
+    revisit simulate blocks --laps 2 --length 800 --lateral-offset 1.5 --change-illumination --perceptual-aliasing \
+        --cars-per-360m 8 --seed 7 --out data/blocks7
     python benchmarks/second_drive.py data/blocks7 --out DIR
 
 Cuts a drive of two laps, in KITTI layout, in the middle; drives the first half, then the second through its map, and

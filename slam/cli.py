@@ -1,4 +1,7 @@
-"""The command line: `revisit --help` tells what there is. Only it and the commands print."""
+"""The command line `revisit`: registers the commands and turns errors into exit codes.
+
+Only this module and the commands print.
+"""
 
 import errno
 import sys
@@ -7,14 +10,14 @@ from collections.abc import Callable
 import typer
 
 from slam.commands import driving, judging, looking, machine, recognising
-from slam.commands.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, KIND_NAMES
+from slam.commands.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, FORMAT_NAMES
 from slam.errors import ConfigError, RevisitError
 
-__all__ = ["EXIT_USAGE", "KIND_NAMES", "app", "main"]
+__all__ = ["EXIT_USAGE", "FORMAT_NAMES", "app", "main"]
 
 app = typer.Typer(
     name="revisit",
-    help="Visual SLAM that closes loops: from the images of a recorded drive to a corrected trajectory and map.",
+    help="Visual SLAM with loop closing: from a recorded drive to a corrected trajectory and map.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -22,9 +25,9 @@ app = typer.Typer(
 evaluate_app = typer.Typer(no_args_is_help=True)
 app.add_typer(evaluate_app, name="evaluate", help="Measure results against ground truth.")
 filter_app = typer.Typer(no_args_is_help=True)
-app.add_typer(filter_app, name="filter", help="The filter by which sequences are recognised.")
+app.add_typer(filter_app, name="filter", help="Train the filter of the similarity matrix for the sequence paradigms.")
 vocabulary_app = typer.Typer(no_args_is_help=True)
-app.add_typer(vocabulary_app, name="vocabulary", help="Visual words for the paradigms that need them in advance.")
+app.add_typer(vocabulary_app, name="vocabulary", help="Train the visual words that some paradigms need in advance.")
 
 for command in (
     driving.demo,
@@ -49,7 +52,7 @@ evaluate_app.command("loops")(judging.evaluate_loops)
 vocabulary_app.command("train")(recognising.train_vocabulary)
 filter_app.command("train")(recognising.filter_train)
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # wherever a disk is full, that is no bug
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk or quota is an error of the user's, not a bug
 
 
 def main() -> None:
@@ -67,7 +70,7 @@ def _exit_code(command: Callable[[], None]) -> int:
         if error.errno not in _NO_ROOM:
             raise
         where = f"{error.filename}: " if error.filename else ""
-        print(f"revisit: {RevisitError(f'{where}{error.strerror}; make room')}", file=sys.stderr)
+        print(f"revisit: {RevisitError(f'{where}{error.strerror}; free some space')}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

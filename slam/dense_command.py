@@ -71,7 +71,7 @@ class DenseOptions:
         try:
             return DenseMapConfig(fusion=FusionConfig(voxel_m=self.voxel_m, max_depth_m=self.max_depth_m))
         except ValueError as error:
-            raise ConfigError(f"--voxel, --depth: {error}") from None
+            raise ConfigError(f"--voxel-size, --max-depth: {error}") from None
 
 
 @dataclass(frozen=True)

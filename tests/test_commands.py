@@ -3,21 +3,24 @@
 import inspect
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 from typer.testing import CliRunner
 
 from slam import cli
+from slam.commands import options
+from slam.config import RunConfig
+from slam.errors import ConfigError
 
 from .command_lines import APP, EXAMPLE, Shown, commands, find, lines, mentions
 
 COMMANDS = [pytest.param(names, command, id=" ".join(names)) for names, command in commands()]
 WIDE = {"COLUMNS": "200"}
 # What numbers are measured in, or count; a seed is neither.
-UNITS = re.compile(
-    "metre|second|degree|pixel|image|frame|lap|cars|words|how many|descriptor|column|process|seed|random", re.IGNORECASE
-)
+UNITS = re.compile(r"metres|seconds?\b|degrees|pixels|images|number of|index of|seed", re.IGNORECASE)
+NO_NOUN = re.compile(r"(Of|With|Within|By|For|In|How many|What|Whose|Only)\b")
 
 
 @pytest.mark.parametrize("shown", lines(), ids=str)
@@ -44,29 +47,79 @@ def test_pages_show_many_commands_and_a_wrong_one_would_be_noticed():
 
 
 def numbers(function: Callable[..., Any]) -> dict[str, str]:
-    """The parameters of a command that are numbers, each with what its help says."""
+    """The parameters of a command that are numbers, each with its help text."""
     parameters = inspect.signature(function).parameters.values()
     hints = {parameter.name: get_args(parameter.annotation) for parameter in parameters}
     return {name: told.help for name, (kind, told, *_) in hints.items() if {int, float} & {kind, *get_args(kind)}}
 
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)
-def test_a_help_teaches(names: tuple[str, ...], command: Any):
-    """It has a command to copy, says what everything is, and the unit of every number."""
+def test_a_help_has_an_example_that_begins_with_the_command(names: tuple[str, ...], command: Any):
     examples = EXAMPLE.findall(command.help)
     assert examples
     assert all(example.startswith(" ".join(names)) for example in examples)
-    assert [one.name for one in command.params if not one.help] == []
-    assert {name: told for name, told in numbers(command.callback).items() if not UNITS.search(told)} == {}
 
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)
-def test_a_help_in_a_pipe_is_plain_text_with_the_defaults(names: tuple[str, ...], command: Any):
+def test_every_option_has_a_help_that_stands_alone(names: tuple[str, ...], command: Any):
+    """It is a sentence or a noun phrase: it does not begin with a preposition whose noun is missing."""
+    helps = {one.name: one.help or "" for one in command.params}
+    assert {name: text for name, text in helps.items() if not re.fullmatch(r"[A-Z].*\.", text)} == {}
+    assert {name: text for name, text in helps.items() if NO_NOUN.match(text)} == {}
+
+
+@pytest.mark.parametrize(("names", "command"), COMMANDS)
+def test_the_help_of_every_number_names_its_unit(names: tuple[str, ...], command: Any):
+    assert {name: text for name, text in numbers(command.callback).items() if not UNITS.search(text)} == {}
+
+
+@pytest.mark.parametrize(("names", "command"), COMMANDS)
+def test_a_help_in_a_pipe_is_plain_text_with_every_default(names: tuple[str, ...], command: Any):
     said = CliRunner().invoke(cli.app, [*names, "--help"], env=WIDE).output
     assert "\x1b" not in said
-    for one in command.params:
-        if isinstance(one.default, str | int | float) and not isinstance(one.default, bool):
-            assert f"[default: {one.default}" in said, one.name
+    valued = [one for one in command.params if not one.required and not getattr(one, "is_flag", False)]
+    for one in valued:
+        default = f"({one.show_default})" if isinstance(one.show_default, str) else one.default
+        assert default is not None, f"{one.name}: the help does not say what happens without it"
+        assert f"[default: {default}" in said, one.name
+
+
+@pytest.mark.parametrize(("names", "command"), COMMANDS)
+def test_option_names_are_no_retired_words(names: tuple[str, ...], command: Any):
+    words = {word for one in command.params for name in one.opts for word in name.strip("-").split("-")}
+    assert not words & {"way", "heading", "alike", "relight", "kind", "clean"}
+
+
+# The lists of options.py are written by hand so that help answers at once.
+
+
+def registered(option: str, tmp_path: Path) -> set[str]:
+    """The names that a run accepts for an option, as its error message lists them."""
+    arguments = ["run", str(tmp_path), "--out", str(tmp_path / "out"), option, "no-such-name"]
+    with pytest.raises(ConfigError) as error:
+        cli.app(arguments, standalone_mode=False)
+    message = str(error.value)
+    assert "expected one of " in message
+    return set(message.split("expected one of ")[1].partition(", found")[0].split(", "))
+
+
+@pytest.mark.parametrize(
+    ("option", "listed"),
+    [
+        ("--paradigm", options.PARADIGM_NAMES),
+        ("--features", options.FEATURE_NAMES),
+        ("--robust", options.BACK_END_NAMES),
+        ("--format", options.FORMAT_NAMES),
+    ],
+)
+def test_help_lists_the_names_that_a_run_accepts(tmp_path: Path, option: str, listed: str):
+    assert set(listed.split(", ")) == registered(option, tmp_path)
+
+
+def test_help_names_the_defaults_of_a_run():
+    config = RunConfig()
+    assert (options.DEFAULT_PARADIGM, options.DEFAULT_BACK_END) == (config.paradigm, config.robust)
+    assert config.seed == 0
 
 
 def test_the_shell_can_be_taught_to_complete():

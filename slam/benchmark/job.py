@@ -78,7 +78,7 @@ class Job:
         """The words after `revisit` that make this run alone."""
         named = {
             "--sequence": self.source.sequence,
-            "--kind": self.source.kind,
+            "--format": self.source.kind,
             "--paradigm": self.paradigm,
             "--robust": self.robust,
             "--seed": self.seed,

@@ -91,7 +91,7 @@ class _Written:
 class _WrittenSource:
     path: str
     sequence: str = ""
-    kind: str = ""
+    format: str = ""
 
 
 def read_sweep(path: Path) -> Sweep:
@@ -146,7 +146,7 @@ def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> 
     written = from_values(_WrittenSource, settings, where)
     path = _path(written.path, folder, f"{where}: path")
     own = "-".join(part for part in (path.name, written.sequence) if part)
-    return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.kind or None))
+    return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.format or None))
 
 
 def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> Simulated:

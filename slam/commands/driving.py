@@ -1,4 +1,4 @@
-"""Commands that drive: a recorded drive, or a simulated one, to a trajectory and a map."""
+"""Commands that run the pipeline: on a simulated drive, a recorded one, a saved map, or densely on a finished run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,25 +7,38 @@ import typer
 from rich.console import Console
 
 from slam.commands.options import (
+    BACK_END,
     BACK_END_NAMES,
+    DEFAULT_BACK_END,
+    DEFAULT_FEATURES,
+    DEFAULT_PARADIGM,
     EXIT_INTERRUPTED,
     FEATURE_NAMES,
+    INPUT,
+    OUTPUT,
     PARADIGM_NAMES,
-    Kind,
+    RECOGNITION,
+    Format,
+    FrameRate,
+    ImageTopic,
     Out,
     Overwrite,
-    Topic,
+    Sequence,
+    Settings,
 )
 from slam.simulation.spec import DriveSpec
+
+_ROUTE, _SCENE, _CAMERA = "Route", "Scene", "Camera"
+_FROM_MAP = "as in the map"
 
 
 def demo(
     out: Out = Path("runs/demo"),
-    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the town and of the camera noise.")] = 0,
 ) -> None:
-    """Simulate a drive of three laps, run the whole chain on it, and write a report. Needs no download.
+    """Simulate a drive of three laps, run the whole pipeline on it and write a report. Needs no download.
 
-    The drive is rendered once and kept in the cache; the run in the output folder is made anew each time.
+    The drive is rendered once and kept in a cache. The results in the output folder are replaced each time.
 
     Example: revisit demo --out runs/demo
     """
@@ -36,84 +49,208 @@ def demo(
 
 
 def simulate(
-    shape: Annotated[str, typer.Argument(help="circle, figure-eight, blocks, or the path of a KITTI pose file.")],
+    shape: Annotated[
+        str, typer.Argument(help="Shape of the route: circle, figure-eight, blocks, or the path of a KITTI pose file.")
+    ],
     out: Out,
-    laps: Annotated[int, typer.Option(help="Laps to drive.")] = DriveSpec.laps,
-    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = DriveSpec.length,
-    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = DriveSpec.seed,
-    speed: Annotated[float, typer.Option(help="Of the car, metres a second.")] = DriveSpec.speed,
-    frame_rate: Annotated[float, typer.Option(help="Stereo pairs a second.")] = DriveSpec.frame_rate,
-    width: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.width,
-    height: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.height,
-    lateral_offset: Annotated[float, typer.Option(help="Sideways shift of later laps, metres.")] = 0.0,
-    reverse: Annotated[bool, typer.Option("--reverse", help="Drive every second lap the opposite way.")] = False,
-    relight: Annotated[bool, typer.Option("--relight", help="Drive later laps in other light.")] = False,
-    alike: Annotated[bool, typer.Option("--alike", help="Make two streets alike (perceptual aliasing).")] = False,
-    moving_cars: Annotated[int, typer.Option(help="Cars met on 360 m.")] = DriveSpec.moving_cars,
+    laps: Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)] = DriveSpec.laps,
+    length: Annotated[
+        float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)
+    ] = DriveSpec.length,
+    speed: Annotated[
+        float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)
+    ] = DriveSpec.speed,
+    lateral_offset: Annotated[
+        float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
+    ] = 0.0,
+    reverse: Annotated[
+        bool,
+        typer.Option("--reverse", help="Drive every second lap in the opposite direction.", rich_help_panel=_ROUTE),
+    ] = False,
+    max_frames: Annotated[
+        int, typer.Option(help="Maximum number of frames; 0 renders the whole route.", rich_help_panel=_ROUTE)
+    ] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Random seed of the town and of the camera noise.", rich_help_panel=_SCENE)
+    ] = DriveSpec.seed,
+    change_illumination: Annotated[
+        bool,
+        typer.Option("--change-illumination", help="Give later laps another sun and sky.", rich_help_panel=_SCENE),
+    ] = False,
+    perceptual_aliasing: Annotated[
+        bool,
+        typer.Option("--perceptual-aliasing", help="Make two different streets look alike.", rich_help_panel=_SCENE),
+    ] = False,
+    cars_per_360m: Annotated[
+        int,
+        typer.Option("--cars-per-360m", help="Number of moving cars met on 360 metres.", rich_help_panel=_SCENE),
+    ] = DriveSpec.moving_cars,
+    frame_rate: Annotated[
+        float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)
+    ] = DriveSpec.frame_rate,
+    width: Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)] = DriveSpec.width,
+    height: Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)] = DriveSpec.height,
     rectification_error: Annotated[
-        float, typer.Option(help="Peak error of the calibration, pixels at KITTI's size.")
+        float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
     ] = DriveSpec.rectification_error,
     lens_error: Annotated[
-        float, typer.Option(help="Distortion that calibration has left, pixels at 45 degrees, at KITTI's size.")
+        float,
+        typer.Option(
+            help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
+            rich_help_panel=_CAMERA,
+        ),
     ] = DriveSpec.lens_error,
-    max_frames: Annotated[int, typer.Option(help="Stop after so many frames; 0 drives all the way.")] = 0,
-    clean: Annotated[bool, typer.Option("--clean", help="Leave out noise, blur, wind and camera faults.")] = False,
-    depth: Annotated[bool, typer.Option("--depth", help="Write the true depth of each image too.")] = False,
+    ideal_sensor: Annotated[
+        bool,
+        typer.Option(
+            "--ideal-sensor",
+            help="Leave out noise, blur, vignetting, exposure changes, calibration errors and wind.",
+            rich_help_panel=_CAMERA,
+        ),
+    ] = False,
+    save_depth: Annotated[
+        bool,
+        typer.Option("--save-depth", help="Also write the true depth map of each left image.", rich_help_panel=OUTPUT),
+    ] = False,
 ) -> None:
-    """Render a drive through a procedural town: KITTI layout, stereo, exact ground truth.
+    """Render a stereo drive through a procedural town, with exact ground truth, in the layout of KITTI.
 
     Example: revisit simulate circle --laps 2 --length 360 --out data/circle
     """
-    settings = {name: value for name, value in locals().items() if name != "out"}
     from slam.progress import progress_bar
     from slam.simulation import simulate as render
 
+    spec = DriveSpec(
+        shape=shape,
+        laps=laps,
+        length=length,
+        seed=seed,
+        speed=speed,
+        frame_rate=frame_rate,
+        width=width,
+        height=height,
+        lateral_offset=lateral_offset,
+        reverse=reverse,
+        relight=change_illumination,
+        alike=perceptual_aliasing,
+        moving_cars=cars_per_360m,
+        rectification_error=rectification_error,
+        lens_error=lens_error,
+        max_frames=max_frames,
+        clean=ideal_sensor,
+        depth=save_depth,
+    )
     with progress_bar(Console(stderr=True), "Rendering") as progress:
-        folder = render(DriveSpec(**settings), out, progress)
+        folder = render(spec, out, progress)
     message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"
     Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 def run(
-    source: Annotated[Path, typer.Argument(help="A recorded drive: folder, video or bag.")],
+    source: Annotated[Path, typer.Argument(help="Recording: a folder, a video or a bag.")],
     out: Out,
-    sequence: Annotated[
-        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
-    ] = None,
-    paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
-    features: Annotated[str | None, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = None,
-    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it a general one.")] = None,
-    descriptor: Annotated[str | None, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = None,
-    robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of every random generator.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
-    view: Annotated[str, typer.Option(help="Watch while it runs: none, native or web.")] = "none",
-    mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.")] = False,
-    camera_height: Annotated[
-        float | None, typer.Option(help="With --mono: metres above the road; gives the scale. KITTI: 1.65.")
-    ] = None,
-    no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
-    no_map: Annotated[bool, typer.Option("--no-map", help="Write no map.db: no --resume, no locate.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run into the folder stopped.")] = False,
+    sequence: Sequence = None,
+    dataset_format: Format = None,
+    fps: FrameRate = None,
+    image_topic: ImageTopic = None,
+    config: Settings = None,
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="Map of other drives, a map.db or a run: recognise their places.")
+        Path | None,
+        typer.Option(
+            "--map",
+            help="Saved map of an earlier drive, a map.db or a run folder, whose places are recognised too.",
+            show_default="an empty map",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    kind: Kind = None,
-    fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
-    topic: Topic = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Continue an interrupted run in the output folder.", rich_help_panel=INPUT),
+    ] = False,
+    paradigm: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Place-recognition paradigm: {PARADIGM_NAMES}.",
+            show_default=DEFAULT_PARADIGM,
+            rich_help_panel=RECOGNITION,
+        ),
+    ] = None,
+    features: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Local features: {FEATURE_NAMES}.", show_default=DEFAULT_FEATURES, rich_help_panel=RECOGNITION
+        ),
+    ] = None,
+    vocabulary: Annotated[
+        Path | None,
+        typer.Option(
+            help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
+        ),
+    ] = None,
+    descriptor: Annotated[
+        str | None,
+        typer.Option(
+            help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.",
+            show_default="hog",
+            rich_help_panel=RECOGNITION,
+        ),
+    ] = None,
+    robust: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Robust back end: {BACK_END_NAMES}.", show_default=DEFAULT_BACK_END, rich_help_panel=BACK_END
+        ),
+    ] = None,
+    mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.", rich_help_panel=BACK_END)] = False,
+    camera_height: Annotated[
+        float | None,
+        typer.Option(
+            help="Height of the camera above the road, metres, which gives the scale with --mono; 1.65 for KITTI.",
+            show_default="unknown: no scale",
+            rich_help_panel=BACK_END,
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed of every random generator.", show_default="0", rich_help_panel=BACK_END),
+    ] = None,
+    view: Annotated[
+        str, typer.Option(help="Live view during the run: none, native or web.", rich_help_panel=OUTPUT)
+    ] = "none",
+    no_record: Annotated[
+        bool, typer.Option("--no-record", help="Do not write recording.rrd.", rich_help_panel=OUTPUT)
+    ] = False,
+    no_map: Annotated[
+        bool,
+        typer.Option(
+            "--no-map",
+            help="Do not write map.db; the run can then neither be resumed nor used by revisit locate.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Run the whole chain on a recorded drive: odometry, places, loops, pose graph, map, report.
+    """Run the whole pipeline on a recording: odometry, place recognition, loop closing, pose graph, map, report.
 
-    Killed or stopped, it goes on with --resume and ends with the same results. With --map it begins with the map of an
-    earlier run, recognises its places, and ends with both drives in one map.
+    An interrupted run continues with --resume and ends with the same results. With --map the run starts from the map
+    of an earlier drive, recognises its places, and ends with both drives in one map.
 
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
     from slam.run import RunOptions, run_recorded
 
     options = RunOptions(
-        source, sequence, out, view, overwrite, resume, map_file, config, kind, fps, tuple(topic or ())
+        source=source,
+        sequence=sequence,
+        out=out,
+        view=view,
+        overwrite=overwrite,
+        resume=resume,
+        map_file=map_file,
+        config=config,
+        kind=dataset_format,
+        fps=fps,
+        topics=tuple(image_topic or ()),
     )
     chosen = {
         "paradigm": paradigm,
@@ -133,18 +270,32 @@ def run(
 
 
 def reprocess(
-    map_: Annotated[Path, typer.Argument(metavar="MAP", help="Map of one drive: a map.db, or a run with one.")],
+    map_: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Saved map of one drive: a map.db, or a run folder that has one.")
+    ],
     out: Out,
-    paradigm: Annotated[str | None, typer.Option(help=f"Place recogniser: {PARADIGM_NAMES}.")] = None,
-    robust: Annotated[str | None, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Settings, a TOML file such as a run's config.toml.")] = None,
-    source: Annotated[Path | None, typer.Option(help="The recording, if it is no longer where it was.")] = None,
-    no_record: Annotated[bool, typer.Option("--no-record", help="Write no recording.rrd.")] = False,
+    paradigm: Annotated[
+        str | None,
+        typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", show_default=_FROM_MAP),
+    ] = None,
+    robust: Annotated[
+        str | None, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=_FROM_MAP)
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML file with settings, such as the config.toml of a run.", show_default=_FROM_MAP),
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option(help="Recording of the drive, if it has been moved.", show_default=_FROM_MAP)
+    ] = None,
+    no_record: Annotated[
+        bool, typer.Option("--no-record", help="Do not write recording.rrd.", rich_help_panel=OUTPUT)
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Find the loops of a drive again, with other settings: motions and landmarks are taken from its map.
+    """Search the loops of a drive again with other settings. Motions and landmarks are taken from its map.
 
-    What is not given stays as it was. The images are read again, for the recogniser.
+    Settings that are not given stay as they were. The left images are read again for place recognition.
 
     Example: revisit reprocess runs/kitti05 --paradigm hierarchical-places --out runs/kitti05-hp
     """
@@ -156,9 +307,17 @@ def reprocess(
     found = source_of(map_)
     found = found if source is None else replace(found, path=source)
     options = RunOptions(
-        found.path, found.sequence, out, "none", overwrite, again=map_, config=config, kind=found.kind, fps=found.fps,
+        source=found.path,
+        sequence=found.sequence,
+        out=out,
+        view="none",
+        overwrite=overwrite,
+        again=map_,
+        config=config,
+        kind=found.kind,
+        fps=found.fps,
         topics=found.topics,
-    )  # fmt: skip
+    )
     chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_recorded(options, settings, Console(stderr=True), Console())
@@ -166,22 +325,24 @@ def reprocess(
 
 
 def dense(
-    run: Annotated[Path, typer.Argument(help="Folder of a run with two cameras.")],
+    run: Annotated[Path, typer.Argument(help="Folder of a stereo run.")],
     source: Annotated[
-        Path | None, typer.Argument(help="Its recording, where that has moved since.", show_default=False)
+        Path | None,
+        typer.Argument(help="Recording of the run, if it has been moved.", show_default="as in the run"),
     ] = None,
-    voxel: Annotated[float, typer.Option(help="Distance between points of the map, metres.")] = 0.15,
-    depth: Annotated[float, typer.Option(help="Leave out what is farther from the camera, metres.")] = 25.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dense map that is there.")] = False,
+    voxel_size: Annotated[float, typer.Option(help="Voxel size: distance between points, metres.")] = 0.15,
+    max_depth: Annotated[float, typer.Option(help="Maximum depth that is fused, metres from the camera.")] = 25.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dense map of the run.")] = False,
 ) -> None:
-    """Make the dense map of a run: cloud and mesh before and after correction, and the grid of what is free.
+    """Make the dense map of a run: point cloud and mesh before and after correction, and an occupancy grid.
 
-    Writes into the folder of the run, and shows the maps in its report too. Images
-    are read once; the corrected graph moves finished submaps.
+    The files are written into the folder of the run, and its report shows the maps. Images are read once: the corrected
+    pose graph moves finished submaps.
 
     Example: revisit dense runs/kitti05
     """
     from slam.dense_command import DenseOptions, map_densely
 
-    message = map_densely(DenseOptions(run, source, voxel, depth, overwrite), Console(stderr=True))
+    options = DenseOptions(run=run, source=source, voxel_m=voxel_size, max_depth_m=max_depth, overwrite=overwrite)
+    message = map_densely(options, Console(stderr=True))
     Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Commands that judge: graphs, results against ground truth, many runs side by side."""
+"""Commands that evaluate: pose graphs, results against ground truth, many runs side by side, single loops."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,23 +6,34 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from slam.commands.options import BACK_END_NAMES, EXIT_FAILED, Out, Overwrite
+from slam.commands.options import (
+    BACK_END_NAMES,
+    DEFAULT_BACK_END,
+    EXIT_FAILED,
+    Json,
+    Out,
+    Overwrite,
+    Scheduler,
+)
+
+_RULE = "Rule of a revisit, for ground truth given as poses"
 
 
 def optimize(
     graphs: Annotated[
-        list[Path], typer.Argument(metavar="GRAPH.g2o...", help="Pose graphs, in the plane or in space.")
+        list[Path], typer.Argument(metavar="GRAPH.g2o...", help="Pose graphs in the plane (SE2) or in space (SE3).")
     ],
     out: Out,
-    robust: Annotated[str, typer.Option(help=f"Back end: {BACK_END_NAMES}.")] = "pcm+gnc",
+    robust: Annotated[str, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.")] = DEFAULT_BACK_END,
     ground_truth: Annotated[
-        Path | None, typer.Option(help="True poses (KITTI, TUM), or a folder of them named as in the graphs' names.")
+        Path | None,
+        typer.Option(help="True poses (KITTI, TUM), or a folder of files named after the graphs.", show_default="none"),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Optimise pose graphs that may hold false loops; say which loops were kept, and why.
+    """Optimise pose graphs that may hold false loops, and list which loops were kept and why.
 
-    Edges between successive poses are odometry and trusted, all others are loops.
+    Edges between consecutive poses are odometry, which is trusted. All other edges are loops.
 
     Example: revisit optimize kitti_05.g2o --ground-truth poses/05.txt --out runs/graph05
     """
@@ -33,33 +44,40 @@ def optimize(
 
 
 def benchmark(
-    config: Annotated[Path, typer.Argument(help="TOML file: sources, paradigms, robust, seeds.")],
+    config: Annotated[
+        Path, typer.Argument(help="TOML file that lists sources, paradigms, robust back ends and seeds.")
+    ],
     out: Out,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine, 0 for this one alone; else one for each core.")
+        int | None,
+        typer.Option(
+            help="Number of worker processes on this machine; 0 works in this process alone.",
+            show_default="one per core",
+        ),
     ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Of dask, instead: tcp://HOST:PORT; same files there.")] = None,
+    scheduler: Scheduler = None,
 ) -> None:
-    """Run every source with every paradigm, back end and seed; figures of all runs side by side.
+    """Run every source with every paradigm, back end and seed, and compare the results side by side.
 
-    What an earlier command has finished in the output folder is kept, so the same command goes on where it stopped.
+    Finished runs in the output folder are kept, so the same command continues where it stopped.
     Several processes need: pip install 'revisit-slam[cluster]'
 
     Example: revisit benchmark town.toml --out runs/town
     """
     from slam.benchmark.command import BenchmarkOptions, run_benchmark
 
-    succeeded = run_benchmark(BenchmarkOptions(config, out, workers, scheduler), Console(stderr=True), Console())
+    options = BenchmarkOptions(config=config, out=out, workers=workers, scheduler=scheduler)
+    succeeded = run_benchmark(options, Console(stderr=True), Console())
     raise typer.Exit(0 if succeeded else EXIT_FAILED)
 
 
 def evaluate_trajectory(
-    estimate: Annotated[Path, typer.Argument(help="Estimated poses, KITTI (12 numbers a line) or TUM.")],
-    truth: Annotated[Path, typer.Argument(help="True poses, likewise.")],
+    estimate: Annotated[Path, typer.Argument(help="Estimated poses: KITTI (12 numbers per line) or TUM.")],
+    truth: Annotated[Path, typer.Argument(help="True poses: KITTI or TUM.")],
     mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: Json = False,
 ) -> None:
-    """ATE after alignment, and t_rel, r_rel by the KITTI rule.
+    """Print the errors of a trajectory: ATE after alignment, t_rel and r_rel by the KITTI rule, and the end error.
 
     Example: revisit evaluate trajectory runs/kitti05/trajectory_corrected.txt data/kitti/poses/05.txt
     """
@@ -69,42 +87,81 @@ def evaluate_trajectory(
 
 
 def evaluate_loops(
-    matches: Annotated[Path, typer.Argument(help="matches.csv, or any table with query, match and score.")],
-    truth: Annotated[
-        Path, typer.Argument(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
+    matches: Annotated[
+        Path, typer.Argument(help="Table of matches: a matches.csv, or any CSV with query, match, score.")
     ],
-    tolerance: Annotated[int | None, typer.Option(help="Columns that a match may be off, besides 0 and 10.")] = None,
-    radius: Annotated[float, typer.Option(help="Of one place, metres; for poses.")] = 10.0,
-    heading: Annotated[float, typer.Option(help="Within which one looks the same way, degrees; for poses.")] = 45.0,
-    gap: Annotated[float, typer.Option(help="Least time between the images of a revisit, seconds; for poses.")] = 0.0,
-    way: Annotated[float, typer.Option(help="Least way between the images of a revisit, metres; for poses.")] = 20.0,
+    truth: Annotated[
+        Path,
+        typer.Argument(help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM)."),
+    ],
+    frame_tolerance: Annotated[
+        int | None,
+        typer.Option(
+            help="Maximum distance of a match from the nearest true one, images, counted besides 0 and 10.",
+            show_default="0 and 10 alone",
+        ),
+    ] = None,
+    max_distance: Annotated[
+        float, typer.Option(help="Maximum distance of the two cameras, metres.", rich_help_panel=_RULE)
+    ] = 10.0,
+    max_angle: Annotated[
+        float, typer.Option(help="Maximum angle between the two viewing directions, degrees.", rich_help_panel=_RULE)
+    ] = 45.0,
+    min_time_gap: Annotated[
+        float, typer.Option(help="Minimum time between the two images, seconds.", rich_help_panel=_RULE)
+    ] = 0.0,
+    min_distance: Annotated[
+        float, typer.Option(help="Minimum path length between the two images, metres.", rich_help_panel=_RULE)
+    ] = 20.0,
     one_to_one: Annotated[
-        bool, typer.Option("--one-to-one", help="Only the nearest image is right; for poses.")
+        bool,
+        typer.Option("--one-to-one", help="Accept only the nearest image as a true match.", rich_help_panel=_RULE),
     ] = False,
-    fps: Annotated[float | None, typer.Option(help="Poses a second, for a gap where poses have no times.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for metrics.json and the curve.")] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Poses per second, which --min-time-gap needs.",
+            show_default="by the times of the poses",
+            rich_help_panel=_RULE,
+        ),
+    ] = None,
+    json: Json = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for metrics.json and the curve.", show_default="none is written")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Precision, recall and R@P100 of matches, by the rule of the chapter's authors and by that of others.
+    """Print precision, recall and R@P100 of matches by two rules in use: exact truth, and a tolerance of 10 images.
 
     Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
     """
     from place_recognition.evaluation.ground_truth import SamePlace
     from slam.evaluation.loops_command import LoopsOptions
-    from slam.evaluation.loops_command import evaluate_loops as judge
+    from slam.evaluation.loops_command import evaluate_loops as evaluate
 
-    rule = SamePlace(radius, heading, gap, way, one_to_one)
-    text = judge(LoopsOptions(matches, truth, tolerance, rule, fps, out, overwrite), json)
-    Console().print(text, markup=False, highlight=False, soft_wrap=True)
+    options = LoopsOptions(
+        matches=matches,
+        truth=truth,
+        frame_tolerance=frame_tolerance,
+        rule=SamePlace(
+            radius=max_distance, heading=max_angle, gap=min_time_gap, way=min_distance, one_to_one=one_to_one
+        ),
+        fps=fps,
+        out=out,
+        overwrite=overwrite,
+    )
+    Console().print(evaluate(options, json), markup=False, highlight=False, soft_wrap=True)
 
 
 def explain(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    query: Annotated[int, typer.Argument(help="Frame that was asked about, counted from 0.")],
-    match: Annotated[int | None, typer.Argument(help="Earlier frame; without it the recogniser's best.")] = None,
+    query: Annotated[int, typer.Argument(help="Index of the query frame, counted from 0.")],
+    match: Annotated[
+        int | None,
+        typer.Argument(help="Index of the earlier frame.", show_default="the recogniser's best match"),
+    ] = None,
 ) -> None:
-    """Tell why a loop was or was not closed, stage by stage, with the numbers.
+    """Explain why a loop was or was not closed: the result of each stage, with its numbers.
 
     Example: revisit explain runs/demo 310
     """

@@ -1,4 +1,4 @@
-"""Commands that look into recordings, runs and saved maps."""
+"""Commands that inspect recordings, runs and saved maps."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,19 +6,19 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from slam.commands.options import EXIT_FAILED, Kind, Topic
+from slam.commands.options import EXIT_FAILED, Format, FrameRate, ImageTopic, Json, Sequence
 
 
 def locate(
-    map: Annotated[Path, typer.Argument(help="Folder of a run, or its map.db.")],
-    images: Annotated[Path, typer.Argument(help="An image, a folder of images, a video, or a recorded drive.")],
-    sequence: Annotated[
-        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
+    map: Annotated[Path, typer.Argument(help="Saved map: a map.db, or a run folder that has one.")],
+    images: Annotated[Path, typer.Argument(help="Query images: a file, a folder of images, a video or a recording.")],
+    sequence: Sequence = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="CSV file for the poses.", show_default="none is written")
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="CSV file for the poses.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: Json = False,
 ) -> None:
-    """Tell where single images of the map's camera were taken, or that the map does not show it.
+    """Localise single images in a saved map of the same camera: the pose of each, or the reason why there is none.
 
     Example: revisit locate runs/kitti05 photo.png
     """
@@ -32,10 +32,10 @@ def locate(
 
 
 def info(
-    map: Annotated[Path, typer.Argument(help="Folder of a run, or its map.db.")],
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    map: Annotated[Path, typer.Argument(help="Saved map: a map.db, or a run folder that has one.")],
+    json: Json = False,
 ) -> None:
-    """Tell what a saved map holds: its drives, loops and landmarks, and where its bytes are.
+    """List what a saved map holds: drives, loops and landmarks, and the size of each part.
 
     Example: revisit info runs/kitti05
     """
@@ -47,19 +47,14 @@ def info(
 
 
 def check(
-    source: Annotated[
-        Path,
-        typer.Argument(help="A recorded drive, a folder of images, a video, a bag, or a map that a run has saved."),
-    ],
-    sequence: Annotated[
-        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
-    ] = None,
-    kind: Kind = None,
-    fps: Annotated[float | None, typer.Option(help="Images a second, where nothing else says.")] = None,
-    topic: Topic = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    source: Annotated[Path, typer.Argument(help="Recording (a folder, a video or a bag), or a saved map.")],
+    sequence: Sequence = None,
+    dataset_format: Format = None,
+    fps: FrameRate = None,
+    image_topic: ImageTopic = None,
+    json: Json = False,
 ) -> None:
-    """Look at a recording before a run, or at a saved map: what will and what will not work with it, and why.
+    """Check a recording before a run, or a saved map: which commands will work with it, and what is wrong.
 
     Example: revisit check data/kitti --sequence 05
     """
@@ -70,7 +65,8 @@ def check(
     if is_map(source):
         inspection = inspect_map(source)
     else:
-        inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
+        recording = Source(source, sequence, dataset_format, fps, tuple(image_topic or ()))
+        inspection = check_recording(recording, Console(stderr=True))
     shown = as_json(inspection) if json else as_table(inspection)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
     raise typer.Exit(0 if inspection.serves else EXIT_FAILED)
@@ -79,15 +75,22 @@ def check(
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     format: Annotated[
-        str, typer.Option(help="tum or kitti (trajectories), g2o (graph), ply (landmarks), colmap (its text model).")
+        str,
+        typer.Option(
+            help="Output format: tum or kitti (trajectory), g2o (pose graph), ply (landmarks), colmap (text model)."
+        ),
     ],
     state: Annotated[
-        str, typer.Option(help="odometry, online (trajectories only: as known at each moment) or corrected.")
+        str,
+        typer.Option(help="Trajectory to write: odometry, online (as estimated at each moment) or corrected."),
     ] = "corrected",
-    out: Annotated[Path | None, typer.Option(help="File, or colmap's folder; without it beside the run.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Output file; with colmap an output folder.", show_default="in the folder of the run"),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write one result of a run in the format that another program reads.
+    """Write one result of a run in a format that other programs read.
 
     Example: revisit export runs/kitti05 --format tum --out kitti05.tum
     """
@@ -99,12 +102,14 @@ def export(
 
 
 def view(
-    run: Annotated[Path, typer.Argument(help="Folder of a run with a recording.")],
-    web: Annotated[bool, typer.Option("--web", help="Name a page for a browser of this machine instead.")] = False,
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has a recording.rrd.")],
+    web: Annotated[
+        bool, typer.Option("--web", help="Print the address of a page for a browser instead of opening a window.")
+    ] = False,
 ) -> None:
-    """Open the recording of a run, and its dense map where it has one, in the rerun viewer.
+    """Open the recording of a run, and its dense map if there is one, in the rerun viewer.
 
-    The viewer listens on 127.0.0.1 alone and reports to nobody.
+    The viewer listens on 127.0.0.1 only and sends no usage data.
 
     Example: revisit view runs/demo
     """

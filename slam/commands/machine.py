@@ -1,4 +1,4 @@
-"""The command that looks at this machine."""
+"""The command that checks the installation."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from slam.commands.options import EXIT_FAILED
+from slam.commands.options import EXIT_FAILED, Json
 
 if TYPE_CHECKING:
     from slam.doctor import Check
 
 
 def doctor(
-    licences: Annotated[bool, typer.Option("--licences", help="List the installed dependencies instead.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    licences: Annotated[
+        bool, typer.Option("--licences", help="List the installed dependencies with their licences instead.")
+    ] = False,
+    json: Json = False,
 ) -> None:
-    """Check Python, the wheels and the system libraries; say what is missing and what to type.
+    """Check Python, the installed packages and the system libraries, and print how to install what is missing.
 
     Example: revisit doctor
     """

@@ -1,4 +1,4 @@
-"""Commands about places: recognising them, and learning what that takes."""
+"""Commands for place recognition: on its own, and the training of vocabularies and matrix filters."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,56 +6,112 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from slam.commands.options import EXIT_INTERRUPTED, FEATURE_NAMES, PARADIGM_NAMES, Kind, Out, Overwrite, Topic
+from slam.commands.options import (
+    EXIT_INTERRUPTED,
+    FEATURE_NAMES,
+    INPUT,
+    PARADIGM_NAMES,
+    RECOGNITION,
+    Format,
+    FrameRate,
+    ImageTopic,
+    Json,
+    Out,
+    Overwrite,
+    Scheduler,
+    Sequence,
+)
 
 
 def places(
-    source: Annotated[Path, typer.Argument(help="A recorded drive, a folder of images, a video or a bag.")],
-    paradigm: Annotated[str, typer.Option(help=f"One of: {PARADIGM_NAMES}.")],
+    source: Annotated[Path, typer.Argument(help="Recording: a drive, a folder of images, a video or a bag.")],
+    paradigm: Annotated[
+        str,
+        typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", rich_help_panel=RECOGNITION),
+    ],
     out: Out,
-    sequence: Annotated[
-        str | None, typer.Option(help="Sequence, for example 00; needed where there are several.")
-    ] = None,
+    sequence: Sequence = None,
+    dataset_format: Format = None,
+    fps: FrameRate = None,
+    image_topic: ImageTopic = None,
     ground_truth: Annotated[
-        Path | None, typer.Option(help="Matrix of revisits (.mat, or .npz with truth), or poses (KITTI, TUM).")
+        Path | None,
+        typer.Option(
+            help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM).",
+            show_default="poses of the source",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    features: Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = "surf",
-    vocabulary: Annotated[Path | None, typer.Option(help="Vocabulary file; without it one for surf.")] = None,
-    descriptor: Annotated[str, typer.Option(help="Of global-descriptor: hog, or onnx:FILE.")] = "hog",
-    exclude: Annotated[float | None, typer.Option(help="Match no image less than so many seconds old.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Images a second, where there is no times.txt.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
-    json: Annotated[bool, typer.Option("--json", help="Print the metrics as JSON.")] = False,
-    kind: Kind = None,
-    topic: Topic = None,
+    features: Annotated[
+        str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)
+    ] = "surf",
+    vocabulary: Annotated[
+        Path | None,
+        typer.Option(
+            help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
+        ),
+    ] = None,
+    descriptor: Annotated[
+        str,
+        typer.Option(
+            help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.", rich_help_panel=RECOGNITION
+        ),
+    ] = "hog",
+    exclude: Annotated[
+        float | None,
+        typer.Option(
+            help="Minimum age of a match, seconds.",
+            show_default="the exclusion window of the paradigm alone",
+            rich_help_panel=RECOGNITION,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of every random generator.", rich_help_panel=RECOGNITION)] = 0,
+    json: Json = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Place recognition alone, with one camera: which images show a place that was seen before?
+    """Recognise places with one camera, without odometry or mapping: which images show a place seen before?
 
     Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
     """
-    settings = {name: value for name, value in locals().items() if name not in ("json", "topic")}
     from slam.places.command import recognise_places
     from slam.places.options import PlacesOptions
 
-    options = PlacesOptions(**settings, topics=tuple(topic or ()))
+    options = PlacesOptions(
+        source=source,
+        paradigm=paradigm,
+        out=out,
+        sequence=sequence,
+        ground_truth=ground_truth,
+        features=features,
+        vocabulary=vocabulary,
+        descriptor=descriptor,
+        exclude=exclude,
+        fps=fps,
+        seed=seed,
+        overwrite=overwrite,
+        kind=dataset_format,
+        topics=tuple(image_topic or ()),
+    )
     interrupted = recognise_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
 def train_vocabulary(
     sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
-    out: Annotated[Path, typer.Option("--out", help="File for the words.")],
-    features: Annotated[str, typer.Option(help=f"What the words are made of: {FEATURE_NAMES}.")] = "surf",
-    words: Annotated[int, typer.Option(help="How many.")] = 10000,
-    sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
-    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    out: Annotated[Path, typer.Option("--out", help="Vocabulary file to write.")],
+    features: Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = "surf",
+    words: Annotated[int, typer.Option(help="Number of visual words.")] = 10000,
+    sample: Annotated[int, typer.Option(help="Maximum number of descriptors to train on.")] = 1000000,
+    seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; else this one alone, which needs no extra.")
+        int | None,
+        typer.Option(
+            help="Number of worker processes on this machine; 0 works in this process alone.", show_default="0"
+        ),
     ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Of dask, instead: tcp://HOST:PORT; same files there.")] = None,
+    scheduler: Scheduler = None,
 ) -> None:
-    """Train visual words on images of your own. Never on those that will be recognised.
+    """Train a vocabulary of visual words on images of your own. Do not use the images that will be recognised.
 
     Several processes give the same words sooner, and need: pip install 'revisit-slam[cluster]'
 
@@ -71,14 +127,18 @@ def train_vocabulary(
 
 
 def filter_train(
-    matrix: Annotated[Path, typer.Argument(help="matrix.npz of revisit places with a paradigm of sequences.")],
-    truth: Annotated[Path, typer.Argument(help="Matrix of its revisits: .mat, or .npz with truth.")],
-    out: Annotated[Path, typer.Option("--out", help="Settings to write, a TOML file.")],
+    matrix: Annotated[
+        Path, typer.Argument(help="Similarity matrix: the matrix.npz of `revisit places` with a sequence paradigm.")
+    ],
+    truth: Annotated[
+        Path, typer.Argument(help="Ground truth of the same drive: a matrix of revisits (.mat, or .npz with `truth`).")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="TOML file of settings to write.")],
     paradigm: Annotated[
-        str, typer.Option(help="Whose filter: sequence-histograms or dynamic-sequences.")
+        str, typer.Option(help="Paradigm that uses the filter: sequence-histograms or dynamic-sequences.")
     ] = "dynamic-sequences",
 ) -> None:
-    """Learn the 3x3 filter of the similarity matrix by logistic regression.
+    """Train the 3x3 filter of the similarity matrix by logistic regression.
 
     Example: revisit filter train runs/places05/matrix.npz loops_05.npz --out filter.toml
     """

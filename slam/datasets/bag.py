@@ -99,7 +99,7 @@ def _is_pair(bag: Bag, topics: Topics, settings: CameraFile | None) -> bool:
     if right is not None and left is not None and left.to_right > right.to_right:
         raise DataError(
             f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
-            f" {topics.right} by CameraInfo; swap them with --topic"
+            f" {topics.right} by CameraInfo; swap them with --image-topic"
         )
     return right is not None and right.to_right != 0
 

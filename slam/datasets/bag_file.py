@@ -107,7 +107,7 @@ def open_topic(path: Path, topic: str) -> BagImages:
             received.append(time)
             stamps.append(stamp(reader.deserialize(data, connection.msgtype)))
     if not received:
-        raise DataError(f"{path}, {topic}: expected images, found no message; choose another with --topic")
+        raise DataError(f"{path}, {topic}: expected images, found no message; choose another with --image-topic")
     arrived, times = np.array(received, np.int64), np.array(stamps)
     if not times.any():  # a camera without a clock
         times = arrived / 1e9
@@ -136,7 +136,7 @@ def _of_topic(reader: Any, path: Path, topic: str) -> list[Any]:
     connections = [c for c in reader.connections if c.topic == topic and c.msgtype in IMAGE_TYPES]
     if not connections:
         found = ", ".join(sorted({c.topic for c in reader.connections if c.msgtype in IMAGE_TYPES})) or "none"
-        raise DataError(f"{path}: expected images of the topic {topic}, found {found}; choose with --topic")
+        raise DataError(f"{path}: expected images of the topic {topic}, found {found}; choose with --image-topic")
     return connections
 
 

@@ -37,7 +37,9 @@ def choose_topics(bag: Bag, named: tuple[str, ...]) -> Topics:
         if len(pairs) == 1:
             return pairs[0]
     found = ", ".join(f"{topic} ({count})" for topic, count in bag.images.items()) or "no images"
-    raise DataError(f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --topic")
+    raise DataError(
+        f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --image-topic"
+    )
 
 
 def _usable(topics: tuple[str, ...]) -> tuple[str, ...]:

@@ -100,7 +100,7 @@ def kind_of(source: Source) -> str:
     """
     if source.kind is not None:
         if source.kind not in KINDS:
-            raise ConfigError(f"--kind: expected one of {', '.join(KINDS)}, found {source.kind!r}")
+            raise ConfigError(f"--format: expected one of {', '.join(KINDS)}, found {source.kind!r}")
         return source.kind
     if not source.path.exists():
         raise DataError(f"{source.path}: expected a recording, found nothing; check the path")

@@ -38,7 +38,7 @@ class Source:
         if self.fps is not None and not is_rate(self.fps):
             raise ConfigError(f"--fps: expected images a second above 0, found {self.fps}")
         if len(self.topics) > 2:
-            raise ConfigError(f"--topic: expected one, or left and right, found {len(self.topics)}")
+            raise ConfigError(f"--image-topic: expected one, or left and right, found {len(self.topics)}")
 
     def as_metrics(self) -> dict[str, object]:
         """What was asked, for metrics.json; what was not is left out."""

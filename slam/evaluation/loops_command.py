@@ -32,7 +32,8 @@ class LoopsOptions:
     Attributes:
         matches: table with the columns query, match and score.
         truth: matrix (.mat, .npz) or poses (KITTI, TUM).
-        tolerance: columns that a match may be off, for a third count; None for the two rules in use alone.
+        frame_tolerance: maximum distance of a match from the nearest true one, images, for a third count; None for the
+            two rules in use alone.
         rule: what counts as one place, where the truth is poses.
         fps: poses a second, where the rule has a gap and the poses have no times.
         out: folder for metrics.json and the curve; None to write nothing.
@@ -41,7 +42,7 @@ class LoopsOptions:
 
     matches: Path
     truth: Path
-    tolerance: int | None = None
+    frame_tolerance: int | None = None
     rule: SamePlace = field(default_factory=SamePlace)
     fps: float | None = None
     out: Path | None = None
@@ -63,7 +64,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
     _check_queries(options.matches, beliefs, truth)
-    tolerances = dict.fromkeys((0, OTHERS_TOLERANCE, options.tolerance or 0))
+    tolerances = dict.fromkeys((0, OTHERS_TOLERANCE, options.frame_tolerance or 0))
     results = {tolerance: score(beliefs, truth.known, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
         "matches": str(options.matches),
@@ -78,12 +79,17 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
 
 def _check(options: LoopsOptions) -> None:
     rule = options.rule
-    numbers = {"--radius": rule.radius, "--heading": rule.heading, "--gap": rule.gap, "--way": rule.way}
+    numbers = {
+        "--max-distance": rule.radius,
+        "--max-angle": rule.heading,
+        "--min-time-gap": rule.gap,
+        "--min-distance": rule.way,
+    }
     for name, value in numbers.items():
         if not 0 <= value < np.inf:
             raise ConfigError(f"{name}: expected a number from 0, found {value}")
-    if options.tolerance is not None and options.tolerance < 0:
-        raise ConfigError(f"--tolerance: expected columns from 0, found {options.tolerance}")
+    if options.frame_tolerance is not None and options.frame_tolerance < 0:
+        raise ConfigError(f"--frame-tolerance: expected columns from 0, found {options.frame_tolerance}")
     if options.fps is not None and not 0 < options.fps < np.inf:
         raise ConfigError(f"--fps: expected poses a second above 0, found {options.fps}")
 

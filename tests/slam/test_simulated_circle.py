@@ -197,5 +197,5 @@ def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monke
 
 
 def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
-    with pytest.raises(ConfigError, match="--voxel, --depth: expected positive numbers"):
+    with pytest.raises(ConfigError, match="--voxel-size, --max-depth: expected positive numbers"):
         map_densely(DenseOptions(tmp_path, voxel_m=0.0), QUIET)

@@ -53,11 +53,11 @@ def key_frame_setting() -> str:
 
 def test_the_command_of_a_job_makes_the_same_run(tmp_path: Path):
     (job,) = make_jobs(
-        read_sweep(written(tmp_path, 'seeds = [3]\n[[sources]]\npath = "a b"\nkind = "kitti"\n')), tmp_path
+        read_sweep(written(tmp_path, 'seeds = [3]\n[[sources]]\npath = "a b"\nformat = "kitti"\n')), tmp_path
     )
     words = list(job.command)
     assert words[:2] == ["run", str(tmp_path / "a b")]
-    assert {"--no-record", "--kind"} <= set(words)
+    assert {"--no-record", "--format"} <= set(words)
     assert words[words.index("--seed") + 1] == "3"
     assert words[words.index("--out") + 1] == str(job.folder)
 
@@ -114,7 +114,7 @@ def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Pa
 
 words = st.text(max_size=8) | st.sampled_from(["circle", "kitti", "tracked-words", "\0", "~", "~nobody", "..", "/"])
 things = st.none() | st.booleans() | st.integers() | st.just(10**400) | st.floats() | words
-recorded = st.fixed_dictionaries({"path": words}, optional=dict.fromkeys(["sequence", "kind", "name"], words))
+recorded = st.fixed_dictionaries({"path": words}, optional=dict.fromkeys(["sequence", "format", "name"], words))
 simulated = st.fixed_dictionaries(
     {"simulate": st.just("circle") | words}, optional=dict.fromkeys(["laps", "length", "seed", "clean", "name"], things)
 )

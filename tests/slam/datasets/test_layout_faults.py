@@ -229,7 +229,7 @@ def test_faults_of_bags(tmp_path: Path, rough: Taken) -> None:
     ):
         open_source(Source(bare, topics=("/other",)))
     unclear = write_bag(tmp_path / "unclear", rough, BagStyle(topics=("/a/image", "/b/image")))
-    with pytest.raises(DataError, match=r"found /a/image \(3\), /b/image \(3\); choose with --topic"):
+    with pytest.raises(DataError, match=r"found /a/image \(3\), /b/image \(3\); choose with --image-topic"):
         open_drive(unclear)
     swapped = Source(write_bag(tmp_path / "swapped", rough, BagStyle()), topics=tuple(reversed(BagStyle().topics)))
     with pytest.raises(DataError, match=r"found /stereo/right/image_raw to the right of /stereo/left"):
@@ -260,7 +260,7 @@ def test_nothing_is_no_recording(tmp_path: Path, path: str) -> None:
 
 
 def test_an_unknown_kind_is_a_wrong_word(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"--kind: expected one of bag, euroc, .*, found 'rosbag'"):
+    with pytest.raises(ConfigError, match=r"--format: expected one of bag, euroc, .*, found 'rosbag'"):
         open_source(Source(tmp_path, kind="rosbag"))
 
 

@@ -224,7 +224,7 @@ def test_topics_are_found_by_their_names(
 
 
 def test_the_command_line_names_every_kind() -> None:
-    assert sorted(cli.KIND_NAMES.split(", ")) == sorted(KINDS)
+    assert sorted(cli.FORMAT_NAMES.split(", ")) == sorted(KINDS)
 
 
 Write = Callable[[Path, Taken], Path]

@@ -49,7 +49,7 @@ def test_both_rules_are_applied(tmp_path: Path, truth: Path) -> None:
 
 
 def test_a_tolerance_of_ones_own_comes_besides(tmp_path: Path, truth: Path) -> None:
-    rules = judged(table(tmp_path, "53,30,6"), truth, tolerance=17)
+    rules = judged(table(tmp_path, "53,30,6"), truth, frame_tolerance=17)
     assert rules["tolerance_17"]["recall_at_100_precision"] == pytest.approx(1 / LAP)
     assert rules["tolerance_10"]["recall_at_100_precision"] == 0
 
@@ -141,4 +141,4 @@ def test_a_fault_is_one_line_on_the_command_line(
     arguments = ["evaluate", "loops", str(table(tmp_path, "50,10,nan")), str(truth)]
     assert cli._exit_code(lambda: cli.app(arguments)) == 1
     assert capsys.readouterr().err.count("\n") == 1
-    assert cli._exit_code(lambda: cli.app([*arguments, "--radius", "-1"])) == 2
+    assert cli._exit_code(lambda: cli.app([*arguments, "--max-distance", "-1"])) == 2

@@ -173,11 +173,11 @@ def test_topics_of_a_bag_are_chosen_on_the_command_line(
 ) -> None:
     bag = write_bag(tmp_path, ideal, BagStyle("mcap", topics=("/a/image", "/b/image")))
     assert revisit("check", bag) == 1
-    assert "choose with --topic" in capsys.readouterr().out.replace("\n", " ")
-    assert revisit("check", bag, "--topic", "/a/image", "--topic", "/b/image", "--json") == 0
+    assert "choose with --image-topic" in capsys.readouterr().out.replace("\n", " ")
+    assert revisit("check", bag, "--image-topic", "/a/image", "--image-topic", "/b/image", "--json") == 0
     assert json.loads(capsys.readouterr().out)["works"]["stereo"]
-    assert revisit("check", bag, "--kind", "mcap") == 2
-    assert "--kind: expected one of bag, " in capsys.readouterr().err
+    assert revisit("check", bag, "--format", "mcap") == 2
+    assert "--format: expected one of bag, " in capsys.readouterr().err
 
 
 def test_a_real_drive_is_good(test_data: Path) -> None:
