@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.errors import DataError
-from slam.record import LoopRow, StageRow
+from slam.record import LoopEventRow, LoopRow, StageRow
 from slam.storage.metrics import read_metrics
-from slam.storage.tables import read_loops, read_stages
+from slam.storage.tables import read_events, read_loops, read_stages
 from slam.telling import headline, told
 
 _NEIGHBOURS = 3  # other frames named where the one asked about has nothing to tell
@@ -23,6 +23,7 @@ class _Run:
         paradigm: of its place recogniser.
         rows: the ledger, by query.
         stages: what each stage measured, by (query, match).
+        events: decisions of the online pose graph about all loops.
     """
 
     folder: Path
@@ -30,6 +31,7 @@ class _Run:
     paradigm: str
     rows: tuple[LoopRow, ...]
     stages: dict[tuple[int, int], StageRow]
+    events: tuple[LoopEventRow, ...]
 
 
 def explain(folder: Path, query: int, match: int | None = None) -> str:
@@ -51,8 +53,9 @@ def explain(folder: Path, query: int, match: int | None = None) -> str:
     row = rows[0]
     lines = [] if match in (None, row.match) else [_other(run, row, match)]
     stage = run.stages.get((row.query, row.match), StageRow(row.query, row.match))
+    events = [event for event in run.events if (event.query, event.match) == (row.query, row.match)]
     lines.append(headline(row))
-    lines += [f"  {name:<15} {words}" for name, words in told(run.paradigm, row, stage)]
+    lines += [f"  {name:<15} {words}" for name, words in told(run.paradigm, row, stage, events)]
     return "\n".join(lines)
 
 
@@ -68,7 +71,8 @@ def _read(folder: Path) -> _Run:
         raise DataError(f"{folder / 'metrics.json'}: expected the number of frames, found {frames!r}; run again")
     paradigm = str(places.get("paradigm", "")) if isinstance(places, dict) else ""
     stages = {(row.query, row.match): row for row in read_stages(folder / "loop_stages.csv")}
-    return _Run(folder, frames, paradigm, read_loops(folder / "loops.csv"), stages)
+    events = read_events(folder / "loop_events.csv")
+    return _Run(folder, frames, paradigm, read_loops(folder / "loops.csv"), stages, events)
 
 
 def _check(run: _Run, query: int, match: int | None) -> None:

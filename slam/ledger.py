@@ -9,7 +9,7 @@ from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
-from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
+from slam.record import LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
@@ -66,19 +66,13 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
     )
 
 
-def stage_rows(
-    attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate], history: Iterable[Change]
-) -> tuple[StageRow, ...]:
+def stage_rows(attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate]) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
         attempts: in the order in which they were made.
         gates: verdicts on the closures among them, in the same order.
-        history: what became of those closures online.
     """
-    lives: list[list[str]] = [[] for _ in gates]
-    for change in history:
-        lives[change.loop].append(f"frame {change.frame}: {change.reason}")
     rows, closures = [], 0
     for attempt in attempts:
         belief = attempt.belief
@@ -86,8 +80,7 @@ def stage_rows(
             continue
         row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
         if isinstance(attempt.geometry, LoopClosure):
-            gate, online = gates[closures], ONLINE_SEPARATOR.join(lives[closures])
-            row = _measured(replace(row, online=online), attempt.geometry, gate)
+            row = _measured(row, attempt.geometry, gates[closures])
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
@@ -98,16 +91,31 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
     variances = np.diag(closure.covariance)
     return replace(
         row,
-        x=x,
-        y=y,
-        z=z,
-        turn_deg=float(np.degrees(se3.angle(closure.T_match_query))),
-        sigma_m=float(np.sqrt(variances[3:].mean())),
-        sigma_deg=float(np.degrees(np.sqrt(variances[:3].mean()))),
-        gate_residual=gate.residual,
+        x_m=x,
+        y_m=y,
+        z_m=z,
+        rotation_deg=float(np.degrees(se3.angle(closure.T_match_query))),
+        position_sigma_m=float(np.sqrt(variances[3:].mean())),
+        rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].mean()))),
+        gate_sigma=gate.residual,
         gate_passed=gate.passed,
         gate_reason=gate.reason,
     )
+
+
+def event_rows(attempts: Iterable[LoopAttempt], history: Iterable[Change]) -> tuple[LoopEventRow, ...]:
+    """Decisions of the online pose graph about each closure, by query and in the order in which they were made.
+
+    Args:
+        attempts: in the order in which they were made.
+        history: decisions about the closures among them, whose numbers count these closures.
+    """
+    closures = [attempt.geometry for attempt in attempts if isinstance(attempt.geometry, LoopClosure)]
+    rows = []
+    for change in history:
+        closure = closures[change.loop]
+        rows.append(LoopEventRow(closure.query, closure.match, change.frame, change.joined, change.reason))
+    return tuple(sorted(rows, key=lambda row: row.query))
 
 
 def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:

@@ -11,8 +11,6 @@ from place_recognition.evaluation.precision_recall import PrecisionRecall
 
 Array = NDArray[np.float64]
 
-ONLINE_SEPARATOR = " | "  # between the changes of `StageRow.online`
-
 
 @dataclass(frozen=True)
 class LoopRow:
@@ -47,35 +45,51 @@ class LoopRow:
 
 @dataclass(frozen=True)
 class StageRow:
-    """One line of `loop_stages.csv`: what each stage measured of a belief; NaN and empty where it never got there.
+    """One line of `loop_stages.csv`: what each stage measured of a belief; NaN or empty where a stage did not run.
 
     Attributes:
         query, match: frame indices.
         epipolar_inliers: matches that agree with one epipolar geometry; None where none was sought.
         epipolar_verified: False where that was tried and failed.
-        x, y, z: metres, where the query's camera is in the match's frame (right, down, forward).
-        turn_deg: angle between the two cameras, degrees.
-        sigma_m, sigma_deg: of position and angle along each axis, by the covariance of the relative pose.
-        gate_residual: square root of chi-square (6 degrees of freedom) against odometry and its drift.
-        gate_passed: drift explains the loop; None where it was not asked.
-        gate_reason: in plain words.
-        online: what became of the loop while driving: `frame 120: waits ...`, one after the other by ` | `.
+        x_m, y_m, z_m: position of the query's camera in the match's camera frame (right, down, forward), metres.
+        rotation_deg: angle between the two cameras, degrees.
+        position_sigma_m, rotation_sigma_deg: standard deviation of the relative pose along one axis, by its covariance.
+        gate_sigma: square root of chi-square (6 degrees of freedom) of the loop against odometry and its drift.
+        gate_passed: whether drift explains the loop; None where the gate was not reached.
+        gate_reason: reason of the gate's decision, in plain words.
     """
 
     query: int
     match: int
     epipolar_inliers: int | None = None
     epipolar_verified: bool = True
-    x: float = float("nan")
-    y: float = float("nan")
-    z: float = float("nan")
-    turn_deg: float = float("nan")
-    sigma_m: float = float("nan")
-    sigma_deg: float = float("nan")
-    gate_residual: float = float("nan")
+    x_m: float = float("nan")
+    y_m: float = float("nan")
+    z_m: float = float("nan")
+    rotation_deg: float = float("nan")
+    position_sigma_m: float = float("nan")
+    rotation_sigma_deg: float = float("nan")
+    gate_sigma: float = float("nan")
     gate_passed: bool | None = None
     gate_reason: str = ""
-    online: str = ""
+
+
+@dataclass(frozen=True)
+class LoopEventRow:
+    """One line of `loop_events.csv`: a decision of the online pose graph about a verified loop.
+
+    Attributes:
+        query, match: frame indices of the loop.
+        frame: index of the newest frame when the decision was made.
+        in_graph: whether the online pose graph uses the loop from then on; False where it waits or was removed.
+        reason: reason of the decision, in plain words.
+    """
+
+    query: int
+    match: int
+    frame: int
+    in_graph: bool
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -126,6 +140,7 @@ class DriveRecord:
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
         stages: what each stage measured of each row of the ledger.
+        events: decisions of the online pose graph about the verified loops, by query.
         matched: of the rows whose images agree somewhere.
         curve: precision over recall of the recogniser; None without ground truth.
         matrices: what the recogniser thought of all pairs of images, by stage: "similarity", "filtered".
@@ -147,6 +162,7 @@ class DriveRecord:
     map_after: Cloud
     metrics: dict[str, object]
     stages: tuple[StageRow, ...] = ()
+    events: tuple[LoopEventRow, ...] = ()
     matched: tuple[MatchedPixels, ...] = ()
     curve: PrecisionRecall | None = None
     matrices: Mapping[str, Matrix] = field(default_factory=dict)

@@ -25,7 +25,7 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
+from slam.ledger import Judge, event_rows, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.map_store.ending import Met
 from slam.memory import UNKNOWN, held_mb
@@ -41,7 +41,7 @@ from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
 from slam.storage.landmarks import write_sightings
 from slam.storage.metrics import write_metrics
-from slam.storage.tables import write_frames, write_loops, write_stages
+from slam.storage.tables import write_events, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 from slam.system import Slam
 
@@ -104,7 +104,8 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.similarities),
         metrics={},
-        stages=stage_rows(log.attempts, graph.gates, graph.history),
+        stages=stage_rows(log.attempts, graph.gates),
+        events=event_rows(log.attempts, graph.history),
         matched=matched_pixels(log.attempts),
         curve=places.curve,
         matrices={stage: finished.rows.matrix(len(table), stage) for stage in finished.rows.stages},
@@ -153,6 +154,7 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     write_frames(folder / "frames.csv", finished.drive_log.table())
     write_loops(folder / "loops.csv", record.loops)
     write_stages(folder / "loop_stages.csv", record.stages)
+    write_events(folder / "loop_events.csv", record.events)
     write_covariances(folder / "covariances.npz", record)
     _write_calibration(folder, finished)
     _write_graphs(folder, record, finished)

@@ -1,9 +1,9 @@
 """What became of one belief, told stage by stage in plain words."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from slam.record import ONLINE_SEPARATOR, LoopRow, StageRow
+from slam.record import LoopEventRow, LoopRow, StageRow
 
 
 def headline(row: LoopRow) -> str:
@@ -11,13 +11,16 @@ def headline(row: LoopRow) -> str:
     return f"Frame {row.query} with frame {row.match}: {'closed' if row.in_graph else 'not closed'}."
 
 
-def told(paradigm: str, row: LoopRow, stage: StageRow) -> Iterator[tuple[str, str]]:
+def told(
+    paradigm: str, row: LoopRow, stage: StageRow, events: Iterable[LoopEventRow] = ()
+) -> Iterator[tuple[str, str]]:
     """Each stage by name, and what it said; a name is empty where the stage before goes on.
 
     Args:
         paradigm: name of the recogniser.
         row: of the ledger.
         stage: what each stage measured of it.
+        events: decisions of the online pose graph about it, in the order in which they were made.
     """
     why = row.reason.removeprefix("not accepted: ")
     accepted = "taken for a revisit" if row.accepted else f"not taken for a revisit: {why}"
@@ -25,8 +28,9 @@ def told(paradigm: str, row: LoopRow, stage: StageRow) -> Iterator[tuple[str, st
     yield "epipolar proof", _epipolar(stage)
     yield "relative pose", _relative_pose(row, stage)
     yield "drift gate", _gate(stage)
-    for number, change in enumerate(stage.online.split(ONLINE_SEPARATOR) if stage.online else ["was not asked"]):
-        yield "" if number else "while driving", change
+    decisions = [f"frame {event.frame}: {event.reason}" for event in events] or ["was not asked"]
+    for number, decision in enumerate(decisions):
+        yield "" if number else "while driving", decision
     yield "final map", _back_end(row)
     if row.truth is not None:
         wrong = "not a revisit, or its relative pose is wrong" if row.verified else "not a revisit"
@@ -44,7 +48,8 @@ def _relative_pose(row: LoopRow, stage: StageRow) -> str:
     if row.verified:
         return (
             f"{row.inliers} of {row.matches} landmark matches agree; the camera had moved {_axes(stage)} m and turned "
-            f"{stage.turn_deg:.2f} deg (one sigma {stage.sigma_m:.3f} m, {stage.sigma_deg:.3f} deg)"
+            f"{stage.rotation_deg:.2f} deg "
+            f"(one sigma {stage.position_sigma_m:.3f} m, {stage.rotation_sigma_deg:.3f} deg)"
         )
     if not row.accepted:
         return "was not sought: the recogniser did not accept the match"
@@ -52,7 +57,7 @@ def _relative_pose(row: LoopRow, stage: StageRow) -> str:
 
 
 def _axes(stage: StageRow) -> str:
-    named = (("right", "left", stage.x), ("down", "up", stage.y), ("forward", "back", stage.z))
+    named = (("right", "left", stage.x_m), ("down", "up", stage.y_m), ("forward", "back", stage.z_m))
     return ", ".join(f"{abs(value):.2f} {there if value >= 0 else back}" for there, back, value in named)
 
 

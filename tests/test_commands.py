@@ -118,7 +118,7 @@ def test_help_lists_the_names_that_a_run_accepts(tmp_path: Path, option: str, li
 
 def test_help_names_the_defaults_of_a_run():
     config = RunConfig()
-    assert (options.DEFAULT_PARADIGM, options.DEFAULT_BACK_END) == (config.paradigm, config.robust)
+    assert (config.paradigm, config.robust) == (options.DEFAULT_PARADIGM, options.DEFAULT_BACK_END)
     assert config.seed == 0
 
 

@@ -23,8 +23,11 @@ from slam.map_store.store import MapStore, map_file
 from slam.progress import progress_bar
 from slam.storage.tables import write_table
 
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
-_COLUMNS = ("image", "found", *_POSE, "inliers", "sigma_m", "sigma_deg", "beside", "world", "reason")
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
+_COLUMNS = (
+    "image", "localized", *_POSE, "inliers", "position_sigma_m", "rotation_sigma_deg", "matched_image", "map_id",
+    "reason",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,13 +60,17 @@ class Answer:
     def cells(self) -> dict[str, object]:
         """The answer by its columns; None where it has no value."""
         found, values = self.found, dict.fromkeys(_COLUMNS)
-        said: dict[str, object] = {"image": self.name, "found": isinstance(found, Located), "inliers": found.inliers}
+        said: dict[str, object] = {
+            "image": self.name,
+            "localized": isinstance(found, Located),
+            "inliers": found.inliers,
+        }
         if isinstance(found, NotFound):
-            return values | said | {"beside": found.image, "reason": found.reason}
+            return values | said | {"matched_image": found.image, "reason": found.reason}
         numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
         pose = dict(zip(_POSE, map(float, numbers), strict=True))
-        sigmas = {"sigma_m": found.sigma_m, "sigma_deg": found.sigma_deg}
-        return values | said | pose | sigmas | {"beside": found.image, "world": found.world, "reason": ""}
+        sigmas = {"position_sigma_m": found.sigma_m, "rotation_sigma_deg": found.sigma_deg}
+        return values | said | pose | sigmas | {"matched_image": found.image, "map_id": found.world, "reason": ""}
 
 
 def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
@@ -100,7 +107,7 @@ def _extractor(store: MapStore) -> FeatureExtractor:
 
 def as_table(answers: Sequence[Answer]) -> Group:
     """Poses for people, one image a line."""
-    table = Table("image", "x m", "y m", "z m", "sigma m", "agree", "beside", "", box=None)
+    table = Table("image", "x m", "y m", "z m", "sigma m", "inliers", "matched image", "", box=None)
     for answer in answers:
         table.add_row(*_row(answer.cells()))
     return Group(table, said(answers))
@@ -108,10 +115,10 @@ def as_table(answers: Sequence[Answer]) -> Group:
 
 def _row(cells: dict[str, object]) -> Iterable[str]:
     yield escape(str(cells["image"]))
-    for name in ("x", "y", "z", "sigma_m"):
+    for name in ("x_m", "y_m", "z_m", "position_sigma_m"):
         yield "" if cells[name] is None else f"{cells[name]:.2f}"
     yield str(cells["inliers"])
-    yield "" if cells["beside"] is None else str(cells["beside"])
+    yield "" if cells["matched_image"] is None else str(cells["matched_image"])
     yield escape(f"not found: {cells['reason']}") if cells["reason"] else ""
 
 

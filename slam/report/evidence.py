@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.record import DriveRecord, LoopRow, MatchedPixels, StageRow
+from slam.record import DriveRecord, LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.report.reading import text, value, verdict
 from slam.telling import headline, told
 
@@ -62,6 +62,9 @@ def evidence(record: DriveRecord, images: ImageSource, budget: int = BUDGET) -> 
     """
     pictured = album(record.loops, images, budget)
     stages = {(stage.query, stage.match): stage for stage in record.stages}
+    events: dict[tuple[int, int], list[LoopEventRow]] = {}
+    for event in record.events:
+        events.setdefault((event.query, event.match), []).append(event)
     matched = {(pair.query, pair.match): pair for pair in record.matched}
     paradigm = text(value(record.metrics, "places.paradigm"))
     rows = []
@@ -75,7 +78,7 @@ def evidence(record: DriveRecord, images: ImageSource, budget: int = BUDGET) -> 
                 "match": int(row.match),
                 "fate": verdict(row),
                 "title": headline(row),
-                "told": list(told(paradigm, row, stages.get(key, StageRow(*key)))),
+                "told": list(told(paradigm, row, stages.get(key, StageRow(*key)), events.get(key, ()))),
                 "caption": _caption(row, pair, len(lines), pictured),
                 "lines": lines.ravel().tolist(),
             }

@@ -10,7 +10,7 @@ import numpy as np
 from slam.errors import DataError
 from slam.storage.atomic import atomic_writer
 
-SCHEMA = 1
+SCHEMA = 2
 
 # The order of the file; other keys follow in the order given, the notes come last.
 _FIRST = ("schema", "source", "sequence", "command", "versions", "seed", "frames", "path_length_m")

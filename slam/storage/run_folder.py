@@ -16,7 +16,8 @@ _EARLIER = ".earlier-"
 # else.
 _RESULTS = """
 metrics.json config.toml run.log report.html recording.rrd before_after.png
-map.db trajectory_map.txt trajectory_map.tum frames.csv loops.csv loop_stages.csv covariances.npz calibration.toml
+map.db trajectory_map.txt trajectory_map.tum frames.csv loops.csv loop_stages.csv loop_events.csv
+covariances.npz calibration.toml
 trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
 pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz

@@ -1,8 +1,8 @@
 """The tables of a run.
 
-`frames.csv` has a line for each frame, `loops.csv` is the ledger of every belief, and `loop_stages.csv` holds what
-each stage measured of it. Unknown values (None, NaN) are empty cells, truth values are `true` and `false`,
-numbers keep every digit.
+`frames.csv` has a line for each frame, `loops.csv` is the ledger of every belief, `loop_stages.csv` holds what each
+stage measured of it, and `loop_events.csv` the decisions of the online pose graph about verified loops. Unknown values
+(None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
 """
 
 import csv
@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
-from slam.record import LoopRow, StageRow
+from slam.record import LoopEventRow, LoopRow, StageRow
 from slam.storage.atomic import atomic_writer
 
 Array = NDArray[np.float64]
 
 LOOP_COLUMNS = tuple(field.name for field in fields(LoopRow))
 STAGE_COLUMNS = tuple(field.name for field in fields(StageRow))
-FRAME_COLUMNS = ("frame", "timestamp", "status", "reason", "inliers", "tracks", "residual")
+EVENT_COLUMNS = tuple(field.name for field in fields(LoopEventRow))
+FRAME_COLUMNS = ("frame", "timestamp", "status", "reason", "inliers", "tracks", "residual_px")
 _STAGE_SUFFIX = "_ms"
 
 
@@ -84,7 +85,7 @@ def read_frames(path: Path) -> FrameTable:
         reasons=tuple(row["reason"] for row in rows),
         inliers=column("inliers", _whole, np.int64),
         tracks=column("tracks", _whole, np.int64),
-        residual_px=column("residual", _float, float),
+        residual_px=column("residual_px", _float, float),
         stage_ms={name.removesuffix(_STAGE_SUFFIX): column(name, _float, float) for name in stages},
     )
 
@@ -125,7 +126,25 @@ def read_stages(path: Path) -> tuple[StageRow, ...]:
     return _rows(path, StageRow)
 
 
-_Row = TypeVar("_Row", LoopRow, StageRow)
+def write_events(path: Path, events: Iterable[LoopEventRow]) -> None:
+    """Write loop_events.csv, one line for each decision of the online pose graph about a loop.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    write_table(path, EVENT_COLUMNS, map(astuple, events))
+
+
+def read_events(path: Path) -> tuple[LoopEventRow, ...]:
+    """Read loop_events.csv.
+
+    Raises:
+        DataError: missing file, other columns, a cell that cannot be read.
+    """
+    return _rows(path, LoopEventRow)
+
+
+_Row = TypeVar("_Row", LoopRow, StageRow, LoopEventRow)
 
 
 def _rows(path: Path, kind: type[_Row]) -> tuple[_Row, ...]:

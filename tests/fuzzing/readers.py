@@ -28,7 +28,7 @@ from slam.storage.g2o import Graph, read_g2o
 from slam.storage.landmarks import read_sightings
 from slam.storage.matches import read_matches
 from slam.storage.metrics import read_metrics
-from slam.storage.tables import read_frames, read_loops, read_stages
+from slam.storage.tables import read_events, read_frames, read_loops, read_stages
 from slam.storage.trajectory import read_trajectory
 
 from . import generation as made
@@ -237,6 +237,7 @@ READERS: dict[str, Reader] = {
     "landmarks.npz": Reader("l.npz", _at("l.npz", read_sightings), valid.sightings, made.files_of(b"PK\x03\x04")),
     "frames.csv": _table("frames.csv", read_frames),
     "loops.csv": _table("loops.csv", read_loops),
+    "loop_events.csv": _table("loop_events.csv", read_events),
     "loop_stages.csv": _table("loop_stages.csv", read_stages),
     "matches.csv": _table("matches.csv", read_matches),
     "metrics.json": Reader("metrics.json", _at("metrics.json", read_metrics),

@@ -17,7 +17,7 @@ from slam.mapping.ply import write_cloud
 from slam.record import Cloud
 from slam.storage.calibration import write_calibration
 from slam.storage.landmarks import write_sightings
-from slam.storage.tables import FrameTable, write_frames, write_loops, write_stages
+from slam.storage.tables import FrameTable, write_events, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 
 from ..slam.report import fabricate
@@ -134,6 +134,7 @@ def tables() -> dict[str, bytes]:
     return {
         "frames.csv": written("a.csv", lambda path: write_frames(path, few)),
         "loops.csv": written("a.csv", lambda path: write_loops(path, record.loops[:3])),
+        "loop_events.csv": written("a.csv", lambda path: write_events(path, record.events[:3])),
         "loop_stages.csv": written("a.csv", lambda path: write_stages(path, record.stages[:3])),
         "matches.csv": b"query,match,score,accepted,inliers,verified\n5,,0.0,false,,true\n6,1,0.75,true,30,true\n",
         "metrics.json": b'{"schema": 1, "frames": 4, "odometry": {"ate_m": 0.5, "t_rel": null}, "notes": {"a": "b"}}',

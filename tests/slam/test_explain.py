@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 from slam import cli
 from slam.errors import DataError
 from slam.explain import explain
-from slam.record import LoopRow, StageRow
+from slam.record import LoopEventRow, LoopRow, StageRow
 from slam.storage.metrics import write_metrics
-from slam.storage.tables import write_loops, write_stages
+from slam.storage.tables import write_events, write_loops, write_stages
 
 CLOSED = LoopRow(
     40, 7, 12.5, True, 120, 80, True, True, 0.97, 1.4, True, "kept with weight 0.97: 1.4 sigma from the optimised map"
@@ -26,11 +26,14 @@ ROWS = [
 STAGES = [
     StageRow(20, 2, 5, False),
     StageRow(30, 5, 45, True),
-    StageRow(40, 7, 60, True, 0.5, -0.25, -3.0, 2.5, 0.031, 0.11, 1.7, True, "drift explains 4.0 m",
-             "frame 40: waits | frame 42: joined"),
-    StageRow(50, 7, None, True, 0.5, 0.0, 0.0, 0.0, 0.03, 0.1, 9.5, False, "drift does not explain 40.0 m",
-             "frame 50: drift does not explain 40.0 m"),
+    StageRow(40, 7, 60, True, 0.5, -0.25, -3.0, 2.5, 0.031, 0.11, 1.7, True, "drift explains 4.0 m"),
+    StageRow(50, 7, None, True, 0.5, 0.0, 0.0, 0.0, 0.03, 0.1, 9.5, False, "drift does not explain 40.0 m"),
 ]  # fmt: skip
+EVENTS = [
+    LoopEventRow(40, 7, 40, False, "waits"),
+    LoopEventRow(40, 7, 42, True, "joined"),
+    LoopEventRow(50, 7, 50, False, "drift does not explain 40.0 m"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_metrics(folder / "metrics.json", {"frames": 60, "places": {"paradigm": "tracked-words"}})
     write_loops(folder / "loops.csv", ROWS)
     write_stages(folder / "loop_stages.csv", STAGES)
+    write_events(folder / "loop_events.csv", EVENTS)
     return folder
 
 
@@ -99,6 +103,7 @@ def test_a_run_without_any_match_says_so(run: Path, tmp_path: Path) -> None:
     (tmp_path / "metrics.json").write_bytes((run / "metrics.json").read_bytes())
     write_loops(tmp_path / "loops.csv", [])
     write_stages(tmp_path / "loop_stages.csv", [])
+    write_events(tmp_path / "loop_events.csv", [])
     assert "none for any frame of this run" in explain(tmp_path, 3)
 
 
@@ -121,7 +126,7 @@ def test_a_folder_without_a_run_is_an_error_with_the_remedy(tmp_path: Path) -> N
         explain(tmp_path / "nowhere", 3)
 
 
-@pytest.mark.parametrize("name", ["metrics.json", "loop_stages.csv"])
+@pytest.mark.parametrize("name", ["metrics.json", "loop_stages.csv", "loop_events.csv"])
 def test_a_missing_file_is_named(run: Path, tmp_path: Path, name: str) -> None:
     for file in run.iterdir():
         if file.name != name:

@@ -3,10 +3,10 @@
 import numpy as np
 
 from place_recognition.recognizer import Belief
-from slam.ledger import matched_pixels, stage_rows, write_ledger
+from slam.ledger import event_rows, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Admission, Change
-from slam.record import LoopRow
+from slam.record import LoopEventRow, LoopRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopAttempt
 
@@ -68,23 +68,35 @@ def test_the_judge_sees_the_measured_pose_of_a_closure():
     assert attempt.geometry in seen
 
 
-def test_stages_hand_on_the_relative_pose_the_gate_and_the_life_of_each_closure():
-    attempts = [
+def attempts() -> list[LoopAttempt]:
+    return [
         LoopAttempt(Belief(8, 1, 20.0, True, inliers=30), closure(8, 1), PASSED),
         LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
         LoopAttempt(Belief(7, 3, 20.0, True), closure(7, 3), PASSED),
     ]
+
+
+def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
+    late, first, refused = stage_rows(attempts(), [GATE, GATE])
+    assert [row.query for row in (late, first, refused)] == [7, 8, 9]
+    assert first.epipolar_inliers == 30
+    assert (first.gate_passed, first.gate_sigma, first.position_sigma_m, first.rotation_deg) == (True, 0.5, 1.0, 0.0)
+    assert refused.gate_passed is None
+    assert np.isnan(refused.x_m)
+
+
+def test_events_name_their_loop_and_keep_their_order():
     history = [Change(8, 0, False, "waits"), Change(9, 1, True, "joined"), Change(9, 0, True, "joined")]
-    late, first, refused = stage_rows(attempts, [GATE, GATE], history)
-    assert (first.query, first.epipolar_inliers, first.online) == (8, 30, "frame 8: waits | frame 9: joined")
-    assert (late.query, late.online) == (7, "frame 9: joined")
-    assert (first.gate_passed, first.gate_residual, first.sigma_m, first.turn_deg) == (True, 0.5, 1.0, 0.0)
-    assert (refused.gate_passed, refused.online) == (None, "")
-    assert np.isnan(refused.x)
+    assert event_rows(attempts(), history) == (
+        LoopEventRow(7, 3, 9, True, "joined"),
+        LoopEventRow(8, 1, 8, False, "waits"),
+        LoopEventRow(8, 1, 9, True, "joined"),
+    )
+    assert event_rows(attempts(), []) == ()
 
 
 def test_a_belief_without_a_match_has_no_stages():
-    assert stage_rows([LoopAttempt(Belief(3, None, 0.0, False), None, None)], [], []) == ()
+    assert stage_rows([LoopAttempt(Belief(3, None, 0.0, False), None, None)], []) == ()
 
 
 def test_matches_are_handed_on_of_closures_and_rejections_alike():

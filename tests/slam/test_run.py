@@ -24,6 +24,7 @@ FILES = {
     "loops.csv",
     "map.db",
     "loop_stages.csv",
+    "loop_events.csv",
     "covariances.npz",
     "calibration.toml",
     "pose_graph_before.g2o",

@@ -13,7 +13,9 @@ import pytest
 from slam import cli
 
 LAP = 160
-COLUMNS = "image,found,x,y,z,qx,qy,qz,qw,inliers,sigma_m,sigma_deg,beside,world,reason"
+COLUMNS = (
+    "image,localized,x_m,y_m,z_m,qx,qy,qz,qw,inliers,position_sigma_m,rotation_sigma_deg,matched_image,map_id,reason"
+)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -46,12 +48,12 @@ def test_a_folder_gives_a_table_and_a_file(
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == COLUMNS.split(",")
-    assert [(row["image"], row["found"]) for row in rows] == [
+    assert [(row["image"], row["localized"]) for row in rows] == [
         ("2.png", "false"),
         ("10.png", "true"),
         ('[red]a, "b".png', "true"),
     ]
-    assert rows[0]["x"] == ""
+    assert rows[0]["x_m"] == ""
     assert np.linalg.norm([float(rows[1][name]) for name in ("qx", "qy", "qz", "qw")]) == pytest.approx(1.0)
 
 
@@ -87,7 +89,7 @@ def test_an_image_alone_gives_the_same_as_in_the_drive(
     for name in ("calib.txt",):
         (drive / "sequences/00" / name).write_bytes((circle_drive / "sequences/00" / name).read_bytes())
     (within,) = asked(drive)
-    assert alone["found"]
+    assert alone["localized"]
     assert within["image"] == "000000.png"
     assert alone | {"image": ""} == within | {"image": ""}
 

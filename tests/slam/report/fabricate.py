@@ -14,7 +14,7 @@ from place_recognition.recognizer import Belief
 from slam.mapping.fusion import Surface
 from slam.mapping.occupancy import Grid
 from slam.mapping.top_view import TopView, Window, seen_from_above
-from slam.record import Cloud, DriveRecord, LoopRow, MatchedPixels, StageRow
+from slam.record import Cloud, DriveRecord, LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.report.dense_section import Overview, show_dense_map
 
 RADIUS = 40.0
@@ -126,10 +126,15 @@ def with_evidence(whole, seed=5):
     sought = [row for row in whole.loops if row.accepted]
     stages = [
         StageRow(row.query, row.match, 50 if row.verified else 12, True, 0.2, 0.01, -1.3, 0.8, 0.03, 0.1, 1.7,
-                 row.verified or None, "drift explains 4.0 m" if row.verified else "",
-                 f"frame {row.query}: waits | frame {row.query + 2}: joined" if row.verified else "")
+                 row.verified or None, "drift explains 4.0 m" if row.verified else "")
         for row in whole.loops
     ]  # fmt: skip
+    events = [
+        LoopEventRow(row.query, row.match, row.query + later, used, reason)
+        for row in whole.loops
+        if row.verified
+        for later, used, reason in ((0, False, "waits"), (2, True, "joined"))
+    ]
     rows, columns = np.indices((len(whole.timestamps),) * 2)
     matrix = np.exp(-(((rows - columns) % LAP) ** 2) / 50).astype(np.float32)
     matrix[columns >= rows - 20] = np.nan
@@ -140,6 +145,7 @@ def with_evidence(whole, seed=5):
     return replace(
         whole,
         stages=tuple(stages),
+        events=tuple(events),
         matched=tuple(matched(row, rng) for row in sought),
         curve=precision_recall(beliefs, truth),
         matrices={"similarity": Matrix(matrix)},

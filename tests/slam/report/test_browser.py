@@ -163,7 +163,8 @@ def test_a_row_opens_its_images_with_its_matches_and_its_story(page):
     assert len(ends) == row.inliers
     np.testing.assert_allclose(ends, expected, atol=0.51)
     stage = next(stage for stage in WHOLE.stages if stage.query == 110)
-    assert text(page, "#pair-told") == "".join(f"{name}{words}" for name, words in told(NAME, row, stage))
+    events = [event for event in WHOLE.events if event.query == 110]
+    assert text(page, "#pair-told") == "".join(f"{name}{words}" for name, words in told(NAME, row, stage, events))
     assert text(page, "#pair-title") == "Frame 110 with frame 10: closed."
 
 

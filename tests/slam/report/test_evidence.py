@@ -48,7 +48,8 @@ def test_every_row_has_its_matches_to_the_pixel_and_its_story():
         key = found["query"], found["match"]
         row = BY_FRAMES[key]
         assert found["title"] == headline(row)
-        assert found["told"] == list(told("\N{EN DASH}", row, stages[key]))
+        events = [event for event in WHOLE.events if (event.query, event.match) == key]
+        assert found["told"] == list(told("\N{EN DASH}", row, stages[key], events))
         lines = np.reshape(found["lines"], (-1, 4))
         assert len(lines) == row.inliers
         if key in matched:

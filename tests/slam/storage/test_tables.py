@@ -11,9 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.errors import DataError
-from slam.record import LoopRow
+from slam.record import LoopEventRow, LoopRow
 from slam.storage import tables
-from slam.storage.tables import FrameTable, read_frames, read_loops, write_frames, write_loops
+from slam.storage.tables import (
+    FrameTable,
+    read_events,
+    read_frames,
+    read_loops,
+    write_events,
+    write_frames,
+    write_loops,
+    write_stages,
+)
 
 numbers = st.floats(allow_infinity=False)
 words = st.text(st.characters(codec="utf-8", exclude_characters="\0")).map(lambda s: "".join(s.splitlines()))
@@ -95,6 +104,24 @@ def test_the_status_of_a_frame_is_a_word(file: Path) -> None:
     write_frames(file, table())
     with file.open() as lines:
         assert [row["status"] for row in csv.DictReader(lines)] == ["measured", "predicted", "measured"]
+
+
+def test_the_columns_of_the_stages_and_of_the_events(file: Path) -> None:
+    """Scripts depend on these names; docs/files.md gives their units."""
+    write_stages(file, [])
+    assert file.read_text() == (
+        "query,match,epipolar_inliers,epipolar_verified,x_m,y_m,z_m,rotation_deg,position_sigma_m,rotation_sigma_deg,"
+        "gate_sigma,gate_passed,gate_reason\n"
+    )
+    write_events(file, [])
+    assert file.read_text() == "query,match,frame,in_graph,reason\n"
+
+
+@settings(max_examples=25, deadline=None)
+@given(events=st.lists(st.builds(LoopEventRow, reason=words), max_size=4))
+def test_events_come_back(file: Path, events: list[LoopEventRow]) -> None:
+    write_events(file, events)
+    assert read_events(file) == tuple(events)
 
 
 HEADER = ",".join(tables.LOOP_COLUMNS)
