@@ -32,11 +32,11 @@ from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
 
-from slam.benchmark.command import carry_out, make_jobs
+from slam.benchmark.command import make_jobs, run_jobs
 from slam.benchmark.job import run_job
 from slam.benchmark.sweep import read_sweep
-from slam.engine.cluster import Cluster
-from slam.engine.engine import Engine, OneProcess
+from slam.engine.cluster import DaskExecutor
+from slam.engine.engine import Executor, SerialExecutor
 
 WORKERS = 3
 
@@ -55,8 +55,8 @@ class Measured:
     results: dict[str, object]
 
 
-def measure(config: Path, out: Path, engine: Engine) -> Measured:
-    """Run a sweep, the start and the end of the engine included.
+def measure(config: Path, out: Path, executor: Executor) -> Measured:
+    """Run a sweep, the start and the end of the processes included.
 
     Raises:
         SystemExit: a run failed.
@@ -64,8 +64,8 @@ def measure(config: Path, out: Path, engine: Engine) -> Measured:
     jobs = make_jobs(read_sweep(config), out)
     (out / "jobs").mkdir(parents=True)
     wall, processor = time.perf_counter(), processor_seconds()
-    with engine:
-        rows = carry_out(jobs, engine, run_job, out, Console(quiet=True))
+    with executor:
+        rows = run_jobs(jobs, executor, run_job, out, Console(quiet=True))
     wall, processor = time.perf_counter() - wall, processor_seconds() - processor
     if failed := [row.error for row in rows if row.error]:
         raise SystemExit(f"{len(failed)} runs failed, the first: {failed[0]}")
@@ -103,7 +103,7 @@ def main() -> None:
     config, cores = parser.parse_args().config, len(os.sched_getaffinity(0))
     table = Table("", "wall s", "processor s", f"ideal on {cores} cores", "ratio", "results that differ")
     with tempfile.TemporaryDirectory() as folder:
-        alone = measure(config, Path(folder) / "alone", OneProcess())
+        alone = measure(config, Path(folder) / "alone", SerialExecutor())
         ideal = alone.processor / cores
         table.add_row("one process", f"{alone.wall:.1f}", f"{alone.processor:.1f}", "", "", "")
 
@@ -113,10 +113,10 @@ def main() -> None:
                 name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
             )
 
-        whole = measure(config, Path(folder) / "whole", Cluster(WORKERS, None))
+        whole = measure(config, Path(folder) / "whole", DaskExecutor(WORKERS, None))
         tell(f"{WORKERS} workers", whole)
         with one_killed(whole.wall / 2):
-            killed = measure(config, Path(folder) / "killed", Cluster(WORKERS, None))
+            killed = measure(config, Path(folder) / "killed", DaskExecutor(WORKERS, None))
         tell(f"one killed after {whole.wall / 2:.0f} s", killed)
     Console(width=120).print(table)
 

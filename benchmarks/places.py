@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig
 from slam.datasets.images import ImageSequence, open_images
-from slam.evaluation.truth import KnownTruth, check_size, read_truth
-from slam.place_metrics import judge_places
+from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
+from slam.place_metrics import evaluate_places
 from slam.places.drive import Bench, Recognised, recognise, stage_times
 
 Array = NDArray[np.float64]
@@ -29,10 +29,10 @@ PARTS = 5
 def main() -> None:
     """Run the benchmark."""
     given = parser().parse_args()
-    images, truth = open_images(given.source, given.sequence), KnownTruth(None, "none")
+    images, truth = open_images(given.source, given.sequence), RevisitTruth(None, "none")
     if given.truth is not None:
-        truth = read_truth(given.truth)
-        check_size(truth, len(images), given.source)
+        truth = read_revisit_truth(given.truth)
+        check_truth_size(truth, len(images), given.source)
     print(f"{len(images)} images of {images[0].shape[1]} x {images[0].shape[0]}; ground truth: {truth.origin}")
     print(f"{'paradigm':20} {'R@P100':>7} {'AP':>7} {'true':>5} {'false':>5} {'map MB':>7}", end="")
     print(f" {'features':>14} {'recognition':>14} {'total':>14} {'mean':>6}")
@@ -62,9 +62,9 @@ def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> Recognised:
     return recognise(images, bench, lambda done, total: None, lambda: False)
 
 
-def line(paradigm: str, runs: list[Recognised], truth: KnownTruth) -> str:
+def line(paradigm: str, runs: list[Recognised], truth: RevisitTruth) -> str:
     """The figures of one paradigm."""
-    section = judge_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
+    section = evaluate_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
     names = ("recall_at_100_precision", "average_precision")
     ratios = " ".join(f"{'-' if section[name] is None else f'{section[name]:.4f}':>7}" for name in names)
     counts = " ".join(f"{section[name] if section[name] is not None else '-':>5}" for name in _COUNTS)

@@ -23,7 +23,7 @@ from slam.datasets.images import ImageSequence, open_images
 from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
 from slam.errors import DataError, RevisitError
-from slam.evaluation.truth import KnownTruth, check_size, read_truth
+from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.places.command import recognise_images
 from slam.places.options import PlacesOptions
 from slam.report.figures import save_png
@@ -95,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence, KnownTruth]:
+def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence, RevisitTruth]:
     """Images and truth of one recording.
 
     Raises:
@@ -104,12 +104,12 @@ def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence
     root = data / recording.folder
     if not root.is_dir():
         raise DataError(f"{root}: expected the recording, found nothing; data/README.md says where to get it")
-    images, known = recording.open(root), read_truth(truth / recording.truth)
-    check_size(known, len(images), root)
+    images, known = recording.open(root), read_revisit_truth(truth / recording.truth)
+    check_truth_size(known, len(images), root)
     return images, known
 
 
-def cell(options: PlacesOptions, images: ImageSequence, truth: KnownTruth, messages: Console) -> float:
+def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, messages: Console) -> float:
     """R@P100 of one paradigm on one recording, kept from an earlier time or computed now."""
     kept = options.out / "metrics.json"
     if not kept.is_file():

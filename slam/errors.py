@@ -32,8 +32,8 @@ class ConfigError(RevisitError):
     """A parameter has a value that cannot work."""
 
 
-class EngineError(RevisitError):
-    """Processes that do the work died, or cannot be reached any more."""
+class ExecutorError(RevisitError):
+    """Worker processes died, or can no longer be reached."""
 
 
 class GraphError(RevisitError):

@@ -10,7 +10,7 @@ from place_recognition.evaluation.map_size import MapSize
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
 from place_recognition.recognizer import Belief
 
-OTHERS_TOLERANCE = 10  # columns; the rule of iBoW-LCD and its kin, while the chapter's authors allow none
+TOLERANCE_FRAMES = 10  # columns; the rule of iBoW-LCD and its kin, while the chapter's authors allow none
 
 _MEASURED = (
     "recall_at_100_precision",
@@ -23,7 +23,7 @@ _MEASURED = (
 
 
 @dataclass(frozen=True)
-class PlaceResult:
+class PlaceMetrics:
     """How good the beliefs of a drive are.
 
     Attributes:
@@ -37,9 +37,9 @@ class PlaceResult:
     curve: PrecisionRecall | None = None
 
 
-def judge_places(
+def evaluate_places(
     paradigm: str, beliefs: Sequence[Belief], truth: NDArray[np.bool_] | None, size: MapSize | None = None
-) -> PlaceResult:
+) -> PlaceMetrics:
     """Measure beliefs.
 
     Args:
@@ -56,10 +56,10 @@ def judge_places(
         reason = "there is no ground truth" if truth is None else "no image is a revisit by ground truth"
         missing = (*_MEASURED, "tolerance_10")
         unknown = section | dict.fromkeys(missing) | held
-        return PlaceResult(unknown, notes | {f"places.{name}": reason for name in missing})
+        return PlaceMetrics(unknown, notes | {f"places.{name}": reason for name in missing})
     curve = precision_recall(beliefs, truth)
-    tolerant = {"tolerance_10": score(beliefs, truth, OTHERS_TOLERANCE)}
-    return PlaceResult(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
+    tolerant = {"tolerance_10": score(beliefs, truth, TOLERANCE_FRAMES)}
+    return PlaceMetrics(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
 
 
 def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:

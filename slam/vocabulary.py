@@ -18,8 +18,8 @@ from slam.datasets.kitti_files import sequence_names
 from slam.datasets.left_images import ImageRecording
 from slam.datasets.open import open_left_images
 from slam.datasets.source import Source
-from slam.engine.choice import choose_engine
-from slam.engine.engine import Engine
+from slam.engine.choice import make_executor
+from slam.engine.engine import Executor
 from slam.errors import ConfigError, DataError, OutputError
 
 Progress = Callable[[int, int], None]
@@ -106,10 +106,10 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
     Raises:
         ConfigError: unknown features, or settings or an engine that cannot work.
         DataError: a source without images, an unreadable image, or fewer descriptors than words.
-        EngineError: whatever did a part of the work died.
+        ExecutorError: whatever did a part of the work died.
         OutputError: the file cannot be written; a missing folder is found out before the work begins.
     """
-    config, engine = _config(settings), choose_engine(options.workers, options.scheduler, 0)
+    config, engine = _config(settings), make_executor(options.workers, options.scheduler, 0)
     recordings = {known: open_left_images(known) for source in options.sources for known in _drives(source)}
     describer = Describer(options.features, recordings)
     _check_folder(options.out)
@@ -130,7 +130,7 @@ def _sample(
     recordings: Mapping[Source, ImageRecording],
     describer: Describer,
     config: TrainingConfig,
-    engine: Engine,
+    engine: Executor,
     progress: Progress,
 ) -> DescriptorSample:
     """Of all images, seen in their order whoever describes them."""
@@ -167,7 +167,7 @@ def _drives(source: Path) -> list[Source]:
     return [Source(source.absolute(), name, fps=1.0) for name in names]
 
 
-def _train(kind: str, sample: DescriptorSample, config: TrainingConfig, engine: Engine, out: Path) -> Vocabulary:
+def _train(kind: str, sample: DescriptorSample, config: TrainingConfig, engine: Executor, out: Path) -> Vocabulary:
     with _scratch(out) as folder:
         return train_vocabulary(kind, engine.share(sample.descriptors, folder), config, engine.map)
 

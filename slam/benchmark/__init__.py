@@ -1,1 +1,1 @@
-"""Many runs as one: every source with every paradigm, back end and seed, on as many processes as there are."""
+"""Parameter sweeps: every source with every paradigm, back end and seed, on one or several processes."""

@@ -1,4 +1,4 @@
-"""`revisit benchmark`: a TOML file in, a folder of runs and their figures side by side out."""
+"""`revisit benchmark`: run a sweep described by a TOML file and compare the results of its runs."""
 
 import os
 import shutil
@@ -9,30 +9,30 @@ from pathlib import Path
 
 from rich.console import Console
 
-from slam.benchmark.job import Job, Outcome, check_job, finished, run_job
+from slam.benchmark.job import Job, JobResult, check_job, read_result, run_job
 from slam.benchmark.latex import write_latex
-from slam.benchmark.report import write_report
-from slam.benchmark.results import Row, make_row, summary, told, write_csv, write_json
-from slam.benchmark.sweep import Recorded, Simulated, Sweep, read_sweep
+from slam.benchmark.report import write_benchmark_report
+from slam.benchmark.results import ResultRow, format_row, make_row, summary_table, write_csv, write_json
+from slam.benchmark.sweep import RecordedSource, SimulatedSource, Sweep, read_sweep
 from slam.datasets.source import Source
-from slam.engine.choice import choose_engine
-from slam.engine.engine import Done, Engine, Lost
+from slam.engine.choice import make_executor
+from slam.engine.engine import Executor, Failed
 from slam.errors import OutputError
 from slam.progress import progress_bar
 from slam.simulation import simulate
 
-Work = Callable[[Job], Outcome]
+Work = Callable[[Job], JobResult]
 
 
 @dataclass(frozen=True)
 class BenchmarkOptions:
-    """What to run, where, and on what.
+    """Options of `revisit benchmark`.
 
     Attributes:
         config: TOML file of the sweep.
-        out: folder for the results; what an earlier command has finished there is kept.
-        workers: processes on this machine; 0 for this one, None for as many as there are cores.
-        scheduler: address of a dask scheduler to use instead.
+        out: folder for the results; runs that an earlier command finished there are kept.
+        workers: number of processes on this machine; 0 for this process alone, None for one per core.
+        scheduler: address of a dask scheduler to use instead, or None.
     """
 
     config: Path
@@ -40,32 +40,31 @@ class BenchmarkOptions:
     workers: int | None = None
     scheduler: str | None = None
 
-    @property
-    def engine(self) -> Engine:
-        """What does the jobs.
+    def make_executor(self) -> Executor:
+        """Make the executor that runs the jobs.
 
         Raises:
-            ConfigError: there cannot be so many, or both are given, or dask is not installed.
+            ConfigError: the number of workers is negative, both options are given, or dask is not installed.
         """
-        return choose_engine(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
+        return make_executor(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
 
 
 def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console) -> bool:
-    """Run what is not finished yet, tell of each run as it ends, and write the figures of all.
+    """Run all jobs that are not finished, print a line for each, and write the results of all.
 
     Args:
-        options: what and where.
-        messages: for progress.
-        results: for the rows and the table.
+        options: sweep, output folder and workers.
+        messages: console for progress.
+        results: console for the lines and the table.
 
     Returns:
-        Whether every run has succeeded. One that has not is tried again by the next command.
+        Whether every run has succeeded. A failed run is tried again by the next command.
 
     Raises:
-        RevisitError: the sweep, its sources, the engine or the output folder cannot be used.
-        KeyboardInterrupt: the user stopped it; what is finished stays, and the same command goes on.
+        RevisitError: the sweep, its sources, the executor or the output folder cannot be used.
+        KeyboardInterrupt: the user interrupted it; finished runs are kept, and the same command continues.
     """
-    sweep, engine, out = read_sweep(options.config), options.engine, options.out.resolve()
+    sweep, executor, out = read_sweep(options.config), options.make_executor(), options.out.resolve()
     jobs = make_jobs(sweep, out)
     for job in jobs:
         check_job(job)
@@ -73,26 +72,26 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
     for source in sweep.sources:
         _render(source, out, messages)
     try:
-        with engine:
-            rows = carry_out(jobs, engine, run_job, out, results)
+        with executor:
+            rows = run_jobs(jobs, executor, run_job, out, results)
     except KeyboardInterrupt:
-        messages.print("Interrupted: what is finished stays; the same command goes on.")
+        messages.print("Interrupted: finished runs are kept; the same command continues.")
         raise
     _clear(out)
     write_json(out, rows, ("benchmark", str(options.config), "--out", str(options.out)))
     write_latex(out, rows)
-    write_report(out, options.config.stem, rows)
-    results.print(summary(rows))
+    write_benchmark_report(out, options.config.stem, rows)
+    results.print(summary_table(rows))
     results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
     return not any(row.error for row in rows)
 
 
 def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
-    """Every combination, in the order of the file; the same names each time."""
+    """Make a job for every combination, in the order of the file; names are the same each time."""
     return [
         Job(
             source.name,
-            source.source if isinstance(source, Recorded) else Source(_rendered(source, out)),
+            source.source if isinstance(source, RecordedSource) else Source(_rendered_folder(source, out)),
             out / "jobs" / f"{source.name}.{paradigm}.{robust}.{seed}",
             sweep.config,
             paradigm,
@@ -104,14 +103,14 @@ def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
     ]
 
 
-def _rendered(source: Simulated, out: Path) -> Path:
+def _rendered_folder(source: SimulatedSource, out: Path) -> Path:
     return out / "sources" / source.name
 
 
-def _render(source: Recorded | Simulated, out: Path, messages: Console) -> None:
-    if isinstance(source, Simulated):
+def _render(source: RecordedSource | SimulatedSource, out: Path, messages: Console) -> None:
+    if isinstance(source, SimulatedSource):
         with progress_bar(messages, f"Rendering {source.name}") as progress:
-            simulate(source.spec, _rendered(source, out), progress)
+            simulate(source.spec, _rendered_folder(source, out), progress)
 
 
 def _prepare(out: Path) -> None:
@@ -124,28 +123,32 @@ def _prepare(out: Path) -> None:
 
 
 def _clear(out: Path) -> None:
-    """Remove what killed processes have left unfinished."""
+    """Remove the unfinished folders of killed processes."""
     for left in (out / "jobs").glob(".*"):
         shutil.rmtree(left, ignore_errors=True)
 
 
-def carry_out(jobs: Sequence[Job], engine: Engine, work: Work, out: Path, results: Console) -> list[Row]:
-    """Do what is not done; results.csv holds at each moment what is known. Returns a row for each job."""
-    known: dict[str, Row] = {}
-    for count, (job, outcome) in enumerate(_outcomes(jobs, engine, work), start=1):
-        known[job.name] = make_row(job, outcome)
-        write_csv(out, (known[job.name] for job in jobs if job.name in known))
-        results.print(f"{count}/{len(jobs)}  {told(known[job.name])}", highlight=False, markup=False, soft_wrap=True)
-    return [known[job.name] for job in jobs]
+def run_jobs(jobs: Sequence[Job], executor: Executor, work: Work, out: Path, results: Console) -> list[ResultRow]:
+    """Run the jobs that are not finished and return a row for each job.
+
+    results.csv is written anew after each job, so that it holds all results so far at any moment.
+    """
+    rows: dict[str, ResultRow] = {}
+    for count, (job, result) in enumerate(_results(jobs, executor, work), start=1):
+        rows[job.name] = make_row(job, result)
+        write_csv(out, (rows[job.name] for job in jobs if job.name in rows))
+        line = f"{count}/{len(jobs)}  {format_row(rows[job.name])}"
+        results.print(line, highlight=False, markup=False, soft_wrap=True)
+    return [rows[job.name] for job in jobs]
 
 
-def _outcomes(jobs: Sequence[Job], engine: Engine, work: Work) -> Iterator[tuple[Job, Outcome]]:
-    done = [(job, outcome) for job in jobs if (outcome := finished(job))]
-    yield from done
-    names = {job.name for job, _ in done}
-    for ended in engine.run(work, [job for job in jobs if job.name not in names]):
-        yield ended.item, _outcome(ended)
-
-
-def _outcome(ended: Done[Job, Outcome] | Lost[Job]) -> Outcome:
-    return Outcome(ended.item.name, {}, ended.reason) if isinstance(ended, Lost) else ended.result
+def _results(jobs: Sequence[Job], executor: Executor, work: Work) -> Iterator[tuple[Job, JobResult]]:
+    """Yield first the results of finished jobs, then those of the others as they arrive."""
+    finished = [(job, result) for job in jobs if (result := read_result(job))]
+    yield from finished
+    names = {job.name for job, _ in finished}
+    for ended in executor.run(work, [job for job in jobs if job.name not in names]):
+        if isinstance(ended, Failed):
+            yield ended.item, JobResult(ended.item.name, {}, ended.reason)
+        else:
+            yield ended.item, ended.result

@@ -1,4 +1,4 @@
-"""One run of a benchmark, in a folder of its own that is whole or absent."""
+"""One run of a benchmark, in a folder of its own that is complete or absent."""
 
 import shlex
 import shutil
@@ -22,14 +22,14 @@ _QUIET = Console(quiet=True)
 
 @dataclass(frozen=True)
 class Job:
-    """One run.
+    """One run of a benchmark.
 
     Attributes:
-        source_name: of the source in the benchmark.
-        source: what to read.
-        folder: where the results go, absolute.
-        settings_file: of all runs; None for the defaults.
-        paradigm, robust, seed, record: settings, as in `RunConfig`; a map is kept where a recording is.
+        source_name: name of the source in the benchmark.
+        source: recording to read.
+        folder: folder for the results, absolute.
+        settings_file: TOML file with the settings of all runs; None for the defaults.
+        paradigm, robust, seed, record: settings as in `RunConfig`; a map is saved if a recording is.
     """
 
     source_name: str
@@ -43,19 +43,24 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Of the run: its folder's."""
+        """Name of the run, which is that of its folder."""
         return self.folder.name
 
-    def options(self, out: Path) -> RunOptions:
-        """What `revisit run` is told to read, and where to write."""
+    def run_options(self, out: Path) -> RunOptions:
+        """Options of `revisit run` for this job, with another output folder."""
         source = self.source
         return RunOptions(
-            source.path, source.sequence, out, config=self.settings_file, kind=source.kind, command=self.command
+            source=source.path,
+            sequence=source.sequence,
+            out=out,
+            config=self.settings_file,
+            kind=source.kind,
+            command=self.command,
         )
 
     @property
     def settings(self) -> dict[str, object]:
-        """What the benchmark sets, by the names in `RunConfig`."""
+        """Settings that the benchmark changes, by their names in `RunConfig`."""
         return {
             "paradigm": self.paradigm,
             "robust": self.robust,
@@ -66,16 +71,16 @@ class Job:
 
     @property
     def config(self) -> RunConfig:
-        """Everything that decides the result.
+        """Complete configuration of the run.
 
         Raises:
             ConfigError: the settings file, a paradigm or a back end cannot be used.
         """
-        return configure(self.options(self.folder), self.settings)
+        return configure(self.run_options(self.folder), self.settings)
 
     @property
     def command(self) -> tuple[str, ...]:
-        """The words after `revisit` that make this run alone."""
+        """Words after `revisit` of the command that repeats this run alone."""
         named = {
             "--sequence": self.source.sequence,
             "--format": self.source.kind,
@@ -85,23 +90,23 @@ class Job:
             "--config": self.settings_file,
             "--out": self.folder,
         }
-        words = [str(word) for pair in named.items() if pair[1] is not None for word in pair]
+        words = [str(word) for option in named.items() if option[1] is not None for word in option]
         return ("run", str(self.source.path), *words, *([] if self.record else ["--no-record", "--no-map"]))
 
     @property
-    def trace(self) -> Path:
-        """Beside the folder: how a run broke that should not have."""
+    def error_file(self) -> Path:
+        """File beside the folder that keeps the traceback of a bug."""
         return self.folder.with_name(f"{self.name}.error.txt")
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a job.
+class JobResult:
+    """Result of a job: metrics, or the reason why there are none.
 
     Attributes:
-        name: of the job.
-        metrics: of the run; empty where it failed.
-        error: why it failed, one line; empty where it did not.
+        name: name of the job.
+        metrics: content of metrics.json; empty if the run failed.
+        error: reason of the failure, one line; empty if there was none.
     """
 
     name: str
@@ -109,21 +114,21 @@ class Outcome:
     error: str = ""
 
 
-def finished(job: Job) -> Outcome | None:
-    """What an earlier command has left of a job; None where it is still to do."""
+def read_result(job: Job) -> JobResult | None:
+    """Read the result of a finished job from its folder; None if the job is not finished."""
     if not (job.folder / "metrics.json").is_file():
         return None
-    return Outcome(job.name, read_metrics(job.folder / "metrics.json"))
+    return JobResult(job.name, read_metrics(job.folder / "metrics.json"))
 
 
 def check_job(job: Job) -> None:
-    """Check that a job has settings that work, and, where it is finished, that these and its source were the same.
+    """Check the settings of a job and, if it is finished, that it was run with the same settings and source.
 
     Raises:
         ConfigError: the settings file, a paradigm or a back end cannot be used.
-        OutputError: the finished run is another one.
+        OutputError: the finished run had other settings or another source.
     """
-    config, done = job.config, finished(job)
+    config, done = job.config, read_result(job)
     if done is None:
         return
     same_source = _source(done) == job.source
@@ -135,8 +140,8 @@ def check_job(job: Job) -> None:
         )
 
 
-def _source(done: Outcome) -> Source | None:
-    """What a finished run has read; None where it does not say so."""
+def _source(done: JobResult) -> Source | None:
+    """Source of a finished run; None if its metrics do not name it."""
     recording = done.metrics.get("recording")
     try:
         return Source.from_metrics(recording) if isinstance(recording, Mapping) else None
@@ -144,40 +149,40 @@ def _source(done: Outcome) -> Source | None:
         return None
 
 
-def run_job(job: Job) -> Outcome:
-    """Run a job, unless it is finished. What goes wrong is told, and none of it remains in the folder.
+def run_job(job: Job) -> JobResult:
+    """Run a job unless it is finished. A failure is part of the result and leaves no files in the folder.
 
     Raises:
-        KeyboardInterrupt: the user stopped it.
+        KeyboardInterrupt: the user interrupted the run.
     """
     try:
-        return finished(job) or _run(job)
+        return read_result(job) or _run(job)
     except RevisitError as error:
-        return Outcome(job.name, {}, " ".join(str(error).split()))
-    except Exception as error:  # a bug in one run must not cost the others; its traceback is kept
-        with atomic_writer(job.trace) as file:
+        return JobResult(job.name, {}, " ".join(str(error).split()))
+    except Exception as error:  # a bug in one run must not stop the others; its traceback is kept
+        with atomic_writer(job.error_file) as file:
             file.write(traceback.format_exc())
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        return Outcome(job.name, {}, f"{told} (a bug; see {job.trace})")
+        message = " ".join(f"{type(error).__name__}: {error}".split())
+        return JobResult(job.name, {}, f"{message} (a bug; see {job.error_file})")
 
 
-def _run(job: Job) -> Outcome:
-    # Beside its place and renamed: a process that dies while it writes leaves nothing that looks finished.
+def _run(job: Job) -> JobResult:
+    # Written beside its place and then renamed: a process that dies meanwhile leaves nothing that looks finished.
     unfinished = job.folder.with_name(f".{job.name}-{uuid4().hex[:8]}")
     try:
-        if run_recorded(job.options(unfinished), job.settings, _QUIET, _QUIET):
+        if run_recorded(job.run_options(unfinished), job.settings, _QUIET, _QUIET):
             raise KeyboardInterrupt
         _rename(unfinished, job.folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    job.trace.unlink(missing_ok=True)
-    return Outcome(job.name, read_metrics(job.folder / "metrics.json"))
+    job.error_file.unlink(missing_ok=True)
+    return JobResult(job.name, read_metrics(job.folder / "metrics.json"))
 
 
 def _rename(unfinished: Path, folder: Path) -> None:
     try:
         unfinished.rename(folder)
     except OSError as error:
-        if (folder / "metrics.json").is_file():  # another worker was given up for dead, and was not
+        if (folder / "metrics.json").is_file():  # finished meanwhile by another worker that was taken for dead
             return
         raise OutputError(f"{folder}: cannot be written, {error.strerror}; remove it or choose another --out") from None

@@ -1,9 +1,9 @@
-"""`tables.tex`: the figures of a benchmark for a paper, with the package booktabs."""
+"""`tables.tex`: the results of a benchmark as a LaTeX table for a paper (package booktabs)."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from slam.benchmark.results import SHOWN, Row, medians, shown
+from slam.benchmark.results import DISPLAYED, ResultRow, format_values, median_rows
 from slam.report.reading import MISSING
 from slam.storage.atomic import atomic_writer
 
@@ -15,26 +15,29 @@ _SPECIAL = {
 } | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 
 
-def write_latex(folder: Path, rows: Sequence[Row]) -> None:
-    """Write tables.tex: one table, a line for each source, paradigm and back end, medians over the seeds.
+def write_latex(folder: Path, rows: Sequence[ResultRow]) -> None:
+    """Write tables.tex: one table, a line for each source, paradigm and back end, median_rows over the seeds.
 
     Raises:
         OutputError: the file cannot be written.
     """
     with atomic_writer(folder / "tables.tex") as file:
-        file.write(latex(rows))
+        file.write(latex_table(rows))
 
 
-def latex(rows: Sequence[Row]) -> str:
-    """The table as text; failed runs are left out."""
-    headings = ("source", "paradigm", "back end", "runs", *(heading for _, heading, _ in SHOWN))
+def latex_table(rows: Sequence[ResultRow]) -> str:
+    """Format the table as text; failed runs are left out."""
+    headings = ("source", "paradigm", "back end", "runs", *(heading for _, heading, _ in DISPLAYED))
     lines = [
-        "% needs \\usepackage{booktabs}; medians over the seeds; ATE after alignment of all poses",
+        "% needs \\usepackage{booktabs}; median_rows over the seeds; ATE after alignment of all poses",
         f"\\begin{{tabular}}{{lll{'r' * (len(headings) - 3)}}}",
         "\\toprule",
         _line(headings),
         "\\midrule",
-        *(_line((row.source, row.paradigm, row.robust, str(runs), *shown(row))) for row, runs in medians(rows)),
+        *(
+            _line((row.source, row.paradigm, row.robust, str(runs), *format_values(row)))
+            for row, runs in median_rows(rows)
+        ),
         "\\bottomrule",
         "\\end{tabular}",
     ]
@@ -42,9 +45,9 @@ def latex(rows: Sequence[Row]) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return " & ".join(escape(cell) for cell in cells) + r" \\"
+    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
 
 
-def escape(plain: str) -> str:
-    """Text as LaTeX shows it, whatever signs are in it."""
-    return "".join(_SPECIAL.get(sign, sign) for sign in plain)
+def escape_latex(text: str) -> str:
+    """Escape a text so that LaTeX prints every character of it."""
+    return "".join(_SPECIAL.get(sign, sign) for sign in text)

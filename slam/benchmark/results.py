@@ -1,4 +1,4 @@
-"""The figures of many runs side by side: rows, files and the table for the terminal."""
+"""Results of the runs of a benchmark: rows, files, medians over the seeds, and the table for the terminal."""
 
 import shlex
 import statistics
@@ -10,28 +10,28 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from slam.benchmark.job import Job, Outcome
+from slam.benchmark.job import Job, JobResult
 from slam.report.reading import text, value
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_table
 
 
 @dataclass(frozen=True)
-class Row:
-    """One run of a benchmark, a line of `results.csv`; None for what is not known.
+class ResultRow:
+    """One run of a benchmark, a line of `results.csv`; None for an unknown value.
 
     Attributes:
-        run: its name, and its folder's below `jobs`.
-        source, paradigm, robust, seed: what it is a run of.
-        frames: of the drive.
-        path_length_m: of the way.
-        odometry_ate_m, ate_m: root mean square position error before and after loops were closed, all poses aligned.
-        t_rel_percent, r_rel_deg_per_100m: after, by the KITTI rule.
-        loops_kept, loops_false: in the corrected graph, and those of them that are wrong.
-        recall_at_100_precision, average_precision: of the recogniser by itself.
-        frames_per_second, wall_seconds: of this run, while others ran beside it.
-        peak_memory_mb: of the process, which may have done other runs before.
-        error: why it failed; empty where it did not.
+        run: name of the run and of its folder below `jobs`.
+        source, paradigm, robust, seed: the combination that was run.
+        frames: number of frames.
+        path_length_m: path length by ground truth, metres.
+        odometry_ate_m, ate_m: ATE of the odometry and of the corrected trajectory, metres.
+        t_rel_percent, r_rel_deg_per_100m: errors of the corrected trajectory by the KITTI rule.
+        loops_kept, loops_false: number of loops in the corrected graph, and of false ones among them.
+        recall_at_100_precision, average_precision: quality of the place recogniser alone.
+        frames_per_second, wall_seconds: speed and duration of the run, possibly with others beside it.
+        peak_memory_mb: peak memory of the process, which may have done other runs before.
+        error: reason of the failure; empty if there was none.
     """
 
     run: str
@@ -55,8 +55,8 @@ class Row:
     error: str = ""
 
 
-# Where each value stands in metrics.json.
-_KEYS = {
+# Dotted keys of the values in metrics.json.
+_METRICS_KEYS = {
     "frames": "frames",
     "path_length_m": "path_length_m",
     "odometry_ate_m": "odometry.ate_m",
@@ -72,8 +72,8 @@ _KEYS = {
     "peak_memory_mb": "peak_memory_mb",
 }
 
-# What people read of a row: the field, its heading, digits after the point.
-SHOWN = (
+# Columns of the tables for people: field, heading, digits after the decimal point.
+DISPLAYED = (
     ("odometry_ate_m", "odometry ATE [m]", 2),
     ("ate_m", "ATE [m]", 2),
     ("t_rel_percent", "t_rel [%]", 2),
@@ -83,17 +83,17 @@ SHOWN = (
     ("frames_per_second", "frames/s", 1),
 )
 
-_WIDE = ("t_rel_percent", "frames_per_second")  # not in a terminal, where the names need the room
+_NOT_IN_TERMINAL = ("t_rel_percent", "frames_per_second")  # left out there, because the names need the space
 
 
-def make_row(job: Job, outcome: Outcome) -> Row:
-    """What a table says of a job."""
-    found = {name: value(outcome.metrics, key) for name, key in _KEYS.items()}
-    return Row(job.name, job.source_name, job.paradigm, job.robust, job.seed, error=outcome.error, **found)
+def make_row(job: Job, result: JobResult) -> ResultRow:
+    """Make the row of a job from its metrics."""
+    values = {name: value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
+    return ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, error=result.error, **values)
 
 
-def told(row: Row) -> str:
-    """A row in one line."""
+def format_row(row: ResultRow) -> str:
+    """Format a row as one line of text."""
     if row.error:
         return f"{row.run}: failed: {row.error}"
     loops = f"{text(row.loops_kept)} loops kept, {text(row.loops_false)} of them false"
@@ -101,16 +101,16 @@ def told(row: Row) -> str:
     return f"{row.run}: ATE {text(row.odometry_ate_m)} m by odometry, {text(row.ate_m)} m corrected; {loops}; {recall}"
 
 
-def write_csv(folder: Path, rows: Iterable[Row]) -> None:
+def write_csv(folder: Path, rows: Iterable[ResultRow]) -> None:
     """Write results.csv, a line for each row.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    write_table(folder / "results.csv", [field.name for field in fields(Row)], map(astuple, rows))
+    write_table(folder / "results.csv", [field.name for field in fields(ResultRow)], map(astuple, rows))
 
 
-def write_json(folder: Path, rows: Iterable[Row], command: Sequence[str]) -> None:
+def write_json(folder: Path, rows: Iterable[ResultRow], command: Sequence[str]) -> None:
     """Write results.json, an object for each row.
 
     Raises:
@@ -120,33 +120,33 @@ def write_json(folder: Path, rows: Iterable[Row], command: Sequence[str]) -> Non
     write_metrics(folder / "results.json", {"command": shlex.join(["revisit", *command]), "runs": runs})
 
 
-def medians(rows: Sequence[Row]) -> list[tuple[Row, int]]:
-    """Rows that differ in their seed alone as one, with the median of each number and how many they are.
+def median_rows(rows: Sequence[ResultRow]) -> list[tuple[ResultRow, int]]:
+    """Merge rows that differ only in the seed: the median of each number, and the number of rows merged.
 
-    Failed runs have no numbers, and are left out.
+    Failed runs have no numbers and are left out.
     """
-    groups: dict[tuple[str, str, str], list[Row]] = {}
+    groups: dict[tuple[str, str, str], list[ResultRow]] = {}
     for row in rows:
         if not row.error:
             groups.setdefault((row.source, row.paradigm, row.robust), []).append(row)
     return [(_median(group), len(group)) for group in groups.values()]
 
 
-def _median(group: Sequence[Row]) -> Row:
-    found: dict[str, Any] = {name: _middle([getattr(row, name) for row in group]) for name in _KEYS}
-    return replace(group[0], **found)
+def _median(group: Sequence[ResultRow]) -> ResultRow:
+    values: dict[str, Any] = {name: _median_value([getattr(row, name) for row in group]) for name in _METRICS_KEYS}
+    return replace(group[0], **values)
 
 
-def _middle(values: Sequence[object]) -> object:
+def _median_value(values: Sequence[object]) -> object:
     numbers = [number for number in values if isinstance(number, int | float)]
     return statistics.median(numbers) if numbers else None
 
 
-def summary(rows: Sequence[Row]) -> Table:
-    """The rows as a table for the terminal. What is not known is a dash."""
+def summary_table(rows: Sequence[ResultRow]) -> Table:
+    """Make the table for the terminal. Unknown values are dashes."""
     table = Table(caption="ATE after alignment of all poses", caption_justify="left", box=None)
     table.add_column("run", overflow="fold")
-    columns = [column for column in SHOWN if column[0] not in _WIDE]
+    columns = [column for column in DISPLAYED if column[0] not in _NOT_IN_TERMINAL]
     for _, heading, _ in columns:
         table.add_column(escape(heading), justify="right")
     for row in rows:
@@ -154,6 +154,6 @@ def summary(rows: Sequence[Row]) -> Table:
     return table
 
 
-def shown(row: Row) -> list[str]:
-    """The numbers of a row as people read them, in the order of `SHOWN`."""
-    return [text(getattr(row, name), digits) for name, _, digits in SHOWN]
+def format_values(row: ResultRow) -> list[str]:
+    """Format the numbers of a row in the order of `DISPLAYED`."""
+    return [text(getattr(row, name), digits) for name, _, digits in DISPLAYED]

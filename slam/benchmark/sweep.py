@@ -1,6 +1,6 @@
-"""What a benchmark runs: sources, paradigms, back ends and seeds, read from a TOML file.
+"""The configuration of a benchmark: sources, paradigms, back ends and seeds, read from a TOML file.
 
-A list for each; every combination is a run. Paths are relative to the file:
+Every combination of them is a run. Paths are relative to the file:
 
     paradigms = ["tracked-words", "dynamic-sequences"]
     robust = ["pcm+gnc"]
@@ -29,12 +29,12 @@ from slam.simulation.spec import SHAPES, DriveSpec
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A source that is there.
+class RecordedSource:
+    """A recording that exists.
 
     Attributes:
-        name: of its runs.
-        source: what to read.
+        name: name of the source, with which the names of its runs begin.
+        source: recording to read.
     """
 
     name: str
@@ -42,12 +42,12 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """A source that is rendered first.
+class SimulatedSource:
+    """A simulated drive that is rendered first.
 
     Attributes:
-        name: of its folder and of its runs.
-        spec: what to drive.
+        name: name of its folder, with which the names of its runs begin.
+        spec: specification of the simulated drive.
     """
 
     name: str
@@ -59,15 +59,15 @@ class Sweep:
     """Every source with every paradigm, back end and seed.
 
     Attributes:
-        sources: no two of the same name.
-        paradigms: of place recognition, by name.
-        robust: back ends, by name.
-        seeds: of every random generator of a run.
-        config: settings file of all runs; None for the defaults.
-        record: write `recording.rrd` for each.
+        sources: sources with different names.
+        paradigms: names of place-recognition paradigms.
+        robust: names of robust back ends.
+        seeds: seeds of every random generator of a run.
+        config: TOML file with the settings of all runs; None for the defaults.
+        record: whether each run writes `recording.rrd`.
     """
 
-    sources: tuple[Recorded | Simulated, ...]
+    sources: tuple[RecordedSource | SimulatedSource, ...]
     paradigms: tuple[str, ...]
     robust: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -76,8 +76,8 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class _Written:
-    """A sweep as it stands in the file."""
+class _SweepFile:
+    """The tables of the file before they are checked."""
 
     sources: tuple[Any, ...] = ()
     paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
@@ -88,7 +88,7 @@ class _Written:
 
 
 @dataclass(frozen=True)
-class _WrittenSource:
+class _SourceFile:
     path: str
     sequence: str = ""
     format: str = ""
@@ -104,12 +104,12 @@ def read_sweep(path: Path) -> Sweep:
 
 
 def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
-    """A sweep from the values of its file.
+    """Make a sweep from the values of its file.
 
     Raises:
         ConfigError: an unknown name or a value of the wrong type.
     """
-    written = from_values(_Written, values, str(path))
+    written = from_values(_SweepFile, values, str(path))
     sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
     _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
     _check_list(written.paradigms, str, f"{path}: paradigms")
@@ -120,7 +120,7 @@ def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
 
 
 def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
-    """Raise ConfigError unless these are one or more different values of a kind."""
+    """Raise ConfigError unless these are one or more different values of one type."""
     wanted = f"{where}: expected one or more different {'numbers from 0 on' if kind is int else 'names'}"
     if not values:
         raise ConfigError(f"{wanted}, found none")
@@ -130,7 +130,7 @@ def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
         raise ConfigError(f"{wanted}, found {(wrong or twice)[0]!r}{'' if wrong else ' twice'}")
 
 
-def _source(entry: object, where: str, folder: Path) -> Recorded | Simulated:
+def _source(entry: object, where: str, folder: Path) -> RecordedSource | SimulatedSource:
     if not isinstance(entry, dict) or ("path" in entry) == ("simulate" in entry):
         raise ConfigError(f"{where}: expected a table with path = ... or with simulate = ..., found {entry!r}")
     settings = {key: value for key, value in entry.items() if key != "name"}
@@ -142,32 +142,32 @@ def _source(entry: object, where: str, folder: Path) -> Recorded | Simulated:
     return _simulated(given, settings, where, folder)
 
 
-def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> Recorded:
-    written = from_values(_WrittenSource, settings, where)
+def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> RecordedSource:
+    written = from_values(_SourceFile, settings, where)
     path = _path(written.path, folder, f"{where}: path")
     own = "-".join(part for part in (path.name, written.sequence) if part)
-    return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.format or None))
+    return RecordedSource(_file_name(name or own), Source(path, written.sequence or None, written.format or None))
 
 
-def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> Simulated:
+def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> SimulatedSource:
     shape = settings.pop("simulate")
     if not isinstance(shape, str):
         raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
     path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
     spec = from_values(DriveSpec, {"shape": path, **settings}, where)
     own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
-    return Simulated(_file_name(name or own), spec)
+    return SimulatedSource(_file_name(name or own), spec)
 
 
 def _path(written: str, folder: Path, where: str) -> Path:
     try:
         path = (folder / Path(written).expanduser()).resolve()
-        path.exists()  # tells of names that no file can have
+        path.exists()  # raises ValueError or OSError for names that no file can have
     except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(f"{where}: expected a path, found {written[:60]!r}: {error}") from None
     return path
 
 
 def _file_name(name: str) -> str:
-    """A name that can be part of a file's: letters of any script, digits and - . + _, no dot in front."""
+    """Replace characters that a file name should not have; letters of any script, digits and - . + _ stay."""
     return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "_"

@@ -81,9 +81,9 @@ def evaluate_trajectory(
 
     Example: revisit evaluate trajectory runs/kitti05/trajectory_corrected.txt data/kitti/poses/05.txt
     """
-    from slam.evaluation.command import compare_files
+    from slam.evaluation.command import evaluate_trajectory_files
 
-    Console().print(compare_files(estimate, truth, mono, json))
+    Console().print(evaluate_trajectory_files(estimate, truth, mono, json))
 
 
 def evaluate_loops(

@@ -1,1 +1,1 @@
-"""Who does the work: this process, or many, on this machine or on others."""
+"""Executors: run many items in this process, in several on this machine, or on a dask cluster."""

@@ -1,20 +1,20 @@
-"""Which engine the user has asked for."""
+"""The executor that the options --workers and --scheduler ask for."""
 
-from slam.engine.cluster import Cluster
-from slam.engine.engine import Engine, OneProcess
+from slam.engine.cluster import DaskExecutor
+from slam.engine.engine import Executor, SerialExecutor
 from slam.errors import ConfigError
 
 
-def choose_engine(workers: int | None, scheduler: str | None, default: int) -> Engine:
-    """What does the work.
+def make_executor(workers: int | None, scheduler: str | None, default: int) -> Executor:
+    """Make the executor for the options of a command.
 
     Args:
-        workers: processes on this machine; 0 for this one alone, None where nothing was asked for.
-        scheduler: address of a dask scheduler to use instead.
-        default: workers where neither was asked for.
+        workers: number of processes on this machine; 0 for this process alone, None if the option was not given.
+        scheduler: address of a dask scheduler to use instead, or None.
+        default: number of workers if neither option was given.
 
     Raises:
-        ConfigError: there cannot be so many, or both are given, or dask is not installed.
+        ConfigError: the number of workers is negative, both options are given, or dask is not installed.
     """
     if scheduler is not None and workers is not None:
         raise ConfigError("--scheduler: expected no --workers beside it, found both; the scheduler has its own")
@@ -22,4 +22,4 @@ def choose_engine(workers: int | None, scheduler: str | None, default: int) -> E
     if count < 0:
         raise ConfigError(f"--workers: expected 0 or more, found {count}")
     alone = count == 0 and scheduler is None
-    return OneProcess() if alone else Cluster(count, scheduler)
+    return SerialExecutor() if alone else DaskExecutor(count, scheduler)

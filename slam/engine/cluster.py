@@ -1,4 +1,7 @@
-"""Work on processes of dask.distributed (the extra `cluster`): on this machine, or those of an existing scheduler."""
+"""Executor on processes of dask.distributed (the extra `cluster`): on this machine or of an existing scheduler.
+
+The choice of dask and its figures: docs/decisions/cluster.md.
+"""
 
 import logging
 import time
@@ -15,19 +18,20 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.engine.engine import Done, Item, Lost, Result
-from slam.errors import ConfigError, EngineError
+from slam.engine.engine import Completed, Failed, Item, Result
+from slam.errors import ConfigError, ExecutorError
 
 _LOOPBACK = "127.0.0.1"
-_ALLOWED_DEATHS = 2  # of processes of our own that do the same item
-_TRIES = 5  # to greet a scheduler
-_PATIENCE_S = 20  # until a scheduler that does not answer is given up
-_LOOK_S = 0.05  # between two looks at what has ended
-# What dask sets up for large tables is not for runs, which take and free arrays with each frame. Giving freed memory
-# back at once costs a third of their time, all in the kernel; None leaves the allocator as it is elsewhere. Threads of
-# OpenCV where each core has its process cost a tenth, a profiler that looks every 10 ms a twentieth. And a process that
-# comes back late, as it may where all cores are busy, is not given up for good.
-_SETTINGS = {
+_MAX_WORKER_DEATHS = 2  # deaths of own workers on one item that are tolerated; with the next one the item fails
+_MAX_CONNECTION_ATTEMPTS = 5
+_CONNECTION_TIMEOUT_S = 20
+_POLL_INTERVAL_S = 0.05  # short beside the seconds of an item, long enough to cost no processor time
+# dask's defaults are made for large tables and slow down runs, which allocate and free arrays with each frame:
+# * returning freed memory to the kernel at once costs a third of the time; None restores the allocator's own threshold;
+# * OpenCV threads compete with the other processes, one per core, and cost a tenth of the time;
+# * the profiler, which samples every 10 ms, costs a twentieth.
+# A worker that answers late because all cores are busy must not be lost for good, hence the timeout of a day.
+_DASK_SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.nanny.pre-spawn-environ.OPENCV_FOR_THREADS_NUM": 1,
     "distributed.worker.profile.enabled": False,
@@ -35,41 +39,43 @@ _SETTINGS = {
 }
 
 
-class Cluster:
-    """Does each item in the next process that is free (an Engine).
+class DaskExecutor:
+    """Runs each item in the next free process (an Executor).
 
-    An item whose process dies is given to another one; after some deaths it is taken for what kills them, and fails.
-    Processes of our own listen on the loopback device only.
+    An item whose process dies is given to another process. After a few deaths the item itself is taken for their cause
+    and fails. Own processes listen on the loopback device only.
     """
 
     def __init__(self, workers: int, scheduler: str | None) -> None:
-        """Start nothing yet.
+        """Prepare the executor; processes are started when the context is entered.
 
         Args:
-            workers: processes to start on this machine; of no meaning where there is a scheduler.
-            scheduler: address of an existing one; its workers must see the same files.
+            workers: number of processes to start on this machine; ignored if there is a scheduler.
+            scheduler: address of an existing scheduler, whose workers must see the same files; None to start workers.
 
         Raises:
             ConfigError: dask.distributed is not installed.
         """
         self._workers, self._scheduler = workers, scheduler
-        self._distributed = _library()
+        self._distributed = _import_distributed()
         self._client: Any = None
         self._open = ExitStack()
 
     @property
     def address(self) -> str:
-        """Of the scheduler, once begun."""
+        """Address of the scheduler, within the context."""
         return str(self._client.scheduler.address)
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
-        """Do the work for every item; what becomes of each as it comes."""
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item and yield each result or failure as it arrives, in any order."""
         waiting, running, done = deque(items), dict[Any, Item](), self._distributed.as_completed()
         submit = self._submitter(work)
 
         def fill() -> None:
-            # No more than can be done at once: what waits at a process that dies would be suspected as well.
-            while waiting and len(running) < self._free:
+            # Submit only as many as can run at once: an item that waits at a dying process would be blamed too.
+            while waiting and len(running) < self._slots:
                 item = waiting.popleft()
                 future = submit(item)
                 running[future] = item
@@ -79,10 +85,10 @@ class Cluster:
             fill()
             while running:
                 ready = next(done) if done.has_ready() else None
-                ended = [] if ready is None else [_ended(running.pop(ready), ready)]
-                fill()  # also where nothing has ended: a process that had died may be back
+                ended = [] if ready is None else [_completed_or_failed(running.pop(ready), ready)]
+                fill()  # even if nothing has ended: a restarted worker may be free again
                 yield from ended
-                time.sleep(0 if ended else _LOOK_S)
+                time.sleep(0 if ended else _POLL_INTERVAL_S)
         finally:
             self._client.cancel(list(running))
 
@@ -90,12 +96,13 @@ class Cluster:
         """The results in the order of the items; twice as many as can be done at once are begun ahead.
 
         Raises:
-            EngineError: the processes that did an item died, or the scheduler was lost. What the work raises is raised.
+            ExecutorError: the processes that worked on one item died, or the scheduler was lost. Exceptions of the work
+                are raised as they are.
         """
         waiting, begun, submit = iter(items), deque[Any](), self._submitter(work)
         try:
             while True:
-                begun.extend(map(submit, islice(waiting, max(0, 2 * self._free - len(begun)))))
+                begun.extend(map(submit, islice(waiting, max(0, 2 * self._slots - len(begun)))))
                 if not begun:
                     return
                 yield self._result(begun.popleft())
@@ -113,36 +120,36 @@ class Cluster:
         return np.lib.format.open_memmap(path, mode="r")
 
     @property
-    def _free(self) -> int:
-        """Items that can be done at once."""
+    def _slots(self) -> int:
+        """Number of items that can run at once."""
         return max(1, sum(self._client.nthreads().values()))
 
     def _submitter(self, work: Callable[[Item], Result]) -> Callable[[Item], Any]:
-        """What begins an item, and gives its future."""
-        mark = uuid4().hex[:8]  # of these items: a scheduler would take an equal name for what it has done
+        """Return a function that submits one item and returns its future."""
+        batch = uuid4().hex[:8]  # a key used before would give the result of the earlier item
         numbers = count()
-        return lambda item: self._client.submit(work, item, key=f"revisit-{mark}-{next(numbers)}", pure=False)
+        return lambda item: self._client.submit(work, item, key=f"revisit-{batch}-{next(numbers)}", pure=False)
 
     def _result(self, future: Any) -> Any:
         deaths = (self._distributed.KilledWorker, CancelledError)
         try:
             return future.result()
         except deaths as error:
-            raise EngineError(
+            raise ExecutorError(
                 f"expected worker processes that live, {_reason(error)}; give them more memory, or --workers 0"
             ) from None
 
     def __enter__(self) -> Self:
-        """Start the processes, or reach the scheduler.
+        """Start the processes, or connect to the scheduler.
 
         Raises:
-            ConfigError: it does not answer.
+            ConfigError: the scheduler does not answer.
         """
         address = self._scheduler
         try:
-            self._open.enter_context(_settings())
-            where = self._open.enter_context(self._own()) if address is None else address
-            self._client = self._open.enter_context(self._greeted(where))
+            self._open.enter_context(_dask_settings())
+            cluster = self._open.enter_context(self._local_cluster()) if address is None else address
+            self._client = self._open.enter_context(self._connect(cluster))
         except (OSError, ValueError) as error:
             self._open.close()
             reason = " ".join(str(error).split())
@@ -154,22 +161,23 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the processes, or leave the scheduler."""
+        """End the own processes, or disconnect from the scheduler."""
         self._open.close()
 
-    def _greeted(self, where: Any) -> Any:
-        """A client of a scheduler.
+    def _connect(self, cluster: Any) -> Any:
+        """Connect to a scheduler.
 
-        Dask asserts that the greeting comes alone, which it does not where news for all clients leave at that moment.
+        Retries because the client of dask asserts that the first message holds the greeting alone, which fails if the
+        scheduler broadcasts another message to all clients at that moment.
         """
-        for _ in range(_TRIES - 1):
+        for _ in range(_MAX_CONNECTION_ATTEMPTS - 1):
             with suppress(AssertionError):
-                return self._distributed.Client(where, timeout=_PATIENCE_S)
-        return self._distributed.Client(where, timeout=_PATIENCE_S)
+                return self._distributed.Client(cluster, timeout=_CONNECTION_TIMEOUT_S)
+        return self._distributed.Client(cluster, timeout=_CONNECTION_TIMEOUT_S)
 
-    def _own(self) -> Any:
-        """Processes with one thread each. Their memory is what runs need, not what dask would have them share."""
-        settings = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0", "allowed_failures": _ALLOWED_DEATHS}
+    def _local_cluster(self) -> Any:
+        """Workers of one thread each, without the memory limit of dask: a run may need more than its share."""
+        settings = {"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0", "allowed_failures": _MAX_WORKER_DEATHS}
         return self._distributed.LocalCluster(
             n_workers=self._workers,
             threads_per_worker=1,
@@ -182,28 +190,28 @@ class Cluster:
         )
 
 
-def _ended(item: Item, future: Any) -> Done[Item, Any] | Lost[Item]:
-    # Its state may still change: a result is lost with the process that keeps it, and then made again.
+def _completed_or_failed(item: Item, future: Any) -> Completed[Item, Any] | Failed[Item]:
+    # Do not trust the state of the future: a result is lost with the process that holds it, and is then computed again.
     try:
-        return Done(item, future.result())
+        return Completed(item, future.result())
     except Exception as error:
-        return Lost(item, _reason(error))
+        return Failed(item, _reason(error))
 
 
 def _reason(error: Exception) -> str:
-    """Why there is no result, one line."""
+    """Reason of a failure, one line."""
     return f"the worker failed: {' '.join(str(error).split())}"
 
 
-def _settings() -> AbstractContextManager[object]:
-    """Has dask work as runs need it, in processes that are started meanwhile."""
+def _dask_settings() -> AbstractContextManager[object]:
+    """Context in which dask starts processes with the settings that runs need."""
     import dask
 
-    context: AbstractContextManager[object] = dask.config.set(_SETTINGS)
+    context: AbstractContextManager[object] = dask.config.set(_DASK_SETTINGS)
     return context
 
 
-def _library() -> Any:
+def _import_distributed() -> Any:
     try:
         import distributed
     except ImportError:

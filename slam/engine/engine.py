@@ -1,4 +1,4 @@
-"""What does work that consists of many items: this process, or many."""
+"""Executors: run one function on many items, in this process or in several."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,36 +13,48 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Done(Generic[Item, Result]):
-    """An item, and what came of it."""
+class Completed(Generic[Item, Result]):
+    """An item and the result of its work.
+
+    Attributes:
+        item: argument of the work.
+        result: return value of the work.
+    """
 
     item: Item
     result: Result
 
 
 @dataclass(frozen=True)
-class Lost(Generic[Item]):
-    """An item of which nothing came, and why, in one line."""
+class Failed(Generic[Item]):
+    """An item without a result.
+
+    Attributes:
+        item: argument of the work.
+        reason: reason of the failure, one line.
+    """
 
     item: Item
     reason: str
 
 
-class Engine(Protocol):
-    """Does work; used as a context manager, which ends whatever it has started.
+class Executor(Protocol):
+    """Runs work on items; a context manager that ends the processes it has started.
 
-    The work may be done again where its process dies: what it does twice must be as if done once. It, the items and the
-    results go from process to process.
+    Work is repeated when its process dies, so it must be idempotent. The work, the items and the results are sent
+    between processes and must therefore be serialisable.
     """
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
-        """Do the work for every item; what becomes of each as it comes, in any order."""
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item and yield each result or failure as it arrives, in any order."""
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """The results in the order of the items, as the builtin does it; some items are begun ahead, never all.
+        """Yield the results in the order of the items, like the builtin `map`; only a few items are begun ahead.
 
         Raises:
-            EngineError: whatever did an item died, again and again.
+            ExecutorError: the processes that worked on one item died repeatedly.
         """
 
     def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
@@ -53,23 +65,25 @@ class Engine(Protocol):
         """
 
     def __enter__(self) -> Self:
-        """Begin."""
+        """Start the processes."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End."""
+        """End the processes."""
 
 
-class OneProcess:
-    """Does one item after the other here (an Engine)."""
+class SerialExecutor:
+    """Runs one item after the other in this process (an Executor)."""
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
-        """Do the work for every item in turn; what it raises ends it."""
-        return (Done(item, work(item)) for item in items)
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item in turn; an exception of the work ends the iteration and is raised."""
+        return (Completed(item, work(item)) for item in items)
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """The results in turn."""
+        """Yield the results in turn."""
         return map(work, items)
 
     def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
@@ -77,10 +91,10 @@ class OneProcess:
         return array
 
     def __enter__(self) -> Self:
-        """Begin: there is nothing to start."""
+        """Return the executor; there is nothing to start."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End: there is nothing to end."""
+        """Do nothing; there is nothing to end."""

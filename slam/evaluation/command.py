@@ -24,7 +24,7 @@ _LINES = {
 _ALIGNMENTS = {"se3": "after SE(3) alignment of all poses", "sim3": "after Sim(3) alignment of all poses"}
 
 
-def compare_files(estimate: Path, truth: Path, mono: bool = False, json: bool = False) -> str:
+def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, json: bool = False) -> str:
     """Errors of an estimated trajectory, as lines to read or as JSON with the names of metrics.json.
 
     Args:

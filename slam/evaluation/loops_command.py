@@ -10,8 +10,8 @@ from place_recognition.evaluation.ground_truth import SamePlace
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
-from slam.evaluation.truth import KnownTruth, read_truth
-from slam.place_metrics import OTHERS_TOLERANCE, score
+from slam.evaluation.truth import RevisitTruth, read_revisit_truth
+from slam.place_metrics import TOLERANCE_FRAMES, score
 from slam.storage.matches import read_matches, write_curve
 from slam.storage.metrics import metrics_text, write_metrics
 from slam.storage.run_folder import RunFolder
@@ -64,7 +64,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
     _check_queries(options.matches, beliefs, truth)
-    tolerances = dict.fromkeys((0, OTHERS_TOLERANCE, options.frame_tolerance or 0))
+    tolerances = dict.fromkeys((0, TOLERANCE_FRAMES, options.frame_tolerance or 0))
     results = {tolerance: score(beliefs, truth.known, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
         "matches": str(options.matches),
@@ -94,14 +94,14 @@ def _check(options: LoopsOptions) -> None:
         raise ConfigError(f"--fps: expected poses a second above 0, found {options.fps}")
 
 
-def _truth(options: LoopsOptions) -> KnownTruth:
-    truth = read_truth(options.truth, options.rule, options.fps)
+def _truth(options: LoopsOptions) -> RevisitTruth:
+    truth = read_revisit_truth(options.truth, options.rule, options.fps)
     if not truth.known.any():
         raise DataError(f"{truth.origin}: expected at least one revisit, found none; choose another truth or rule")
     return truth
 
 
-def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: KnownTruth) -> None:
+def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> None:
     last = max((belief.query for belief in beliefs), default=0)
     if last >= len(truth.known):
         raise DataError(
@@ -110,7 +110,7 @@ def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: KnownTruth) 
         )
 
 
-def _lines(truth: KnownTruth, beliefs: Sequence[Belief], results: dict[int, dict[str, object]]) -> list[str]:
+def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, dict[str, object]]) -> list[str]:
     revisits = int(truth.known.any(axis=1).sum())
     lines = [f"{len(beliefs)} queries; {revisits} revisits by {truth.origin}"]
     for tolerance, section in results.items():
@@ -120,7 +120,7 @@ def _lines(truth: KnownTruth, beliefs: Sequence[Belief], results: dict[int, dict
 
 
 def _title(tolerance: int) -> str:
-    rules = {0: "Rule of the chapter's authors: no tolerance", OTHERS_TOLERANCE: "Rule of others: +-10 columns"}
+    rules = {0: "Rule of the chapter's authors: no tolerance", TOLERANCE_FRAMES: "Rule of others: +-10 columns"}
     return rules.get(tolerance, f"Your rule: +-{tolerance} columns")
 
 

@@ -14,7 +14,7 @@ MATRICES = (".mat", ".npz")
 
 
 @dataclass(frozen=True)
-class KnownTruth:
+class RevisitTruth:
     """Which images show the same place.
 
     Attributes:
@@ -32,7 +32,7 @@ class KnownTruth:
         return self.matrix
 
 
-def read_truth(path: Path, rule: SamePlace | None = None, fps: float | None = None) -> KnownTruth:
+def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | None = None) -> RevisitTruth:
     """Truth from a matrix file (.mat, .npz), or from poses (KITTI, TUM) under a rule.
 
     Args:
@@ -46,7 +46,7 @@ def read_truth(path: Path, rule: SamePlace | None = None, fps: float | None = No
     """
     if path.suffix in MATRICES:
         try:
-            return KnownTruth(load_truth(path), str(path))
+            return RevisitTruth(load_truth(path), str(path))
         except ValueError as error:
             raise DataError(f"{error}; choose the truth of this drive") from error
     rule = rule or SamePlace()
@@ -57,12 +57,12 @@ def read_truth(path: Path, rule: SamePlace | None = None, fps: float | None = No
         raise ConfigError(
             f"{path}: expected times for a gap of {rule.gap:g} s, found none; give --fps, or poses as TUM"
         )
-    return truth_of_poses(poses, str(path), rule, times)
+    return revisit_truth_from_poses(poses, str(path), rule, times)
 
 
-def truth_of_poses(
+def revisit_truth_from_poses(
     poses: NDArray[np.float64], origin: str, rule: SamePlace | None = None, times: NDArray[np.float64] | None = None
-) -> KnownTruth:
+) -> RevisitTruth:
     """Truth of poses T_world_camera (N, 4, 4), metres, under a rule.
 
     Args:
@@ -72,10 +72,10 @@ def truth_of_poses(
         times: (N,) seconds, for a rule with a gap.
     """
     rule = rule or SamePlace()
-    return KnownTruth(truth_from_poses(poses, times, rule), f"{origin} under {in_words(rule)}")
+    return RevisitTruth(truth_from_poses(poses, times, rule), f"{origin} under {in_words(rule)}")
 
 
-def check_size(truth: KnownTruth, images: int, of: Path) -> None:
+def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
     """Raise DataError unless the truth has a row for each image of a drive."""
     if truth.matrix is not None and len(truth.matrix) != images:
         raise DataError(

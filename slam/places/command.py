@@ -13,7 +13,7 @@ from place_recognition.recognizer import Belief
 from slam.datasets.left_images import ImageRecording
 from slam.datasets.open import open_left_images
 from slam.errors import ConfigError
-from slam.evaluation.truth import KnownTruth, check_size, read_truth, truth_of_poses
+from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
 from slam.places.drive import Bench, Recognised, recognise
 from slam.places.options import PlacesOptions, check
 from slam.places.results import PlacesRecord, make_record, summary, write_results
@@ -47,7 +47,7 @@ def recognise_places(options: PlacesOptions, messages: Console, results: Console
 
 
 def recognise_images(
-    options: PlacesOptions, images: ImageRecording, truth: KnownTruth, messages: Console
+    options: PlacesOptions, images: ImageRecording, truth: RevisitTruth, messages: Console
 ) -> PlacesRecord:
     """Recognise the places of images that are open already, and write every result into `options.out`.
 
@@ -63,19 +63,19 @@ def recognise_images(
     return record
 
 
-def find_truth(options: PlacesOptions, images: ImageRecording) -> KnownTruth:
+def find_truth(options: PlacesOptions, images: ImageRecording) -> RevisitTruth:
     """The truth that was named, else that of the poses which the recording brings along, else none.
 
     Raises:
         DataError: the file is missing, damaged or of another size than the drive.
     """
     if options.ground_truth is not None:
-        truth = read_truth(options.ground_truth)
+        truth = read_revisit_truth(options.ground_truth)
     elif images.ground_truth is not None:
-        truth = truth_of_poses(images.ground_truth, f"poses of {options.source}")
+        truth = revisit_truth_from_poses(images.ground_truth, f"poses of {options.source}")
     else:
-        truth = KnownTruth(None, "none")
-    check_size(truth, len(images), options.source)
+        truth = RevisitTruth(None, "none")
+    check_truth_size(truth, len(images), options.source)
     return truth
 
 

@@ -11,8 +11,8 @@ from rich.table import Table
 from place_recognition.evaluation.matrix import Matrix
 from place_recognition.recognizer import Belief
 from slam.clock import timing_ms
-from slam.evaluation.truth import KnownTruth
-from slam.place_metrics import PlaceResult, judge_places
+from slam.evaluation.truth import RevisitTruth
+from slam.place_metrics import PlaceMetrics, evaluate_places
 from slam.places.drive import Recognised, stage_times
 from slam.provenance import peak_memory_mb
 from slam.storage.matches import write_curve, write_matches, write_matrix
@@ -34,7 +34,7 @@ class PlacesRecord:
 
     name: str
     beliefs: tuple[Belief, ...]
-    result: PlaceResult
+    result: PlaceMetrics
     matrices: dict[str, Matrix]
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
@@ -46,12 +46,12 @@ class PlacesRecord:
         return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def make_record(done: Recognised, truth: KnownTruth, provenance: dict[str, object]) -> PlacesRecord:
+def make_record(done: Recognised, truth: RevisitTruth, provenance: dict[str, object]) -> PlacesRecord:
     """Gather and measure everything."""
     seen = None if truth.matrix is None else truth.matrix[: done.images, : done.images]
     paradigm = str(provenance["paradigm"])
     beliefs = tuple(sorted(done.beliefs, key=lambda belief: belief.query))
-    result = judge_places(paradigm, beliefs, seen, done.size)
+    result = evaluate_places(paradigm, beliefs, seen, done.size)
     stages = ("similarity", *(stage for stage in done.rows.stages if stage != "similarity"))
     return PlacesRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}: {paradigm}",
@@ -63,7 +63,7 @@ def make_record(done: Recognised, truth: KnownTruth, provenance: dict[str, objec
     )
 
 
-def _measured(done: Recognised, result: PlaceResult, truth: KnownTruth) -> dict[str, object]:
+def _measured(done: Recognised, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
     return {
         "frames": done.images,
         "ground_truth": truth.origin,

@@ -18,7 +18,7 @@ from slam.datasets.images import read_grey, read_times
 from slam.datasets.open import open_drive
 from slam.datasets.video import open_video
 from slam.errors import DataError
-from slam.evaluation.truth import read_truth
+from slam.evaluation.truth import read_revisit_truth
 from slam.filter_training import read_similarities
 from slam.mapping.ply import read_cloud
 from slam.parts import read_checked
@@ -149,7 +149,7 @@ def _zipped(name: str) -> Callable[[bytes], bytes]:
 
 def _truth(name: str) -> Read:
     def read(root: Path) -> None:
-        matrix = read_truth(root / name).known
+        matrix = read_revisit_truth(root / name).known
         assert matrix.dtype == bool, f"gave a truth of {matrix.dtype}"
         assert matrix.shape == matrix.shape[::-1]
 

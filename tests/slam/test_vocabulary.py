@@ -10,7 +10,7 @@ import pytest
 from place_recognition.map import k_means
 from place_recognition.map.vocabulary import load_vocabulary
 from slam import cli, vocabulary
-from slam.engine.cluster import Cluster
+from slam.engine.cluster import DaskExecutor
 
 
 def textures(folder: Path, count: int, seed: int = 0) -> Path:
@@ -96,7 +96,7 @@ def test_a_damaged_image_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("features", ["surf", "orb"])
 def test_several_processes_give_the_file_of_one(
-    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch, features: str
+    tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch, features: str
 ):
     monkeypatch.setattr(k_means, "ROWS", 100)
     monkeypatch.setattr(vocabulary, "IMAGES", 1)
@@ -107,7 +107,7 @@ def test_several_processes_give_the_file_of_one(
     assert {path.name for path in tmp_path.iterdir()} == {"photos", "one", "several"}
 
 
-def test_the_death_of_a_process_changes_nothing(tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch):
+def test_the_death_of_a_process_changes_nothing(tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch):
     folder, mark, nearest = textures(tmp_path / "photos", 2), tmp_path / "died", k_means._nearest
     assert train(folder, "--words", 20, "--out", tmp_path / "one") == 0
 
@@ -124,7 +124,7 @@ def test_the_death_of_a_process_changes_nothing(tmp_path: Path, cluster: Cluster
 
 
 def test_what_kills_every_process_is_one_line(
-    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def dies(centres: np.ndarray, part: k_means.Rows) -> np.ndarray:
         os._exit(1)
@@ -139,7 +139,7 @@ def test_what_kills_every_process_is_one_line(
 
 
 def test_a_damaged_image_is_named_by_another_process(
-    tmp_path: Path, cluster: Cluster, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, cluster: DaskExecutor, capsys: pytest.CaptureFixture[str]
 ):
     (textures(tmp_path / "photos", 1) / "000001.png").write_bytes(b"not an image")
     assert train(tmp_path / "photos", "--scheduler", cluster.address, "--out", tmp_path / "own") == 1

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 
 from slam import cli
-from slam.benchmark.command import BenchmarkOptions, carry_out, make_jobs, run_benchmark
+from slam.benchmark.command import BenchmarkOptions, make_jobs, run_benchmark, run_jobs
 from slam.benchmark.job import Job, check_job, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
-from slam.engine.engine import Engine, OneProcess
+from slam.engine.engine import Executor, SerialExecutor
 from slam.errors import OutputError
 
 QUIET = Console(quiet=True)
@@ -53,13 +53,13 @@ def some_jobs(folder: Path, count: int) -> list[Job]:
     return [Job("s", Source(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
 
 
-def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Engine):
+def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Executor):
     out = sweep.parent / "several"
     jobs = make_jobs(read_sweep(sweep), out)
     (out / "sources").mkdir(parents=True)
     (out / "jobs").mkdir()
     (out / "sources" / "street").symlink_to(alone / "sources" / "street")
-    rows = carry_out(jobs, cluster, run_job, out, QUIET)
+    rows = run_jobs(jobs, cluster, run_job, out, QUIET)
     assert [row.error for row in rows] == ["", ""]
     for job in jobs:
         other = alone / "jobs" / job.name
@@ -125,7 +125,7 @@ def landmark_setting() -> str:
 def test_a_run_that_fails_costs_no_other_and_is_tried_again(alone: Path, sweep: Path, tmp_path: Path):
     good = make_jobs(read_sweep(sweep), alone)[0]
     bad = Job("gone", Source(tmp_path / "gone"), tmp_path / "bad", None, good.paradigm, good.robust, 0, False)
-    rows = carry_out([bad, good], OneProcess(), run_job, tmp_path, QUIET)
+    rows = run_jobs([bad, good], SerialExecutor(), run_job, tmp_path, QUIET)
     assert str(tmp_path / "gone") in rows[0].error
     assert rows[1].error == ""
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 3
@@ -140,7 +140,7 @@ def test_a_bug_in_a_run_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("slam.benchmark.job.run_recorded", breaks)
     (job,) = some_jobs(tmp_path, 1)
     assert "ZeroDivisionError: no wheels" in run_job(job).error
-    assert "in breaks" in job.trace.read_text()
+    assert "in breaks" in job.error_file.read_text()
 
 
 def test_a_run_that_is_stopped_leaves_nothing_and_stops_the_benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam.benchmark.latex import escape, latex
-from slam.benchmark.report import places_and_errors, render, write_report
-from slam.benchmark.results import Row, make_row, medians, summary, told, write_csv, write_json
+from slam.benchmark.latex import escape_latex, latex_table
+from slam.benchmark.report import recall_over_error_figure, render_page, write_benchmark_report
+from slam.benchmark.results import ResultRow, format_row, make_row, median_rows, summary_table, write_csv, write_json
 
 from ..report.browser import NO_BROWSER, browser, has_browser
 
 HOSTILE = '<b>"&amp; улица_50%'
 
 
-def row(run: str = "one", paradigm: str = "tracked-words", seed: int = 0, **known: object) -> Row:
-    return Row(run, "street", paradigm, "gnc", seed, **known)  # type: ignore[arg-type]
+def row(run: str = "one", paradigm: str = "tracked-words", seed: int = 0, **known: object) -> ResultRow:
+    return ResultRow(run, "street", paradigm, "gnc", seed, **known)  # type: ignore[arg-type]
 
 
 ROWS = [
@@ -31,7 +31,7 @@ ROWS = [
 
 
 def test_runs_that_differ_in_their_seed_alone_are_one_line_of_medians():
-    found = {one.paradigm: (one, runs) for one, runs in medians(ROWS)}
+    found = {one.paradigm: (one, runs) for one, runs in median_rows(ROWS)}
     together, runs = found["tracked-words"]
     assert (together.ate_m, together.loops_kept, runs) == (2.0, 4, 3)
     assert together.recall_at_100_precision == pytest.approx(0.8)
@@ -52,8 +52,8 @@ def test_csv_and_json_hold_every_digit_and_leave_empty_what_is_not_known(tmp_pat
 
 
 def test_latex_shows_every_sign_and_has_as_many_cells_in_each_line():
-    assert escape(r"50% of a_b & \c{d}") == r"50\% of a\_b \& \textbackslash{}c\{d\}"
-    lines = [line for line in latex(ROWS).splitlines() if line.endswith(r"\\")]
+    assert escape_latex(r"50% of a_b & \c{d}") == r"50\% of a\_b \& \textbackslash{}c\{d\}"
+    lines = [line for line in latex_table(ROWS).splitlines() if line.endswith(r"\\")]
     cells = {line.replace(r"\&", "").count("&") for line in lines}
     assert len(lines) == 1 + 2  # the failed run is none
     assert len(cells) == 1
@@ -61,31 +61,31 @@ def test_latex_shows_every_sign_and_has_as_many_cells_in_each_line():
 
 def test_the_terminal_shows_names_as_they_are_and_what_failed():
     console = Console(record=True, width=200, file=io.StringIO())
-    console.print(summary([row("[bold]x", ate_m=1.25)]))
+    console.print(summary_table([row("[bold]x", ate_m=1.25)]))
     shown = console.export_text()
     assert "[bold]x" in shown
     assert "1.25" in shown
-    assert told(ROWS[3]) == "d: failed: no vocabulary"
+    assert format_row(ROWS[3]) == "d: failed: no vocabulary"
 
 
 def test_the_page_escapes_names_and_draws_every_run_that_has_both_numbers():
-    page = render(HOSTILE, ROWS)
+    page = render_page(HOSTILE, ROWS)
     assert "<b>" not in page
     assert "no vocabulary" in page
-    figure = places_and_errors(ROWS)
+    figure = recall_over_error_figure(ROWS)
     drawn = {tuple(point) for line in figure.axes[0].lines for point in line.get_xydata().tolist()}
     assert drawn == {(1.0, 0.9), (10.0, 0.7), (0.5, 0.8)}
 
 
 def test_without_ground_truth_there_is_a_page_all_the_same():
-    assert places_and_errors([row()]) is None
-    assert "1 run, none failed" in render("x", [row()])
+    assert recall_over_error_figure([row()]) is None
+    assert "1 run, none failed" in render_page("x", [row()])
 
 
 @pytest.mark.skipif(not has_browser(), reason=NO_BROWSER)
 def test_the_page_sorts_by_its_headings_and_loads_nothing(tmp_path: Path):
     path = tmp_path / "report.html"
-    write_report(tmp_path, HOSTILE, ROWS)
+    write_benchmark_report(tmp_path, HOSTILE, ROWS)
     cells = "return [...document.querySelectorAll('#runs tbody tr')].map((row) => row.cells[arguments[0]].textContent)"
     with browser() as page:
         page.open(path)

@@ -146,6 +146,6 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("workers", "scheduler"), [(-1, None), (2, "tcp://127.0.0.1:1")])
-def test_an_engine_that_cannot_be_is_refused(tmp_path: Path, workers: int, scheduler: str | None):
+def test_an_executor_that_cannot_be_made_is_refused(tmp_path: Path, workers: int, scheduler: str | None):
     with pytest.raises(ConfigError, match="--workers"):
-        _ = BenchmarkOptions(tmp_path, tmp_path, workers, scheduler).engine
+        BenchmarkOptions(tmp_path, tmp_path, workers, scheduler).make_executor()
