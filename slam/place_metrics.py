@@ -1,4 +1,4 @@
-"""How well places were recognised: the section `places` of metrics.json, of a run and of `revisit places`."""
+"""Quality of place recognition: the section `places` of metrics.json, of `revisit run` and of `revisit places`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,9 +10,9 @@ from place_recognition.evaluation.map_size import MapSize
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
 from place_recognition.recognizer import Belief
 
-TOLERANCE_FRAMES = 10  # columns; the rule of iBoW-LCD and its kin, while the chapter's authors allow none
+TOLERANCE_FRAMES = 10  # by which iBoW-LCD and others accept a match; docs/decisions/evaluation_rules.md
 
-_MEASURED = (
+_QUALITY_KEYS = (
     "recall_at_100_precision",
     "average_precision",
     "threshold_at_100_precision",
@@ -24,15 +24,15 @@ _MEASURED = (
 
 @dataclass(frozen=True)
 class PlaceMetrics:
-    """How good the beliefs of a drive are.
+    """Quality of the beliefs of a drive.
 
     Attributes:
-        section: for metrics.json.
-        notes: why a value in it is null, by its dotted name.
-        curve: by the rule of the chapter's authors (no tolerance); None without ground truth.
+        metrics: section `places` of metrics.json.
+        notes: reason why a value is null, by its dotted key.
+        curve: precision and recall without tolerance; None without ground truth.
     """
 
-    section: dict[str, object]
+    metrics: dict[str, object]
     notes: dict[str, str] = field(default_factory=dict)
     curve: PrecisionRecall | None = None
 
@@ -40,30 +40,32 @@ class PlaceMetrics:
 def evaluate_places(
     paradigm: str, beliefs: Sequence[Belief], truth: NDArray[np.bool_] | None, size: MapSize | None = None
 ) -> PlaceMetrics:
-    """Measure beliefs.
+    """Compare the beliefs of a drive with ground truth.
 
     Args:
-        paradigm: name of the recogniser.
-        beliefs: one a query.
-        truth: (N, N), row = query, column = earlier image, or None.
-        size: of the recogniser's map, where it is known.
+        paradigm: name of the place-recognition paradigm.
+        beliefs: one belief for each query.
+        truth: (N, N) bool, row = query, column = earlier image; None if there is no ground truth.
+        size: size of the map of the recogniser; None if it is not measured.
     """
     words = None if size is None else size.words
-    held: dict[str, object] = {"words": words, "map_bytes": None if size is None else size.bytes}
-    notes = {} if words is not None else {"places.words": f"{paradigm} counts no words"}
-    section = {"paradigm": paradigm, "queries": len(beliefs)}
+    map_size: dict[str, object] = {"words": words, "map_bytes": None if size is None else size.bytes}
+    notes = {} if words is not None else {"places.words": f"{paradigm} has no words"}
+    section: dict[str, object] = {"paradigm": paradigm, "queries": len(beliefs)}
     if truth is None or not truth.any():
         reason = "there is no ground truth" if truth is None else "no image is a revisit by ground truth"
-        missing = (*_MEASURED, "tolerance_10")
-        unknown = section | dict.fromkeys(missing) | held
+        missing = (*_QUALITY_KEYS, "tolerance_10")
+        unknown = section | dict.fromkeys(missing) | map_size
         return PlaceMetrics(unknown, notes | {f"places.{name}": reason for name in missing})
     curve = precision_recall(beliefs, truth)
-    tolerant = {"tolerance_10": score(beliefs, truth, TOLERANCE_FRAMES)}
-    return PlaceMetrics(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
+    tolerant = {"tolerance_10": match_metrics(beliefs, truth, TOLERANCE_FRAMES)}
+    return PlaceMetrics(
+        section | match_metrics(beliefs, truth, 0) | tolerant | map_size, notes | _threshold_note(curve), curve
+    )
 
 
-def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
-    """R@P100, average precision and counts under a tolerance (see `precision_recall.judge`), as in metrics.json."""
+def match_metrics(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+    """Compute R@P100, average precision and counts under a tolerance in images, with the keys of metrics.json."""
     curve = precision_recall(beliefs, truth, tolerance)
     values = (
         curve.recall_at_full_precision,
@@ -72,11 +74,11 @@ def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -
         *accepted_counts(beliefs, truth, tolerance),
         curve.truth_rows,
     )
-    return dict(zip(_MEASURED, values, strict=True))
+    return dict(zip(_QUALITY_KEYS, values, strict=True))
 
 
 def _threshold_note(curve: PrecisionRecall) -> dict[str, str]:
     if curve.threshold_at_full_precision is not None:
         return {}
-    reason = "even the surest detection is false" if len(curve.thresholds) else "nothing was detected"
+    reason = "the detection with the highest score is false" if len(curve.thresholds) else "nothing was detected"
     return {"places.threshold_at_100_precision": reason}

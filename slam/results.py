@@ -208,7 +208,7 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceMetrics) -> 
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
         "loops": loops.as_metrics(),
-        "places": places.section,
+        "places": places.metrics,
         "graph": _graph_metrics(record, errors, finished.optimized),
         **_map_metrics(finished.met),
         "timing_ms": timing_ms(record.stage_ms),

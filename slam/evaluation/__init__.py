@@ -1,1 +1,1 @@
-"""How good was it? Trajectory and loop errors against ground truth."""
+"""Evaluation against ground truth: errors of trajectories, truth of loops, precision and recall of matches."""

@@ -1,4 +1,4 @@
-"""`revisit evaluate trajectory`: two files of poses in, their errors out."""
+"""`revisit evaluate trajectory`: errors of an estimated trajectory file against a true one."""
 
 import json as json_format
 from pathlib import Path
@@ -12,46 +12,46 @@ from slam.storage.trajectory import read_trajectory
 
 Array = NDArray[np.float64]
 
-MAX_TIME_DIFFERENCE_S = 0.01  # poses of two TUM files this close belong together
+MAX_TIME_DIFFERENCE_S = 0.01  # largest difference of the timestamps of two poses that are compared
 
 _LINES = {
     "ate_m": "ATE, metres",
     "t_rel_percent": "t_rel, per cent",
     "r_rel_deg_per_100m": "r_rel, degrees per 100 m",
     "end_error_m": "end error, metres",
-    "end_error_percent": "end error, per cent of the way",
+    "end_error_percent": "end error, % of the path length",
 }
 _ALIGNMENTS = {"se3": "after SE(3) alignment of all poses", "sim3": "after Sim(3) alignment of all poses"}
 
 
 def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, json: bool = False) -> str:
-    """Errors of an estimated trajectory, as lines to read or as JSON with the names of metrics.json.
+    """Compute the errors of an estimated trajectory, as text or as JSON with the keys of metrics.json.
 
     Args:
-        estimate: KITTI poses or TUM, T_world_camera, metres.
-        truth: the reference, likewise. Two TUM files are matched by time, others pose by pose.
-        mono: align with Sim(3) instead of SE(3).
-        json: give JSON.
+        estimate: file of estimated poses T_world_camera, metres, KITTI or TUM.
+        truth: file of true poses, KITTI or TUM. Two TUM files are matched by time, others pose by pose.
+        mono: whether to align with Sim(3) instead of SE(3).
+        json: whether to return JSON.
 
     Raises:
-        DataError: a file is missing or damaged, or the two do not belong together.
+        DataError: a file is missing or damaged, or the two are not of the same drive.
     """
-    poses, reference = _paired(estimate, truth)
+    poses, reference = _read_pairs(estimate, truth)
     errors = trajectory_errors(poses, reference, "sim3" if mono else "se3")
     size: dict[str, object] = {"poses": len(poses), "path_length_m": path_length(reference)}
     if json:
         return json_format.dumps(size | errors.as_metrics() | {"notes": errors.reasons}, indent=2)
-    return "\n".join([f"{len(poses)} poses, {path_length(reference):.1f} m", *_lines(errors)])
+    return "\n".join([f"{len(poses)} poses, {path_length(reference):.1f} m", *_format_lines(errors)])
 
 
-def _lines(errors: TrajectoryErrors) -> list[str]:
+def _format_lines(errors: TrajectoryErrors) -> list[str]:
     values = errors.as_metrics()
     shown = {name: errors.reasons.get(name) or f"{values[name]:.4g}" for name in _LINES}
     shown["ate_m"] += f"  {_ALIGNMENTS[str(errors.ate_alignment)]}"
     return [f"{title:<31} {shown[name]}" for name, title in _LINES.items()]
 
 
-def _paired(estimate: Path, truth: Path) -> tuple[Array, Array]:
+def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
     times, poses = read_trajectory(estimate)
     reference_times, reference = read_trajectory(truth)
     if times is not None and reference_times is not None:
@@ -71,14 +71,14 @@ def _paired(estimate: Path, truth: Path) -> tuple[Array, Array]:
 
 
 def _associate(times: Array, reference: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    # Each pose goes to the nearest reference; of several that share one, only the nearest stays.
+    # Each pose is paired with the reference nearest in time; of several poses with one reference the nearest stays.
     order = np.argsort(reference, kind="stable")
     after = np.clip(np.searchsorted(reference[order], times), 1, max(len(reference) - 1, 1))
     candidates = order[np.clip(np.stack([after - 1, after]), 0, len(reference) - 1)]
-    gaps = np.abs(reference[candidates] - times)
-    nearest, gap = candidates[gaps.argmin(axis=0), np.arange(len(times))], gaps.min(axis=0)
-    by_gap = np.argsort(gap, kind="stable")
-    _, first = np.unique(nearest[by_gap], return_index=True)
-    ours = np.sort(by_gap[first])
-    ours = ours[gap[ours] <= MAX_TIME_DIFFERENCE_S]
+    differences = np.abs(reference[candidates] - times)
+    nearest, difference = candidates[differences.argmin(axis=0), np.arange(len(times))], differences.min(axis=0)
+    order_by_difference = np.argsort(difference, kind="stable")
+    _, first = np.unique(nearest[order_by_difference], return_index=True)
+    ours = np.sort(order_by_difference[first])
+    ours = ours[difference[ours] <= MAX_TIME_DIFFERENCE_S]
     return ours, nearest[ours]

@@ -1,6 +1,7 @@
-"""Are the closed loops true, and how many were missed? By ground truth poses and a declared rule.
+"""Precision and recall of closed loops by ground-truth poses and a declared rule.
 
-The protocol alone moves the figures of the literature, so it is one dataclass with every number in it.
+Figures in the literature depend strongly on the rule, so it is one dataclass that holds every number of it.
+The choice of the numbers: docs/decisions/evaluation_rules.md.
 """
 
 from collections.abc import Iterable
@@ -18,17 +19,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LoopRule:
-    """What counts as a true loop and as a revisit that should have been found.
+    """Rule for true loops and for the revisits that should be found.
 
     Attributes:
-        near_m: a pair of images shows one place when the cameras stood at most this far apart, metres.
-        max_translation_m: a measured relative pose may differ from ground truth by this, metres; KITTI's own
-            ground truth disagrees with itself by a metre or so between two passes.
-        max_rotation_deg: the same for the rotation, degrees.
-        revisit: when an image comes back to the place of an earlier one.
+        max_distance_m: maximum distance of two cameras at the same place, metres.
+        max_translation_m: maximum translation error of a measured relative pose, metres. KITTI's own ground truth is
+            inconsistent by about a metre between two passes.
+        max_rotation_deg: maximum rotation error of a measured relative pose, degrees.
+        revisit: rule by which an image is a revisit of an earlier one.
     """
 
-    near_m: float = 10.0
+    max_distance_m: float = 10.0
     max_translation_m: float = 3.0
     max_rotation_deg: float = 10.0
     revisit: SamePlace = field(default_factory=SamePlace)
@@ -36,16 +37,16 @@ class LoopRule:
 
 @dataclass(frozen=True)
 class LoopCounts:
-    """The counts of metrics.json; None where there is no ground truth or nothing to divide by.
+    """Counts of loops for metrics.json; None if there is no ground truth or nothing to divide by.
 
     Attributes:
-        proposed: beliefs that the recogniser accepted.
-        verified: those proved by geometry.
-        kept: those that stand in the corrected graph.
-        true, false: of the kept ones, by ground truth.
-        precision: true over kept.
-        recall: revisits with a true kept loop over all revisits among the queries.
-        reasons: why a value is None, by its name.
+        proposed: number of beliefs that the recogniser accepted.
+        verified: number of loops whose relative pose was verified by geometry.
+        kept: number of loops in the corrected graph.
+        true, false: number of true and false ones among the kept loops, by ground truth.
+        precision: share of the kept loops that are true.
+        recall: share of the revisits among the queries that have a true kept loop.
+        reasons: reason why a value is None, by the name of the value.
     """
 
     proposed: int
@@ -58,55 +59,54 @@ class LoopCounts:
     reasons: dict[str, str] = field(default_factory=dict)
 
     def as_metrics(self) -> dict[str, object]:
-        """The counts without the reasons, ready for metrics.json."""
+        """Return the counts without the reasons, for metrics.json."""
         return {name: value for name, value in vars(self).items() if name != "reasons"}
 
 
 def is_same_place(truth: Array, query: int, match: int, rule: LoopRule | None = None) -> bool:
-    """Whether two frames of T_world_camera (N, 4, 4), metres, were taken within `near_m` of each other."""
+    """Whether two frames of T_world_camera (N, 4, 4), metres, were taken within `max_distance_m` of each other."""
     rule = rule or LoopRule()
-    return float(np.linalg.norm(truth[query, :3, 3] - truth[match, :3, 3])) <= rule.near_m
+    return float(np.linalg.norm(truth[query, :3, 3] - truth[match, :3, 3])) <= rule.max_distance_m
 
 
 def is_true_loop(truth: Array, query: int, match: int, T_match_query: Array, rule: LoopRule | None = None) -> bool:
-    """Whether a measured loop is true: its pose (4, 4), metres, agrees with `truth` (N, 4, 4).
+    """Whether the relative pose (4, 4) of a measured loop, metres, agrees with the true poses (N, 4, 4).
 
-    How far apart the two cameras stood does not matter: down a straight street one sees a place from afar, and
-    a right measurement of it is a right edge of the graph. For one camera, whose loops have no metric scale, ask
-    `is_same_place`.
+    The distance of the two cameras does not matter: on a straight street a place is seen from afar, and a correct
+    measurement of it is a correct edge of the graph. Use `is_same_place` for loops without metric scale.
     """
     rule = rule or LoopRule()
     error = se3.inverse(T_match_query) @ se3.inverse(truth[match]) @ truth[query]
     near = float(np.linalg.norm(error[:3, 3])) <= rule.max_translation_m
-    turned = np.degrees(se3.angle(error)) <= rule.max_rotation_deg
-    return bool(near and turned)
+    similar = np.degrees(se3.angle(error)) <= rule.max_rotation_deg
+    return bool(near and similar)
 
 
 def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
-    """Which earlier frames a frame comes back to: (N, N), row = query, column = earlier frame.
+    """Compute which earlier frames each frame revisits: (N, N) bool, row = query, column = earlier frame.
 
     Args:
-        truth: T_world_camera (N, 4, 4), metres.
-        rule: what counts as a revisit; `rule.revisit.gap` must be 0, as no times are given.
+        truth: true poses T_world_camera (N, 4, 4), metres.
+        rule: what counts as a revisit; `rule.revisit.gap` must be 0, because no times are given.
     """
     return truth_from_poses(truth, rule=(rule or LoopRule()).revisit)
 
 
 def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
-    """Frames (N,) of T_world_camera (N, 4, 4), metres, that come back to a place as the rule declares."""
+    """Whether each frame (N,) of true poses T_world_camera (N, 4, 4), metres, is a revisit by the rule."""
     return np.asarray(revisit_matrix(truth, rule).any(axis=1))
 
 
 def count_loops(
     rows: Iterable[LoopRow], queries: NDArray[np.int64], truth: Array | None, rule: LoopRule | None = None
 ) -> LoopCounts:
-    """Counts of a ledger.
+    """Count the loops of a drive and compare them with ground truth.
 
     Args:
-        rows: the ledger; `truth` of the rows is used where it is known, else it is the same place or not.
-        queries: the frames that the recogniser was asked about, whether or not they have a row.
-        truth: T_world_camera (N, 4, 4), metres, or None.
-        rule: what counts as true and as a revisit.
+        rows: rows of loops.csv; a row without `truth` is true if its two frames are at the same place.
+        queries: indices of all query frames, whether or not they have a row.
+        truth: true poses T_world_camera (N, 4, 4), metres, or None.
+        rule: what counts as a true loop and as a revisit.
     """
     rows = tuple(rows)
     kept = [row for row in rows if row.in_graph]

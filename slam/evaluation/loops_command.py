@@ -1,4 +1,4 @@
-"""`revisit evaluate loops`: a table of matches and the truth in; precision, recall and R@P100 out."""
+"""`revisit evaluate loops`: precision, recall and R@P100 of a table of matches against ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from place_recognition.evaluation.precision_recall import PrecisionRecall, preci
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
 from slam.evaluation.truth import RevisitTruth, read_revisit_truth
-from slam.place_metrics import TOLERANCE_FRAMES, score
+from slam.place_metrics import TOLERANCE_FRAMES, match_metrics
 from slam.storage.matches import read_matches, write_curve
 from slam.storage.metrics import metrics_text, write_metrics
 from slam.storage.run_folder import RunFolder
@@ -27,17 +27,17 @@ _LINES = {
 
 @dataclass(frozen=True)
 class LoopsOptions:
-    """What `revisit evaluate loops` is asked.
+    """Options of `revisit evaluate loops`.
 
     Attributes:
-        matches: table with the columns query, match and score.
-        truth: matrix (.mat, .npz) or poses (KITTI, TUM).
+        matches: CSV table with the columns query, match and score.
+        truth: ground truth, a matrix of revisits (.mat, .npz) or poses (KITTI, TUM).
         frame_tolerance: maximum distance of a match from the nearest true one, images, for a third count; None for the
             two rules in use alone.
-        rule: what counts as one place, where the truth is poses.
-        fps: poses a second, where the rule has a gap and the poses have no times.
-        out: folder for metrics.json and the curve; None to write nothing.
-        overwrite: replace earlier results.
+        rule: what counts as a revisit, for ground truth given as poses.
+        fps: poses per second, if the rule has a minimum time and the poses have no times.
+        out: folder for metrics.json and the curve; None to write no files.
+        overwrite: whether to replace earlier results.
     """
 
     matches: Path
@@ -50,22 +50,22 @@ class LoopsOptions:
 
 
 def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
-    """Judge matches by the rule of the chapter's authors (no tolerance) and by that of others (10 columns).
+    """Evaluate matches by two rules in use: exact ground truth, and a tolerance of 10 images.
 
     Args:
-        options: the files and the rule.
-        json: give JSON instead of lines to read.
+        options: files and rule.
+        json: whether to return JSON instead of text.
 
     Raises:
-        DataError: a file is missing or damaged, or the two do not belong together.
-        ConfigError: a number that cannot work.
+        DataError: a file is missing or damaged, or the two are not of the same drive.
+        ConfigError: an option has a value that cannot work.
         OutputError: the results cannot be written.
     """
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
     _check_queries(options.matches, beliefs, truth)
     tolerances = dict.fromkeys((0, TOLERANCE_FRAMES, options.frame_tolerance or 0))
-    results = {tolerance: score(beliefs, truth.known, tolerance) for tolerance in tolerances}
+    results = {tolerance: match_metrics(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
         "matches": str(options.matches),
         "ground_truth": truth.origin,
@@ -73,7 +73,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
         "rules": {f"tolerance_{tolerance}": section for tolerance, section in results.items()},
     }
     if options.out is not None:
-        _write(options, options.out, metrics, precision_recall(beliefs, truth.known))
+        _write(options, options.out, metrics, precision_recall(beliefs, truth.required_matrix))
     return metrics_text(metrics) if json else "\n".join(_lines(truth, beliefs, results))
 
 
@@ -89,29 +89,29 @@ def _check(options: LoopsOptions) -> None:
         if not 0 <= value < np.inf:
             raise ConfigError(f"{name}: expected a number from 0, found {value}")
     if options.frame_tolerance is not None and options.frame_tolerance < 0:
-        raise ConfigError(f"--frame-tolerance: expected columns from 0, found {options.frame_tolerance}")
+        raise ConfigError(f"--frame-tolerance: expected images from 0, found {options.frame_tolerance}")
     if options.fps is not None and not 0 < options.fps < np.inf:
-        raise ConfigError(f"--fps: expected poses a second above 0, found {options.fps}")
+        raise ConfigError(f"--fps: expected poses per second above 0, found {options.fps}")
 
 
 def _truth(options: LoopsOptions) -> RevisitTruth:
     truth = read_revisit_truth(options.truth, options.rule, options.fps)
-    if not truth.known.any():
+    if not truth.required_matrix.any():
         raise DataError(f"{truth.origin}: expected at least one revisit, found none; choose another truth or rule")
     return truth
 
 
 def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> None:
-    last = max((belief.query for belief in beliefs), default=0)
-    if last >= len(truth.known):
+    last, count = max((belief.query for belief in beliefs), default=0), len(truth.required_matrix)
+    if last >= count:
         raise DataError(
-            f"{matches}: expected queries below {len(truth.known)}, the images of {truth.origin}, found {last};"
+            f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
             " choose the truth of this drive"
         )
 
 
 def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, dict[str, object]]) -> list[str]:
-    revisits = int(truth.known.any(axis=1).sum())
+    revisits = int(truth.required_matrix.any(axis=1).sum())
     lines = [f"{len(beliefs)} queries; {revisits} revisits by {truth.origin}"]
     for tolerance, section in results.items():
         lines.append(f"\n{_title(tolerance)}")
@@ -120,8 +120,11 @@ def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, di
 
 
 def _title(tolerance: int) -> str:
-    rules = {0: "Rule of the chapter's authors: no tolerance", TOLERANCE_FRAMES: "Rule of others: +-10 columns"}
-    return rules.get(tolerance, f"Your rule: +-{tolerance} columns")
+    rules = {
+        0: "Exact ground truth (rule of the chapter's authors)",
+        TOLERANCE_FRAMES: f"Tolerance of {TOLERANCE_FRAMES} images (rule of iBoW-LCD and others)",
+    }
+    return rules.get(tolerance, f"Tolerance of {tolerance} images (--frame-tolerance)")
 
 
 def _text(value: object) -> str:

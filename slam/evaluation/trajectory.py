@@ -1,9 +1,11 @@
-"""Errors of a trajectory against ground truth, the way the field counts them.
+"""Errors of a trajectory against ground truth: ATE, KITTI's t_rel and r_rel, and the end error.
 
-ATE: root mean square of the positions after alignment of all poses (Sturm et al., IROS 2012; alignment:
-    Umeyama,
-PAMI 1991). t_rel and r_rel: the KITTI odometry rule (Geiger et al., CVPR 2012), without alignment. End error:
-the last position, the first poses made equal. Ground truth is always the reference.
+* ATE: root mean square position error after alignment of all poses (Sturm et al., IROS 2012; alignment: Umeyama,
+  PAMI 1991).
+* t_rel and r_rel: mean errors of segments by the KITTI odometry rule (Geiger et al., CVPR 2012), without alignment.
+* End error: distance of the last positions after the first poses are made equal.
+
+Ground truth is always the reference. The choice of these rules: docs/decisions/evaluation_rules.md.
 """
 
 from dataclasses import dataclass, field
@@ -19,17 +21,17 @@ Array = NDArray[np.float64]
 Alignment = Literal["se3", "sim3"]
 
 SEGMENT_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
-SEGMENT_STEP = 10  # frames between the starts of segments
+SEGMENT_STEP_FRAMES = 10  # frames between the starts of segments
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """The map p -> scale * R @ p + t of positions, metres.
+    """A similarity transformation of positions, p -> scale * R @ p + t, metres.
 
     Attributes:
-        R: (d, d) rotation, in space or in the plane.
-        t: (d,) metres.
-        scale: 1 for a rigid motion.
+        R: (d, d) rotation, d = 3 in space or 2 in the plane.
+        t: (d,) translation, metres.
+        scale: scale factor; 1 for a rigid motion.
     """
 
     R: Array
@@ -37,11 +39,11 @@ class Similarity:
     scale: float
 
     def apply(self, points: Array) -> Array:
-        """Map points (N, d)."""
+        """Transform points (N, d)."""
         return self.scale * points @ self.R.T + self.t
 
     def apply_poses(self, T_world_camera: Array) -> Array:
-        """Map poses (N, 4, 4): positions as points, orientations turned by R."""
+        """Transform poses (N, 4, 4): positions as points, orientations by R."""
         out = T_world_camera.copy()
         out[:, :3, :3] = self.R @ T_world_camera[:, :3, :3]
         out[:, :3, 3] = self.apply(T_world_camera[:, :3, 3])
@@ -50,10 +52,10 @@ class Similarity:
 
 @dataclass(frozen=True)
 class SegmentErrors:
-    """Errors of the KITTI rule, means over all segments.
+    """Mean errors of all segments by the KITTI rule.
 
     Attributes:
-        t_rel_percent: translation error, per cent of the segment's length.
+        t_rel_percent: translation error, per cent of the segment length.
         r_rel_deg_per_100m: rotation error, degrees per 100 m.
     """
 
@@ -63,16 +65,16 @@ class SegmentErrors:
 
 @dataclass(frozen=True)
 class TrajectoryErrors:
-    """Errors of one trajectory, under the names of metrics.json; None where a value cannot be computed.
+    """Errors of one trajectory, named as in metrics.json; None if a value cannot be computed.
 
     Attributes:
         ate_m: root mean square position error after alignment of all poses, metres.
-        ate_alignment: "se3" or "sim3".
-        t_rel_percent: KITTI translation error, per cent; after scaling where the alignment is sim3.
+        ate_alignment: alignment of the ATE, "se3" or "sim3".
+        t_rel_percent: KITTI translation error, per cent; after scaling if the alignment is sim3.
         r_rel_deg_per_100m: KITTI rotation error, degrees per 100 m.
         end_error_m: distance of the last positions, first poses made equal, metres; after scaling as above.
-        end_error_percent: the same, per cent of the way.
-        reasons: why a value is None, by its name.
+        end_error_percent: the same, per cent of the path length.
+        reasons: reason why a value is None, by the name of the value.
     """
 
     ate_m: float | None
@@ -84,40 +86,40 @@ class TrajectoryErrors:
     reasons: dict[str, str] = field(default_factory=dict)
 
     def as_metrics(self) -> dict[str, object]:
-        """The errors without the reasons, ready for metrics.json."""
+        """Return the errors without the reasons, for metrics.json."""
         return {name: value for name, value in vars(self).items() if name != "reasons"}
 
 
 def unknown_errors(reason: str) -> TrajectoryErrors:
-    """Errors that cannot be computed at all, such as those of a drive without ground truth."""
+    """Return errors that are all unknown, such as those of a drive without ground truth."""
     errors = TrajectoryErrors(None, None, None, None, None, None)
     errors.reasons.update(dict.fromkeys(errors.as_metrics(), reason))
     return errors
 
 
 def trajectory_errors(estimate: Array, truth: Array, alignment: Alignment = "se3") -> TrajectoryErrors:
-    """All errors of an estimate.
+    """Compute all errors of an estimated trajectory.
 
     Args:
-        estimate: T_world_camera (N, 4, 4), metres.
-        truth: the same by ground truth; its world may be another.
-        alignment: "se3" for stereo; "sim3" for one camera, whose scale is unknown: it is then taken from the
-            alignment in every error.
+        estimate: estimated poses T_world_camera (N, 4, 4), metres.
+        truth: true poses (N, 4, 4), metres, in any world frame.
+        alignment: "se3" for stereo; "sim3" for one camera, whose scale is unknown: all errors then use the scale of the
+            alignment.
 
     Raises:
-        DataError: the two have different lengths.
+        DataError: the two have different numbers of poses.
     """
     _check_lengths(estimate, truth)
     fit = umeyama(estimate[:, :3, 3], truth[:, :3, 3], alignment)
-    # A rigid motion changes neither segments nor the end error, so one aligned trajectory serves all.
+    # A rigid motion changes neither the segment errors nor the end error, so the aligned trajectory serves for all.
     aligned = fit.apply_poses(estimate)
     segments = kitti_errors(aligned, truth)
-    end, way = end_error(aligned, truth), path_length(truth)
+    end, length_m = end_error(aligned, truth), path_length(truth)
     reasons: dict[str, str] = {}
     if segments is None:
-        reason = f"the drive is {way:.1f} m long, segments need {SEGMENT_LENGTHS_M[0]:.0f} m"
+        reason = f"the drive is {length_m:.1f} m long, segments need {SEGMENT_LENGTHS_M[0]:.0f} m"
         reasons |= dict.fromkeys(("t_rel_percent", "r_rel_deg_per_100m"), reason)
-    if way == 0:
+    if length_m == 0:
         reasons["end_error_percent"] = "the camera does not move in the ground truth"
     return TrajectoryErrors(
         ate_m=_rms(aligned[:, :3, 3] - truth[:, :3, 3]),
@@ -125,7 +127,7 @@ def trajectory_errors(estimate: Array, truth: Array, alignment: Alignment = "se3
         t_rel_percent=None if segments is None else segments.t_rel_percent,
         r_rel_deg_per_100m=None if segments is None else segments.r_rel_deg_per_100m,
         end_error_m=end,
-        end_error_percent=None if way == 0 else 100.0 * end / way,
+        end_error_percent=None if length_m == 0 else 100.0 * end / length_m,
         reasons=reasons,
     )
 
@@ -133,13 +135,13 @@ def trajectory_errors(estimate: Array, truth: Array, alignment: Alignment = "se3
 def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Similarity:
     """Align positions (N, d) to target (N, d), metres, by least squares (Umeyama 1991, eq. 34 to 43).
 
-    Where the positions leave the rotation open (all on one line, or one place) some best one is given; the
+    If the positions do not determine the rotation (all on one line, or at one point), one of the best is returned. The
     scale of positions that do not move is 1.
     """
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     spread = source - mean_source
     U, singular, Vt = np.linalg.svd((target - mean_target).T @ spread / len(source))
-    # The last singular direction is flipped where the best orthogonal matrix would be a reflection.
+    # Flip the last singular direction if the best orthogonal matrix would be a reflection (eq. 39 and 43).
     signs = np.ones(len(singular))
     signs[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     R = (U * signs) @ Vt
@@ -149,10 +151,10 @@ def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Simil
 
 
 def absolute_trajectory_error(estimate: Array, truth: Array, alignment: Alignment = "se3") -> float:
-    """ATE, metres, of T_world_camera (N, 4, 4) after alignment of all poses.
+    """Compute the ATE, metres, of T_world_camera (N, 4, 4) after alignment of all poses.
 
     Raises:
-        DataError: the two have different lengths.
+        DataError: the two have different numbers of poses.
     """
     _check_lengths(estimate, truth)
     positions, target = estimate[:, :3, 3], truth[:, :3, 3]
@@ -160,17 +162,16 @@ def absolute_trajectory_error(estimate: Array, truth: Array, alignment: Alignmen
 
 
 def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
-    """Mean errors over segments of 100 to 800 m, one of each length from every tenth frame; no alignment.
+    """Compute mean errors over segments of 100 to 800 m that start at every tenth frame; no alignment.
 
-    A segment ends at the first frame whose way from the start is longer than its length, as in the devkit.
-    Its arithmetic of the rotation angle is not taken over (see `_angles`): on ground truth of seven digits it
-    reads 0.06 to 0.3 deg/100 m more for a good trajectory, which belongs said beside published figures.
+    A segment ends at the first frame whose path length from its start exceeds the segment length, as in KITTI's devkit.
+    The rotation angle is computed differently (see `_angles`): with ground truth of seven digits the formula of the
+    devkit gives 0.06 to 0.3 deg/100 m more for a good trajectory. State this beside published figures.
 
     Returns:
-        None where the drive has no segment of 100 m.
+        The errors, or None if the drive has no segment of 100 m.
     """
-    way = distances_along(truth)
-    starts, ends, lengths = _segments(way)
+    starts, ends, lengths = _segments(distances_along(truth))
     if len(starts) == 0:
         return None
     motion_truth = se3.inverse(truth[starts]) @ truth[ends]
@@ -182,33 +183,33 @@ def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
 
 
 def end_error(estimate: Array, truth: Array) -> float:
-    """Distance of the last positions, metres, when the first poses (4, 4) are made equal."""
+    """Distance of the last positions of two trajectories (N, 4, 4), metres, after their first poses are made equal."""
     last = se3.inverse(estimate[0]) @ estimate[-1], se3.inverse(truth[0]) @ truth[-1]
     return float(np.linalg.norm(last[0][:3, 3] - last[1][:3, 3]))
 
 
 def distances_along(T_world_camera: Array) -> Array:
-    """Way driven up to each pose (N,), metres, of poses (N, 4, 4)."""
+    """Path length up to each pose (N,), metres, of poses (N, 4, 4)."""
     steps = np.linalg.norm(np.diff(T_world_camera[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def path_length(T_world_camera: Array) -> float:
-    """Way driven over all poses (N, 4, 4), metres."""
+    """Path length of a trajectory (N, 4, 4), metres."""
     return float(distances_along(T_world_camera)[-1])
 
 
-def _segments(way: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    starts = np.repeat(np.arange(0, len(way), SEGMENT_STEP), len(SEGMENT_LENGTHS_M))
+def _segments(distances_m: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    starts = np.repeat(np.arange(0, len(distances_m), SEGMENT_STEP_FRAMES), len(SEGMENT_LENGTHS_M))
     lengths = np.tile(SEGMENT_LENGTHS_M, len(starts) // len(SEGMENT_LENGTHS_M))
-    ends = np.searchsorted(way, way[starts] + lengths, side="right")
-    fits = ends < len(way)
+    ends = np.searchsorted(distances_m, distances_m[starts] + lengths, side="right")
+    fits = ends < len(distances_m)
     return starts[fits], ends[fits], lengths[fits]
 
 
 def _angles(T: Array) -> Array:
-    # The devkit takes arccos of the trace alone. At small angles that turns the rounding of seven-digit
-    # ground truth into 0.06 degrees; sine and cosine together do not.
+    # The devkit uses arccos of the trace alone, whose derivative is infinite at angle 0: the rounding of seven-digit
+    # ground truth becomes 0.06 degrees. The arc tangent of sine and cosine has no such error.
     R = T[:, :3, :3]
     axis = [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]
     return np.arctan2(np.linalg.norm(axis, axis=0), np.trace(R, axis1=1, axis2=2) - 1.0)

@@ -1,4 +1,4 @@
-"""Where the truth about revisits comes from: a matrix that somebody published, or poses under a declared rule."""
+"""Ground truth of revisits: a published matrix, or true poses under a declared rule."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,41 +10,41 @@ from place_recognition.evaluation.ground_truth import SamePlace, load_truth, tru
 from slam.errors import ConfigError, DataError
 from slam.storage.trajectory import read_trajectory
 
-MATRICES = (".mat", ".npz")
+MATRIX_SUFFIXES = (".mat", ".npz")
 
 
 @dataclass(frozen=True)
 class RevisitTruth:
-    """Which images show the same place.
+    """Which earlier images show the same place as each image.
 
     Attributes:
-        matrix: (N, N) bool, row = query, column = earlier image; None where it is not known.
-        origin: where it is from, in words, with the rule where one was applied.
+        matrix: (N, N) bool, row = query, column = earlier image; None if there is no ground truth.
+        origin: description of the source for people, with the rule if one was applied.
     """
 
     matrix: NDArray[np.bool_] | None
     origin: str
 
     @property
-    def known(self) -> NDArray[np.bool_]:
-        """The matrix of a truth that is known."""
+    def required_matrix(self) -> NDArray[np.bool_]:
+        """The matrix, where the caller knows that there is one."""
         assert self.matrix is not None
         return self.matrix
 
 
 def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | None = None) -> RevisitTruth:
-    """Truth from a matrix file (.mat, .npz), or from poses (KITTI, TUM) under a rule.
+    """Read the ground truth of revisits from a matrix (.mat, .npz), or from poses (KITTI, TUM) under a rule.
 
     Args:
-        path: the file.
-        rule: for poses.
-        fps: poses a second, for a rule with a gap; TUM files bring their own times.
+        path: file to read.
+        rule: what counts as a revisit, for poses; None for the default rule.
+        fps: poses per second, for a rule with a minimum time; TUM files have their own times.
 
     Raises:
         DataError: the file is missing or damaged.
-        ConfigError: the rule asks for times and there are none.
+        ConfigError: the rule needs times and there are none.
     """
-    if path.suffix in MATRICES:
+    if path.suffix in MATRIX_SUFFIXES:
         try:
             return RevisitTruth(load_truth(path), str(path))
         except ValueError as error:
@@ -55,7 +55,7 @@ def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | N
         times = np.arange(len(poses)) / fps
     if rule.gap > 0 and times is None:
         raise ConfigError(
-            f"{path}: expected times for a gap of {rule.gap:g} s, found none; give --fps, or poses as TUM"
+            f"{path}: expected times for --min-time-gap {rule.gap:g}, found none; give --fps, or poses as TUM"
         )
     return revisit_truth_from_poses(poses, str(path), rule, times)
 
@@ -63,20 +63,20 @@ def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | N
 def revisit_truth_from_poses(
     poses: NDArray[np.float64], origin: str, rule: SamePlace | None = None, times: NDArray[np.float64] | None = None
 ) -> RevisitTruth:
-    """Truth of poses T_world_camera (N, 4, 4), metres, under a rule.
+    """Compute the ground truth of revisits from poses T_world_camera (N, 4, 4), metres, under a rule.
 
     Args:
-        poses: of the images.
-        origin: where they are from.
-        rule: None for the usual one.
-        times: (N,) seconds, for a rule with a gap.
+        poses: true poses of the images.
+        origin: description of their source for people.
+        rule: what counts as a revisit; None for the default rule.
+        times: (N,) seconds, for a rule with a minimum time.
     """
     rule = rule or SamePlace()
-    return RevisitTruth(truth_from_poses(poses, times, rule), f"{origin} under {in_words(rule)}")
+    return RevisitTruth(truth_from_poses(poses, times, rule), f"{origin} under {describe_rule(rule)}")
 
 
 def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
-    """Raise DataError unless the truth has a row for each image of a drive."""
+    """Raise DataError unless the ground truth has a row for each image of a recording."""
     if truth.matrix is not None and len(truth.matrix) != images:
         raise DataError(
             f"{truth.origin}: expected a truth of {images} images as in {of}, found {len(truth.matrix)};"
@@ -84,10 +84,10 @@ def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
         )
 
 
-def in_words(rule: SamePlace) -> str:
-    """The rule with all its numbers."""
+def describe_rule(rule: SamePlace) -> str:
+    """Describe the rule with all its numbers."""
     gap = f", {rule.gap:g} s apart" if rule.gap else ""
     pairs = "the nearest image" if rule.one_to_one else "all images"
     return (
-        f"the rule: {pairs} within {rule.radius:g} m and {rule.heading:g} degrees, {rule.way:g} m of way{gap} between"
+        f"the rule: {pairs} within {rule.radius:g} m and {rule.heading:g} degrees, {rule.way:g} m of path{gap} between"
     )

@@ -41,7 +41,7 @@ def recognise_places(options: PlacesOptions, messages: Console, results: Console
     """
     check(options)
     images = open_left_images(options.recording)
-    record = recognise_images(options, images, find_truth(options, images), messages)
+    record = recognise_images(options, images, resolve_ground_truth(options, images), messages)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
@@ -63,7 +63,7 @@ def recognise_images(
     return record
 
 
-def find_truth(options: PlacesOptions, images: ImageRecording) -> RevisitTruth:
+def resolve_ground_truth(options: PlacesOptions, images: ImageRecording) -> RevisitTruth:
     """The truth that was named, else that of the poses which the recording brings along, else none.
 
     Raises:

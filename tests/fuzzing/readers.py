@@ -149,7 +149,7 @@ def _zipped(name: str) -> Callable[[bytes], bytes]:
 
 def _truth(name: str) -> Read:
     def read(root: Path) -> None:
-        matrix = read_revisit_truth(root / name).known
+        matrix = read_revisit_truth(root / name).required_matrix
         assert matrix.dtype == bool, f"gave a truth of {matrix.dtype}"
         assert matrix.shape == matrix.shape[::-1]
 

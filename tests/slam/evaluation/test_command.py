@@ -43,7 +43,7 @@ def test_numbers_carry_their_unit_and_alignment(estimate: Path, truth: Path) -> 
         "after SE(3) alignment",
         "t_rel, per cent",
         "degrees per 100 m",
-        "of the way",
+        "of the path length",
     ):
         assert words in text
 

@@ -41,7 +41,7 @@ def test_the_same_place_is_within_ten_metres() -> None:
     truth = line(np.array([0.0, 9.9, 10.1]))
     assert is_same_place(truth, 1, 0)
     assert not is_same_place(truth, 2, 0)
-    assert is_same_place(truth, 2, 0, LoopRule(near_m=11.0))
+    assert is_same_place(truth, 2, 0, LoopRule(max_distance_m=11.0))
 
 
 def test_a_measured_loop_must_agree_with_ground_truth() -> None:

@@ -122,7 +122,7 @@ def test_the_poses_of_a_kitti_drive_are_its_truth_under_a_declared_rule(tmp_path
     assert places(tmp_path, tmp_path / "out") == 0
     found = metrics(tmp_path / "out")
     assert found["places"]["truth_rows"] == LAP
-    assert "within 10 m and 45 degrees, 20 m of way between" in found["ground_truth"]
+    assert "within 10 m and 45 degrees, 20 m of path between" in found["ground_truth"]
 
 
 def test_json_goes_to_standard_output_and_nothing_else_does(
