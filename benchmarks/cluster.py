@@ -35,8 +35,8 @@ from run_results import differing, lasting_results
 from slam.benchmark.command import carry_out, make_jobs
 from slam.benchmark.job import run_job
 from slam.benchmark.sweep import read_sweep
-from slam.engine.cluster import Cluster
-from slam.engine.engine import Engine, OneProcess
+from slam.engine.cluster import DaskExecutor
+from slam.engine.engine import Executor, SerialExecutor
 
 WORKERS = 3
 
@@ -55,7 +55,7 @@ class Measured:
     results: dict[str, object]
 
 
-def measure(config: Path, out: Path, engine: Engine) -> Measured:
+def measure(config: Path, out: Path, engine: Executor) -> Measured:
     """Run a sweep, the start and the end of the engine included.
 
     Raises:
@@ -103,7 +103,7 @@ def main() -> None:
     config, cores = parser.parse_args().config, len(os.sched_getaffinity(0))
     table = Table("", "wall s", "processor s", f"ideal on {cores} cores", "ratio", "results that differ")
     with tempfile.TemporaryDirectory() as folder:
-        alone = measure(config, Path(folder) / "alone", OneProcess())
+        alone = measure(config, Path(folder) / "alone", SerialExecutor())
         ideal = alone.processor / cores
         table.add_row("one process", f"{alone.wall:.1f}", f"{alone.processor:.1f}", "", "", "")
 
@@ -113,10 +113,10 @@ def main() -> None:
                 name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
             )
 
-        whole = measure(config, Path(folder) / "whole", Cluster(WORKERS, None))
+        whole = measure(config, Path(folder) / "whole", DaskExecutor(WORKERS, None))
         tell(f"{WORKERS} workers", whole)
         with one_killed(whole.wall / 2):
-            killed = measure(config, Path(folder) / "killed", Cluster(WORKERS, None))
+            killed = measure(config, Path(folder) / "killed", DaskExecutor(WORKERS, None))
         tell(f"one killed after {whole.wall / 2:.0f} s", killed)
     Console(width=120).print(table)
 

@@ -32,9 +32,5 @@ class ConfigError(RevisitError):
     """A parameter has a value that cannot work."""
 
 
-class EngineError(RevisitError):
-    """Processes that do the work died, or cannot be reached any more."""
-
-
 class GraphError(RevisitError):
     """A pose graph cannot be read or optimised."""

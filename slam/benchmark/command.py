@@ -15,8 +15,8 @@ from slam.benchmark.report import write_report
 from slam.benchmark.results import Row, make_row, summary, told, write_csv, write_json
 from slam.benchmark.sweep import Recorded, Simulated, Sweep, read_sweep
 from slam.datasets.source import Source
-from slam.engine.choice import choose_engine
-from slam.engine.engine import Done, Engine, Lost
+from slam.engine.choice import make_executor
+from slam.engine.engine import Completed, Executor, Failed
 from slam.errors import OutputError
 from slam.progress import progress_bar
 from slam.simulation import simulate
@@ -41,13 +41,13 @@ class BenchmarkOptions:
     scheduler: str | None = None
 
     @property
-    def engine(self) -> Engine:
+    def engine(self) -> Executor:
         """What does the jobs.
 
         Raises:
             ConfigError: there cannot be so many, or both are given, or dask is not installed.
         """
-        return choose_engine(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
+        return make_executor(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
 
 
 def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console) -> bool:
@@ -129,7 +129,7 @@ def _clear(out: Path) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
-def carry_out(jobs: Sequence[Job], engine: Engine, work: Work, out: Path, results: Console) -> list[Row]:
+def carry_out(jobs: Sequence[Job], engine: Executor, work: Work, out: Path, results: Console) -> list[Row]:
     """Do what is not done; results.csv holds at each moment what is known. Returns a row for each job."""
     known: dict[str, Row] = {}
     for count, (job, outcome) in enumerate(_outcomes(jobs, engine, work), start=1):
@@ -139,7 +139,7 @@ def carry_out(jobs: Sequence[Job], engine: Engine, work: Work, out: Path, result
     return [known[job.name] for job in jobs]
 
 
-def _outcomes(jobs: Sequence[Job], engine: Engine, work: Work) -> Iterator[tuple[Job, Outcome]]:
+def _outcomes(jobs: Sequence[Job], engine: Executor, work: Work) -> Iterator[tuple[Job, Outcome]]:
     done = [(job, outcome) for job in jobs if (outcome := finished(job))]
     yield from done
     names = {job.name for job, _ in done}
@@ -147,5 +147,5 @@ def _outcomes(jobs: Sequence[Job], engine: Engine, work: Work) -> Iterator[tuple
         yield ended.item, _outcome(ended)
 
 
-def _outcome(ended: Done[Job, Outcome] | Lost[Job]) -> Outcome:
-    return Outcome(ended.item.name, {}, ended.reason) if isinstance(ended, Lost) else ended.result
+def _outcome(ended: Completed[Job, Outcome] | Failed[Job]) -> Outcome:
+    return Outcome(ended.item.name, {}, ended.reason) if isinstance(ended, Failed) else ended.result

@@ -50,21 +50,15 @@ def train_vocabulary(
     words: Annotated[int, typer.Option(help="How many.")] = 10000,
     sample: Annotated[int, typer.Option(help="Descriptors to train on, at most.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; else this one alone, which needs no extra.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Of dask, instead: tcp://HOST:PORT; same files there.")] = None,
 ) -> None:
     """Train visual words on images of your own. Never on those that will be recognised.
-
-    Several processes give the same words sooner, and need: pip install 'revisit-slam[cluster]'
 
     Example: revisit vocabulary train ~/photos ~/drive --out town.vocabulary
     """
     from slam.progress import progress_bar
     from slam.vocabulary import TrainingOptions, train_from_images
 
-    options = TrainingOptions(tuple(sources), out, features, workers, scheduler)
+    options = TrainingOptions(tuple(sources), out, features)
     with progress_bar(Console(stderr=True), "Describing images") as progress:
         message = train_from_images(options, {"words": words, "sample": sample, "seed": seed}, progress)
     Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -1,1 +1,1 @@
-"""Who does the work: this process, or many, on this machine or on others."""
+"""Executors of the benchmark: one process, or many on this machine or on others."""

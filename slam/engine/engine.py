@@ -1,86 +1,65 @@
-"""What does work that consists of many items: this process, or many."""
+"""Executors: run a list of independent jobs in this process, or in many (`slam.engine.cluster`)."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, Protocol, Self, TypeVar
-
-from numpy.typing import NDArray
+from typing import Generic, Protocol, Self, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Done(Generic[Item, Result]):
-    """An item, and what came of it."""
+class Completed(Generic[Item, Result]):
+    """An item and the result of the work on it."""
 
     item: Item
     result: Result
 
 
 @dataclass(frozen=True)
-class Lost(Generic[Item]):
-    """An item of which nothing came, and why, in one line."""
+class Failed(Generic[Item]):
+    """An item whose work gave no result, and the reason in one line."""
 
     item: Item
     reason: str
 
 
-class Engine(Protocol):
-    """Does work; used as a context manager, which ends whatever it has started.
+class Executor(Protocol):
+    """Runs work on items; a context manager that stops at its end whatever it has started.
 
-    The work may be done again where its process dies: what it does twice must be as if done once. It, the items and the
-    results go from process to process.
+    Work is repeated where its process dies, so doing it twice must have the same effect as doing it once. The work, the
+    items and the results are sent between processes.
     """
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
-        """Do the work for every item; what becomes of each as it comes, in any order."""
-
-    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """The results in the order of the items, as the builtin does it; some items are begun ahead, never all.
-
-        Raises:
-            EngineError: whatever did an item died, again and again.
-        """
-
-    def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
-        """The same numbers where all can read them: a file in the folder, where they are not all here.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item and yield each outcome as soon as it is there, in any order."""
 
     def __enter__(self) -> Self:
-        """Begin."""
+        """Start the processes."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End."""
+        """Stop the processes."""
 
 
-class OneProcess:
-    """Does one item after the other here (an Engine)."""
+class SerialExecutor:
+    """Does one item after the other in this process (an Executor)."""
 
-    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Done[Item, Result] | Lost[Item]]:
-        """Do the work for every item in turn; what it raises ends it."""
-        return (Done(item, work(item)) for item in items)
-
-    def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """The results in turn."""
-        return map(work, items)
-
-    def share(self, array: NDArray[Any], folder: Path) -> NDArray[Any]:
-        """The array itself."""
-        return array
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item in turn; an exception of the work is raised."""
+        return (Completed(item, work(item)) for item in items)
 
     def __enter__(self) -> Self:
-        """Begin: there is nothing to start."""
+        """Start nothing."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End: there is nothing to end."""
+        """Stop nothing."""

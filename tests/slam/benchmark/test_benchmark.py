@@ -14,7 +14,7 @@ from slam.benchmark.job import Job, check_job, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
 from slam.datasets.source import Source
-from slam.engine.engine import Engine, OneProcess
+from slam.engine.engine import Executor, SerialExecutor
 from slam.errors import OutputError
 
 QUIET = Console(quiet=True)
@@ -53,7 +53,7 @@ def some_jobs(folder: Path, count: int) -> list[Job]:
     return [Job("s", Source(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
 
 
-def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Engine):
+def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Executor):
     out = sweep.parent / "several"
     jobs = make_jobs(read_sweep(sweep), out)
     (out / "sources").mkdir(parents=True)
@@ -125,7 +125,7 @@ def landmark_setting() -> str:
 def test_a_run_that_fails_costs_no_other_and_is_tried_again(alone: Path, sweep: Path, tmp_path: Path):
     good = make_jobs(read_sweep(sweep), alone)[0]
     bad = Job("gone", Source(tmp_path / "gone"), tmp_path / "bad", None, good.paradigm, good.robust, 0, False)
-    rows = carry_out([bad, good], OneProcess(), run_job, tmp_path, QUIET)
+    rows = carry_out([bad, good], SerialExecutor(), run_job, tmp_path, QUIET)
     assert str(tmp_path / "gone") in rows[0].error
     assert rows[1].error == ""
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 3
