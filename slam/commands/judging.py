@@ -13,7 +13,6 @@ from slam.commands.options import (
     Json,
     Out,
     Overwrite,
-    Scheduler,
 )
 
 _RULE = "Rule of a revisit, for ground truth given as poses"
@@ -55,7 +54,13 @@ def benchmark(
             show_default="one per core",
         ),
     ] = None,
-    scheduler: Scheduler = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a running dask scheduler, tcp://HOST:PORT, whose workers see the same files.",
+            show_default="none: workers on this machine",
+        ),
+    ] = None,
 ) -> None:
     """Run every source with every paradigm, back end and seed, and compare the results side by side.
 

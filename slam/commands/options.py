@@ -72,14 +72,3 @@ Settings = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
-Workers = Annotated[
-    int | None,
-    typer.Option(help="Number of worker processes on this machine; 0 works in this process alone."),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        help="Address of a running dask scheduler, tcp://HOST:PORT, whose workers see the same files.",
-        show_default="none: workers on this machine",
-    ),
-]

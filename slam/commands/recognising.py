@@ -18,7 +18,6 @@ from slam.commands.options import (
     Json,
     Out,
     Overwrite,
-    Scheduler,
     Sequence,
 )
 
@@ -103,24 +102,15 @@ def train_vocabulary(
     words: Annotated[int, typer.Option(help="Number of visual words.")] = 10000,
     sample: Annotated[int, typer.Option(help="Maximum number of descriptors to train on.")] = 1000000,
     seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of worker processes on this machine; 0 works in this process alone.", show_default="0"
-        ),
-    ] = None,
-    scheduler: Scheduler = None,
 ) -> None:
     """Train a vocabulary of visual words on images of your own. Do not use the images that will be recognised.
-
-    Several processes give the same words sooner, and need: pip install 'revisit-slam[cluster]'
 
     Example: revisit vocabulary train ~/photos ~/drive --out town.vocabulary
     """
     from slam.progress import progress_bar
     from slam.vocabulary import TrainingOptions, train_from_images
 
-    options = TrainingOptions(tuple(sources), out, features, workers, scheduler)
+    options = TrainingOptions(tuple(sources), out, features)
     with progress_bar(Console(stderr=True), "Describing images") as progress:
         message = train_from_images(options, {"words": words, "sample": sample, "seed": seed}, progress)
     Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -1,1 +1,1 @@
-"""Executors: run many items in this process, in several on this machine, or on a dask cluster."""
+"""Executors of the benchmark: one process, or many on this machine or on others."""

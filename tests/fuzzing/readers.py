@@ -225,7 +225,7 @@ READERS: dict[str, Reader] = {
     "vocabulary, checksum right": Reader("a.vocabulary", _vocabulary, valid.vocabularies, made.vocabularies(),
         dressed=_with_checksum, share=3),
     "truth, MATLAB": Reader("t.mat", _truth("t.mat"), valid.matlab_files, made.files_of(b"MATLAB 5.0 MAT-file"),
-        share=2),
+        share=0.05),  # each costs the start of a process
     "truth, .npz": Reader("t.npz", _truth("t.npz"), lambda: valid.arrays("truth", valid.TRUTH),
         made.files_of(b"PK\x03\x04"), share=2),
     "truth, array in .npz": Reader("t.npz", _truth("t.npz"), lambda: valid.array_files(valid.TRUTH, valid.TRUTH > 0),

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from place_images import changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.surf import Surf
-from place_recognition.image_processing.word_assignment import word_histogram
-from place_recognition.map.vocabulary import Vocabulary, default_vocabulary
+from place_recognition.map.vocabulary import Vocabulary, default_vocabulary, word_histogram
 
 
 def some_words(count: int = 50, size: int = 8, seed: int = 0) -> Vocabulary:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from place_recognition.map import vocabulary_file
 from place_recognition.map.vocabulary import Vocabulary, load_vocabulary, save_vocabulary
-from place_recognition.map.vocabulary_file import on_steps
+from place_recognition.map.vocabulary_file import round_to_steps
 
 
 def words(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
@@ -30,7 +30,7 @@ def saved(path: Path, content: np.ndarray) -> Vocabulary:
     "content",
     [
         words((20, 64)),
-        on_steps(words((20, 64))),
+        round_to_steps(words((20, 64))),
         signs((20, 256)),
         signs((3, 21)),
         1000 * words((1, 1)),
@@ -47,22 +47,22 @@ def test_a_round_trip_gives_the_same_bits(tmp_path: Path, content: np.ndarray):
 
 def test_binary_words_take_a_bit_and_words_on_steps_a_byte_a_number(tmp_path: Path):
     saved(tmp_path / "bits", signs((100, 256)))
-    saved(tmp_path / "bytes", on_steps(words((100, 64))))
+    saved(tmp_path / "bytes", round_to_steps(words((100, 64))))
     assert (tmp_path / "bits").stat().st_size < 100 * (32 + 4) + 300
     assert (tmp_path / "bytes").stat().st_size < 100 * (64 + 4) + 300
 
 
 def test_steps_move_a_number_by_half_a_step_at_most():
     before = words((50, 64))
-    assert np.abs(on_steps(before) - before).max() <= 0.5 / 127 + 1e-6
-    np.testing.assert_array_equal(on_steps(on_steps(before)), on_steps(before))
+    assert np.abs(round_to_steps(before) - before).max() <= 0.5 / 127 + 1e-6
+    np.testing.assert_array_equal(round_to_steps(round_to_steps(before)), round_to_steps(before))
 
 
 @given(data=st.data())
 @settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_damage_goes_unnoticed(tmp_path: Path, data: st.DataObject):
     path = tmp_path / "a.vocabulary"
-    saved(path, on_steps(words((6, 16))))
+    saved(path, round_to_steps(words((6, 16))))
     whole = path.read_bytes()
     damaged = bytearray(whole[: data.draw(st.integers(0, len(whole)), "length")])
     for _ in range(data.draw(st.integers(0, 3), "flips")):

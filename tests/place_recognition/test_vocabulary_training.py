@@ -13,16 +13,16 @@ from place_recognition.map.k_majority import k_majority
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.map.vocabulary_training import (
     DescriptorSample,
-    TrainingConfig,
-    inverse_frequencies,
+    VocabularyTrainingConfig,
+    inverse_document_frequencies,
     train_vocabulary,
 )
 
 TRAIN_AND_PRINT = """
 import hashlib, numpy as np
-from place_recognition.map.vocabulary_training import TrainingConfig, train_vocabulary
+from place_recognition.map.vocabulary_training import VocabularyTrainingConfig, train_vocabulary
 points = np.random.default_rng(3).normal(size=(6000, 64)).astype(np.float32)
-vocabulary = train_vocabulary("test", points / 8, TrainingConfig(words=150, iterations=8))
+vocabulary = train_vocabulary("test", points / 8, VocabularyTrainingConfig(words=150, iterations=8))
 print(hashlib.sha256(vocabulary.words.tobytes() + vocabulary.weights.tobytes()).hexdigest())
 """
 
@@ -45,7 +45,7 @@ def binary_groups(count: int, members: int, flips: float) -> tuple[np.ndarray, n
 
 def test_each_group_of_descriptors_becomes_a_word():
     descriptors, centres = groups(12, 40)
-    vocabulary = train_vocabulary("test", descriptors, TrainingConfig(words=60))
+    vocabulary = train_vocabulary("test", descriptors, VocabularyTrainingConfig(words=60))
     assert len(vocabulary) == 60
     assert np.linalg.norm(vocabulary.words[vocabulary.assign(centres)] - centres, axis=1).max() < 0.06
 
@@ -54,7 +54,7 @@ def test_weights_are_the_logarithm_of_how_rare_a_word_is():
     words = np.eye(3, dtype=np.float32)
     vocabulary = Vocabulary("test", words, np.zeros(3, np.float32))
     seen = words[[0, 0, 0, 0, 0, 0, 1, 1]]
-    np.testing.assert_allclose(inverse_frequencies(vocabulary, seen), np.log([8 / 6, 8 / 2, 8]), rtol=1e-6)
+    np.testing.assert_allclose(inverse_document_frequencies(vocabulary, seen), np.log([8 / 6, 8 / 2, 8]), rtol=1e-6)
 
 
 def test_threads_do_not_change_a_bit():
@@ -75,14 +75,16 @@ def test_threads_do_not_change_a_bit():
 
 def test_another_seed_gives_other_words():
     descriptors, _ = groups(30, 30, noise=0.3)
-    first, second = (train_vocabulary("t", descriptors, TrainingConfig(words=40, seed=seed)) for seed in (0, 1))
+    first, second = (
+        train_vocabulary("t", descriptors, VocabularyTrainingConfig(words=40, seed=seed)) for seed in (0, 1)
+    )
     assert not np.array_equal(first.words, second.words)
 
 
 def test_binary_descriptors_get_binary_words_of_the_groups():
     bits, centres = binary_groups(25, 30, flips=0.1)
     signs = np.where(bits, 1 / 16, -1 / 16).astype(np.float32)
-    vocabulary = train_vocabulary("orb-256", signs, TrainingConfig(words=100))
+    vocabulary = train_vocabulary("orb-256", signs, VocabularyTrainingConfig(words=100))
     assert set(np.unique(vocabulary.words)) == {np.float32(-1 / 16), np.float32(1 / 16)}
     distances = (centres[:, None] != (vocabulary.words > 0)[None]).sum(axis=2)
     assert (distances.min(axis=1) < 8).mean() > 0.9  # the tree may part a group at its root
@@ -131,10 +133,10 @@ def test_every_descriptor_of_a_stream_has_the_same_chance():
 
 def test_too_few_descriptors_are_refused():
     with pytest.raises(ValueError, match=r"expected at least 30 descriptors for 30 words, got 4; give more images"):
-        train_vocabulary("test", groups(2, 2)[0], TrainingConfig(words=30))
+        train_vocabulary("test", groups(2, 2)[0], VocabularyTrainingConfig(words=30))
 
 
 @pytest.mark.parametrize("setting", [{"words": 0}, {"iterations": 0}, {"words": 100, "sample": 10}])
 def test_settings_that_cannot_work_are_refused(setting: dict[str, int]):
     with pytest.raises(ValueError, match="expected words and iterations from 1"):
-        TrainingConfig(**setting)
+        VocabularyTrainingConfig(**setting)

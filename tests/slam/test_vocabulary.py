@@ -1,16 +1,13 @@
 """`revisit vocabulary train`: images in, a file of words out, or one line that says why not."""
 
-import os
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from place_recognition.map import k_means
 from place_recognition.map.vocabulary import load_vocabulary
-from slam import cli, vocabulary
-from slam.engine.cluster import DaskExecutor
+from slam import cli
 
 
 def textures(folder: Path, count: int, seed: int = 0) -> Path:
@@ -92,56 +89,3 @@ def test_a_damaged_image_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[
     (textures(tmp_path / "photos", 1) / "000001.png").write_bytes(b"not an image")
     assert train(tmp_path / "photos", "--out", tmp_path / "own.vocabulary") == 1
     assert "000001.png: expected an image" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("features", ["surf", "orb"])
-def test_several_processes_give_the_file_of_one(
-    tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch, features: str
-):
-    monkeypatch.setattr(k_means, "ROWS", 100)
-    monkeypatch.setattr(vocabulary, "IMAGES", 1)
-    folder, settings = textures(tmp_path / "photos", 4), ("--words", 30, "--sample", 700, "--features", features)
-    assert train(folder, *settings, "--out", tmp_path / "one") == 0
-    assert train(folder, *settings, "--scheduler", cluster.address, "--out", tmp_path / "several") == 0
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "several").read_bytes()
-    assert {path.name for path in tmp_path.iterdir()} == {"photos", "one", "several"}
-
-
-def test_the_death_of_a_process_changes_nothing(tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch):
-    folder, mark, nearest = textures(tmp_path / "photos", 2), tmp_path / "died", k_means._nearest
-    assert train(folder, "--words", 20, "--out", tmp_path / "one") == 0
-
-    def dies_once(centres: np.ndarray, part: k_means.Rows) -> np.ndarray:
-        if not mark.exists():
-            mark.touch()
-            os._exit(1)
-        return nearest(centres, part)
-
-    monkeypatch.setattr(k_means, "_nearest", dies_once)
-    assert train(folder, "--words", 20, "--scheduler", cluster.address, "--out", tmp_path / "several") == 0
-    assert mark.exists()
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "several").read_bytes()
-
-
-def test_what_kills_every_process_is_one_line(
-    tmp_path: Path, cluster: DaskExecutor, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    def dies(centres: np.ndarray, part: k_means.Rows) -> np.ndarray:
-        os._exit(1)
-
-    monkeypatch.setattr(k_means, "_nearest", dies)
-    folder = textures(tmp_path / "photos", 2)
-    assert train(folder, "--words", 20, "--scheduler", cluster.address, "--out", tmp_path / "several") == 1
-    error = capsys.readouterr().err
-    assert "expected worker processes that live" in error
-    assert error.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
-
-
-def test_a_damaged_image_is_named_by_another_process(
-    tmp_path: Path, cluster: DaskExecutor, capsys: pytest.CaptureFixture[str]
-):
-    (textures(tmp_path / "photos", 1) / "000001.png").write_bytes(b"not an image")
-    assert train(tmp_path / "photos", "--scheduler", cluster.address, "--out", tmp_path / "own") == 1
-    assert "000001.png: expected an image" in (error := capsys.readouterr().err)
-    assert error.count("\n") == 1

@@ -2,24 +2,22 @@
 
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import dask
 import distributed
-import numpy as np
 import psutil
 import pytest
 
 from slam.engine.choice import make_executor
 from slam.engine.cluster import DaskExecutor
 from slam.engine.engine import Completed, Executor, Failed, SerialExecutor
-from slam.errors import ConfigError, DataError, ExecutorError
+from slam.errors import ConfigError
 
 
 @pytest.fixture(params=["one process", "cluster"])
-def engine(request: pytest.FixtureRequest) -> Executor:
+def executor(request: pytest.FixtureRequest) -> Executor:
     """Each of them, begun."""
     return SerialExecutor() if request.param == "one process" else request.getfixturevalue("cluster")
 
@@ -32,60 +30,18 @@ def dies_once(mark: Path, number: int) -> int:
     return number
 
 
-def test_every_item_is_done_once(engine: Executor):
-    ended = list(engine.run(lambda number: number**2, range(5)))
+def test_every_item_is_done_once(executor: Executor):
+    ended = list(executor.run(lambda number: number**2, range(5)))
     assert sorted((done.item, done.result) for done in ended if isinstance(done, Completed)) == [
         (0, 0), (1, 1), (2, 4), (3, 9), (4, 16)
     ]  # fmt: skip
-    assert list(engine.run(abs, [])) == []
-
-
-def test_a_map_keeps_the_order(engine: Executor):
-    def waits(number: int) -> int:
-        time.sleep(0.02 * (number % 3))
-        return -number
-
-    assert list(engine.map(waits, range(9))) == [-number for number in range(9)]
-    assert list(engine.map(abs, [])) == []
-
-
-def test_a_map_takes_items_as_it_needs_them(engine: Executor):
-    taken: list[int] = []
-
-    def items() -> Iterator[int]:
-        for number in range(1000):
-            taken.append(number)
-            yield number
-
-    results = engine.map(abs, items())
-    assert next(results) == 0
-    assert len(taken) <= 4
-
-
-def test_what_the_work_of_a_map_raises_is_raised(engine: Executor):
-    def breaks(number: int) -> int:
-        if number == 2:
-            raise DataError("2.png: expected an image")
-        return number
-
-    results = engine.map(breaks, range(4))
-    assert [next(results), next(results)] == [0, 1]
-    with pytest.raises(DataError, match=r"2\.png: expected an image"):
-        next(results)
-
-
-def test_what_is_shared_is_the_same_everywhere(engine: Executor, tmp_path: Path):
-    numbers = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
-    shared = engine.share(numbers, tmp_path)
-    assert shared.tobytes() == numbers.tobytes()
-    assert (shared.dtype, shared.shape) == (numbers.dtype, numbers.shape)
+    assert list(executor.run(abs, [])) == []
 
 
 def test_an_item_whose_process_dies_is_done_by_another(tmp_path: Path, cluster: DaskExecutor):
     ended = list(cluster.run(lambda number: dies_once(tmp_path / "run", number), range(4)))
     assert sorted(done.result for done in ended if isinstance(done, Completed)) == [0, 1, 2, 3]
-    assert list(cluster.map(lambda number: dies_once(tmp_path / "map", number), range(4))) == [0, 1, 2, 3]
-    assert {path.name for path in tmp_path.iterdir()} == {"run", "map"}
+    assert (tmp_path / "run").exists()
 
 
 def test_an_item_that_kills_whatever_does_it_is_given_up(cluster: DaskExecutor):
@@ -99,8 +55,6 @@ def test_an_item_that_kills_whatever_does_it_is_given_up(cluster: DaskExecutor):
     assert "the worker failed" in ended[0].reason
     assert "\n" not in ended[0].reason
     assert ended[1] == Completed(1, 1)
-    with pytest.raises(ExecutorError, match="expected worker processes that live, the worker failed"):
-        next(cluster.map(dies, range(2)))
 
 
 def settings_there(_: int) -> tuple[object, ...]:
@@ -110,14 +64,15 @@ def settings_there(_: int) -> tuple[object, ...]:
 
 
 def test_our_own_processes_share_the_cores_and_keep_the_memory_that_they_free(cluster: DaskExecutor):
-    assert list(cluster.map(settings_there, [0])) == [("1", None, 1, False)]
+    assert list(cluster.run(settings_there, [0])) == [Completed(0, ("1", None, 1, False))]
 
 
 def test_an_existing_scheduler_is_used_and_left_running(cluster: DaskExecutor):
     for _ in range(2):
         with DaskExecutor(0, cluster.address) as guest:
-            (process,) = guest.map(lambda _: os.getpid(), [0])
-        assert process in {child.pid for child in psutil.Process().children(recursive=True)}
+            (ended,) = guest.run(lambda _: os.getpid(), [0])
+        assert isinstance(ended, Completed)
+        assert ended.result in {child.pid for child in psutil.Process().children(recursive=True)}
 
 
 def test_a_scheduler_whose_greeting_comes_with_other_news_is_greeted_again(
@@ -132,12 +87,12 @@ def test_a_scheduler_whose_greeting_comes_with_other_news_is_greeted_again(
 
     monkeypatch.setattr(distributed, "Client", disturbed_once)
     with DaskExecutor(0, cluster.address) as guest:
-        assert list(guest.map(abs, [-3])) == [3]
+        assert list(guest.run(abs, [-3])) == [Completed(-3, 3)]
     assert len(calls) == 2
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("slam.engine.cluster._CONNECTION_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("slam.engine.cluster._CONNECT_TIMEOUT_S", 0.2)
     with pytest.raises(ConfigError, match="--scheduler tcp://127"), DaskExecutor(0, "tcp://127.0.0.1:1"):
         pass
 
@@ -172,7 +127,7 @@ def test_nothing_listens_beyond_this_machine(cluster: DaskExecutor):
     assert set(listening) == {"127.0.0.1"}
 
 
-def test_the_engine_is_the_one_asked_for():
+def test_the_executor_is_the_one_asked_for():
     assert isinstance(make_executor(None, None, 0), SerialExecutor)
     assert isinstance(make_executor(0, None, 2), SerialExecutor)
     assert isinstance(make_executor(None, "tcp://127.0.0.1:1", 0), DaskExecutor)
