@@ -24,7 +24,7 @@ from slam.datasets.source import Source
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
 from slam.localisation.command import Answer, LocateOptions, locate
 from slam.localisation.locator import Located
-from slam.map_store.store import MapStore, map_file
+from slam.map_store.store import MapDatabase, map_file
 from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
@@ -86,9 +86,9 @@ def main() -> None:
     asked_for = LocateOptions(out / "first", Source(chosen(drive, asked, out / "asked")))
     answers = locate(asked_for, Console(stderr=True))
     told = json.loads((out / "second/metrics.json").read_text())["map"]
-    with MapStore.open(map_file(out / "second")) as store:
+    with MapDatabase.open(map_file(out / "second")) as store:
         both = store.poses()
-    with MapStore.open(map_file(out / "first")) as store:
+    with MapDatabase.open(map_file(out / "first")) as store:
         mapped = store.poses()
     ate, way = absolute_trajectory_error(both, truth), path_length(truth)
     print(f"joined: {told['joined']}, by {told['kept']} loops; ATE of both {ate:.3f} m of {way:.0f} m")

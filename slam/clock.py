@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Item = TypeVar("Item")
 
 
-class StageClock:
+class StageTimer:
     """Adds up the time of named stages within one frame."""
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class StageClock:
         return spent
 
 
-def timed(items: Iterator[Item], clock: StageClock) -> Iterator[Item]:
+def timed(items: Iterator[Item], clock: StageTimer) -> Iterator[Item]:
     """Pass items on, counting the wait for each as the stage `read`."""
     while True:
         with clock.stage("read"):

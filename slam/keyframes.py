@@ -1,6 +1,7 @@
-"""Which frames are worth remembering: those from where the world looks different."""
+"""Which frames are worth keeping: those from where the world looks different."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,3 +42,11 @@ class KeyFrameSelector:
         moved = float(np.linalg.norm(T_last_camera[:3, 3]))
         turned = float(np.degrees(se3.angle(T_last_camera)))
         return moved >= self.config.min_distance_m or turned >= self.config.min_angle_deg
+
+    def state(self) -> dict[str, Any]:
+        """Pose of the last key frame, for a checkpoint."""
+        return {"T_world_key_frame": self._last}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._last = state["T_world_key_frame"]

@@ -11,28 +11,28 @@ from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
 from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
-from slam.system import LoopAttempt
+from slam.system import LoopCandidate
 
 Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
 
 
-def write_ledger(attempts: Iterable[LoopAttempt], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
+def loop_rows(candidates: Iterable[LoopCandidate], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
-        attempts: in the order in which they were made.
+        candidates: in the order in which they were made.
         optimized: the verdicts on the closures among them, in the same order.
         judge: tells true revisits from false ones; None where there is no ground truth.
     """
     rows, closures = [], 0
-    for attempt in attempts:
-        if attempt.belief.match is None:
+    for candidate in candidates:
+        if candidate.belief.match is None:
             continue
-        row = _proposed(attempt.belief, attempt.belief.match, judge)
-        if isinstance(attempt.geometry, Rejection):
-            row = _refused(row, attempt.geometry)
-        elif isinstance(attempt.geometry, LoopClosure):
-            row = _judged(row, attempt.geometry, optimized, closures, judge)
+        row = _proposed(candidate.belief, candidate.belief.match, judge)
+        if isinstance(candidate.geometry, Rejection):
+            row = _refused(row, candidate.geometry)
+        elif isinstance(candidate.geometry, LoopClosure):
+            row = _judged(row, candidate.geometry, optimized, closures, judge)
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
@@ -67,12 +67,12 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
 
 
 def stage_rows(
-    attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate], history: Iterable[Change]
+    candidates: Iterable[LoopCandidate], gates: Sequence[LoopGate], history: Iterable[Change]
 ) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
-        attempts: in the order in which they were made.
+        candidates: in the order in which they were made.
         gates: verdicts on the closures among them, in the same order.
         history: what became of those closures online.
     """
@@ -80,14 +80,14 @@ def stage_rows(
     for change in history:
         lives[change.loop].append(f"frame {change.frame}: {change.reason}")
     rows, closures = [], 0
-    for attempt in attempts:
-        belief = attempt.belief
+    for candidate in candidates:
+        belief = candidate.belief
         if belief.match is None:
             continue
         row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
-        if isinstance(attempt.geometry, LoopClosure):
+        if isinstance(candidate.geometry, LoopClosure):
             gate, online = gates[closures], ONLINE_SEPARATOR.join(lives[closures])
-            row = _measured(replace(row, online=online), attempt.geometry, gate)
+            row = _measured(replace(row, online=online), candidate.geometry, gate)
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
@@ -110,9 +110,9 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
     )
 
 
-def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:
+def matched_pixels(candidates: Iterable[LoopCandidate]) -> tuple[MatchedPixels, ...]:
     """Where the images of each belief agree: with a relative pose where one was found, else as the recogniser saw."""
-    found = (_agreement(attempt.belief, attempt.geometry) for attempt in attempts)
+    found = (_agreement(candidate.belief, candidate.geometry) for candidate in candidates)
     return tuple(pair for pair in found if pair is not None)
 
 

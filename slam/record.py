@@ -96,7 +96,7 @@ class MatchedPixels:
 
 
 @dataclass(frozen=True)
-class Cloud:
+class PointCloud:
     """Points of the map.
 
     Attributes:
@@ -109,7 +109,7 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class DriveRecord:
+class RunRecord:
     """Everything known after a drive.
 
     Attributes:
@@ -143,8 +143,8 @@ class DriveRecord:
     inliers: NDArray[np.int64]
     loops: tuple[LoopRow, ...]
     stage_ms: dict[str, Array]
-    map_before: Cloud
-    map_after: Cloud
+    map_before: PointCloud
+    map_after: PointCloud
     metrics: dict[str, object]
     stages: tuple[StageRow, ...] = ()
     matched: tuple[MatchedPixels, ...] = ()

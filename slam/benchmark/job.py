@@ -13,7 +13,7 @@ from rich.console import Console
 from slam.config import RunConfig, read_config
 from slam.datasets.source import Source
 from slam.errors import OutputError, RevisitError
-from slam.run import RunOptions, configure, run_recorded
+from slam.run import RunOptions, resolve_config, run_pipeline
 from slam.storage.atomic import atomic_writer
 from slam.storage.metrics import read_metrics
 
@@ -50,7 +50,12 @@ class Job:
         """What `revisit run` is told to read, and where to write."""
         source = self.source
         return RunOptions(
-            source.path, source.sequence, out, config=self.settings_file, kind=source.kind, command=self.command
+            source=source.path,
+            out=out,
+            sequence=source.sequence,
+            config=self.settings_file,
+            kind=source.kind,
+            command=self.command,
         )
 
     @property
@@ -71,7 +76,7 @@ class Job:
         Raises:
             ConfigError: the settings file, a paradigm or a back end cannot be used.
         """
-        return configure(self.options(self.folder), self.settings)
+        return resolve_config(self.options(self.folder), self.settings)
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -165,7 +170,7 @@ def _run(job: Job) -> Outcome:
     # Beside its place and renamed: a process that dies while it writes leaves nothing that looks finished.
     unfinished = job.folder.with_name(f".{job.name}-{uuid4().hex[:8]}")
     try:
-        if run_recorded(job.options(unfinished), job.settings, _QUIET, _QUIET):
+        if run_pipeline(job.options(unfinished), job.settings, _QUIET, _QUIET):
             raise KeyboardInterrupt
         _rename(unfinished, job.folder)
     finally:

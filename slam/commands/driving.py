@@ -110,10 +110,20 @@ def run(
 
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
-    from slam.run import RunOptions, run_recorded
+    from slam.run import RunOptions, run_pipeline
 
     options = RunOptions(
-        source, sequence, out, view, overwrite, resume, map_file, config, kind, fps, tuple(topic or ())
+        source=source,
+        out=out,
+        sequence=sequence,
+        view=view,
+        overwrite=overwrite,
+        resume=resume,
+        map_file=map_file,
+        config=config,
+        kind=kind,
+        fps=fps,
+        topics=tuple(topic or ()),
     )
     chosen = {
         "paradigm": paradigm,
@@ -128,7 +138,7 @@ def run(
         "camera_height": camera_height,
     }
     settings = {name: value for name, value in chosen.items() if value is not None}
-    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
@@ -151,17 +161,24 @@ def reprocess(
     from dataclasses import replace
 
     from slam.map_store.remembered import source_of
-    from slam.run import RunOptions, run_recorded
+    from slam.run import RunOptions, run_pipeline
 
     found = source_of(map_)
     found = found if source is None else replace(found, path=source)
     options = RunOptions(
-        found.path, found.sequence, out, "none", overwrite, again=map_, config=config, kind=found.kind, fps=found.fps,
+        source=found.path,
+        out=out,
+        sequence=found.sequence,
+        overwrite=overwrite,
+        config=config,
+        kind=found.kind,
+        fps=found.fps,
         topics=found.topics,
-    )  # fmt: skip
+        reuse_map=map_,
+    )
     chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}
     settings = {name: value for name, value in chosen.items() if value is not None}
-    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 

@@ -19,12 +19,12 @@ from slam.errors import ConfigError, DataError
 from slam.localisation.images import open_queries
 from slam.localisation.locator import Located, Locator, NotFound
 from slam.localisation.saved_map import SavedMap
-from slam.map_store.store import MapStore, map_file
+from slam.map_store.store import MapDatabase, map_file
 from slam.progress import progress_bar
 from slam.storage.tables import write_table
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
-_COLUMNS = ("image", "found", *_POSE, "inliers", "sigma_m", "sigma_deg", "beside", "world", "reason")
+_COLUMNS = ("image", "found", *_POSE, "inliers", "sigma_m", "sigma_deg", "beside", "map_id", "reason")
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Answer:
         numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
         pose = dict(zip(_POSE, map(float, numbers), strict=True))
         sigmas = {"sigma_m": found.sigma_m, "sigma_deg": found.sigma_deg}
-        return values | said | pose | sigmas | {"beside": found.image, "world": found.world, "reason": ""}
+        return values | said | pose | sigmas | {"beside": found.image, "map_id": found.map_id, "reason": ""}
 
 
 def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
@@ -73,7 +73,7 @@ def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
         DataError: no map, no images, or they do not belong together.
         OutputError: the table cannot be written.
     """
-    with MapStore.open(map_file(options.map)) as store:
+    with MapDatabase.open(map_file(options.map)) as store:
         saved = SavedMap.open(store)
         queries = open_queries(options.images, saved.camera)
         locator = Locator(saved, _extractor(store))
@@ -87,7 +87,7 @@ def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
     return tuple(answers)
 
 
-def _extractor(store: MapStore) -> FeatureExtractor:
+def _extractor(store: MapDatabase) -> FeatureExtractor:
     """Of the features that the map is made of."""
     try:
         config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")

@@ -84,7 +84,7 @@ def explained(features: LocalFeatures, found: Hypothesis, reach_px: float) -> fl
 
 def rivals(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: DoubtConfig) -> bool:
     """Whether another place explains the image nearly as well as the best, which worlds that have not met may."""
-    if best.pose is None or other.pose is None or saved.world[best.image] != saved.world[other.image]:
+    if best.pose is None or other.pose is None or saved.map_id[best.image] != saved.map_id[other.image]:
         return False
     first = saved.poses[best.image] @ best.pose.T_base_camera
     second = saved.poses[other.image] @ other.pose.T_base_camera

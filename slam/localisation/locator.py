@@ -48,14 +48,14 @@ class Located:
         covariance: (6, 6) of its right perturbation, rotation first, beside the matched image: the map's own errors
             do not count.
         image: of the map, beside which it was found.
-        world: frame of reference.
+        map_id: frame of reference.
         inliers: features that agree.
     """
 
     T_world_camera: Array
     covariance: Array
     image: int
-    world: int
+    map_id: int
     inliers: int
 
     @property
@@ -115,8 +115,8 @@ class Locator:
         if reason or best.pose is None:
             return NotFound(reason, best.image, len(best))
         T_world_camera = self._saved.poses[best.image] @ best.pose.T_base_camera
-        world = int(self._saved.world[best.image])
-        return Located(T_world_camera, best.pose.covariance, best.image, world, len(best))
+        map_id = int(self._saved.map_id[best.image])
+        return Located(T_world_camera, best.pose.covariance, best.image, map_id, len(best))
 
     def _descriptors(self) -> Iterator[NDArray[np.float32]]:
         for image in self._saved.key_frames:

@@ -6,11 +6,11 @@ from pathlib import Path
 from slam.config import RunConfig, parse_config
 from slam.datasets.dataset import Dataset
 from slam.errors import ConfigError, DataError
-from slam.map_store.store import MapStore, Session, map_file
+from slam.map_store.store import MapDatabase, Session, map_file
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorMap:
     """A map that a drive may join.
 
     Attributes:
@@ -27,23 +27,23 @@ class Known:
         return parse_config(self.last.config, f"{self.map_file}: settings")
 
 
-def read_known(path: Path) -> Known:
+def read_prior_map(path: Path) -> PriorMap:
     """The map in a file, or in a run's folder.
 
     Raises:
         DataError: there is none, it is damaged, or its last drive has not ended.
     """
     file = map_file(path)
-    with MapStore.open(file) as store:
+    with MapDatabase.open(file) as store:
         sessions = store.sessions()
     if not sessions or not sessions[-1].finished:
         raise DataError(
             f"{file}: expected the map of a drive that has ended, found one that stopped; --resume it first"
         )
-    return Known(file, sessions[-1])
+    return PriorMap(file, sessions[-1])
 
 
-def check_fits(known: Known, drive: Dataset, config: RunConfig) -> None:
+def check_fits(known: PriorMap, drive: Dataset, config: RunConfig) -> None:
     """Check that a drive can be compared with those of a map.
 
     Raises:

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.errors import OutputError
+from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Landmarks
 from slam.map_store import schema
-from slam.map_store.pieces import read_arrays, write_arrays
+from slam.map_store.freezing import deserialize, serialize
+from slam.map_store.pieces import digest, read_arrays, write_arrays
 from slam.map_store.rows import (
-    StoredAttempt,
-    StoredFrame,
-    attempt_row,
+    candidate_row,
     frame_row,
     landmark_row,
     pack,
-    read_attempt,
+    read_candidate,
     read_frame,
     read_landmarks,
     unpack,
@@ -37,6 +37,9 @@ from slam.map_store.rows import (
 Array = NDArray[np.float64]
 
 MAP_FILE = "map.db"
+
+# What reading a damaged file can raise; a state that does not fit raises the same (`PlaceRecognizer.restore`).
+_DAMAGE = (sqlite3.Error, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Session:
         config: TOML, as in `config.toml`.
         provenance: source, recording, command and versions.
         finished: the drive has ended and was optimised.
-        world: sessions with the same number are in one frame of reference.
+        map_id: sessions with the same number are in one frame of reference.
     """
 
     number: int
@@ -61,25 +64,23 @@ class Session:
     config: str
     provenance: Mapping[str, Any]
     finished: bool = False
-    world: int = 0
+    map_id: int = 0
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The parts of the system after so many frames of a session.
+    """State of the components after a number of frames of a session.
 
     Attributes:
-        frames: that the parts have seen.
-        structure: what `Freezer.freeze` gave.
-        arrays: the arrays to it.
+        frames: number of frames of the session that the components have processed.
+        state: nested dicts, lists, plain values and arrays (`slam.map_store.freezing`).
     """
 
     frames: int
-    structure: Any
-    arrays: list[NDArray[Any]]
+    state: Any
 
 
-class Verdict(NamedTuple):
+class LoopVerdict(NamedTuple):
     """What the final optimisation said of a loop: whether it stands, how far it is trusted, and why."""
 
     kept: bool
@@ -89,25 +90,25 @@ class Verdict(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Corrected:
+class OptimizedSession:
     """What the final optimisation said.
 
     Attributes:
         images: numbers (N,) of the images.
         poses: T_world_camera (N, 4, 4) of them.
         units: (N,) of length, in that of the first frame.
-        verdicts: of the closed loops, by the number of their attempts.
-        world: in which they are, by the number of its first session.
+        verdicts: of the closed loops, by the number of their candidates.
+        map_id: frame of reference of the poses, by the number of its first session.
     """
 
     images: NDArray[np.int64]
     poses: Array
     units: Array
-    verdicts: Mapping[int, Verdict]
-    world: int = 0
+    verdicts: Mapping[int, LoopVerdict]
+    map_id: int = 0
 
 
-class MapStore:
+class MapDatabase:
     """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool) -> None:
@@ -176,7 +177,7 @@ class MapStore:
         """
         try:
             yield
-        except (sqlite3.Error, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        except _DAMAGE as error:
             raise schema.damaged(self.path, error) from error
 
     def add_session(self, session: Session) -> None:
@@ -189,32 +190,32 @@ class MapStore:
             "config": session.config,
             "provenance": json.dumps(session.provenance, default=str),
             "finished": session.finished,
-            "world": session.world,
+            "map_id": session.map_id,
         }
         self._insert("session", values)
 
-    def add_frame(self, frame: StoredFrame, session: int) -> None:
+    def add_frame(self, frame: FrameRecord, session: int) -> None:
         """Add a frame with its landmarks; call within `writing`."""
         self._insert("frame", frame_row(frame, session))
         self._insert("landmark", landmark_row(frame))
 
-    def add_attempt(self, number: int, attempt: StoredAttempt) -> None:
+    def add_candidate(self, number: int, candidate: LoopRecord) -> None:
         """Add what became of a belief; call within `writing`."""
-        self._insert("attempt", attempt_row(number, attempt))
+        self._insert("candidate", candidate_row(number, candidate))
 
     def set_checkpoint(self, session: int, checkpoint: Checkpoint) -> None:
         """Put a checkpoint in the place of the session's last one; call within `writing`."""
-        text = json.dumps(checkpoint.structure, separators=(",", ":"), allow_nan=False)
-        self._connection.execute(
-            "INSERT OR REPLACE INTO checkpoint VALUES (?, ?, ?)", (session, checkpoint.frames, text)
-        )
-        write_arrays(self._connection, session, checkpoint.arrays)
+        structure, arrays = serialize(checkpoint.state)
+        text = json.dumps(structure, separators=(",", ":"), allow_nan=False)
+        values = (session, checkpoint.frames, text, digest(text.encode()))
+        self._connection.execute("INSERT OR REPLACE INTO checkpoint VALUES (?, ?, ?, ?)", values)
+        write_arrays(self._connection, session, arrays)
 
-    def forget_answers(self, begin: int) -> None:
-        """Delete the attempts from a number on; call within `writing`."""
-        self._connection.execute("DELETE FROM attempt WHERE number >= ?", (begin,))
+    def delete_loops_from(self, begin: int) -> None:
+        """Delete the candidates from a number on; call within `writing`."""
+        self._connection.execute("DELETE FROM candidate WHERE number >= ?", (begin,))
 
-    def finish(self, session: int, corrected: Corrected, ended: bool) -> None:
+    def finish(self, session: int, corrected: OptimizedSession, ended: bool) -> None:
         """Write the final poses and verdicts; call within `writing`."""
         poses = [
             (pack(T, "<f8"), float(unit), int(image))
@@ -223,10 +224,10 @@ class MapStore:
         self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
         verdicts = [(*_plain(verdict), number) for number, verdict in corrected.verdicts.items()]
         self._connection.executemany(
-            "UPDATE attempt SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
+            "UPDATE candidate SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
         )
-        world = "UPDATE session SET finished = ?, world = ? WHERE number = ?"
-        self._connection.execute(world, (ended, corrected.world, session))
+        closing_row = "UPDATE session SET finished = ?, map_id = ? WHERE number = ?"
+        self._connection.execute(closing_row, (ended, corrected.map_id, session))
 
     def sessions(self) -> tuple[Session, ...]:
         """All drives of the map, in order.
@@ -242,7 +243,7 @@ class MapStore:
         """How many images there are, in all or of one session."""
         return self._count("frame", session)
 
-    def frames(self, first_image: int = 0) -> Iterator[StoredFrame]:
+    def frames(self, first_image: int = 0) -> Iterator[FrameRecord]:
         """All frames from an image on with their landmarks, in order, read as they are asked for."""
         with self.reading():
             joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
@@ -293,12 +294,12 @@ class MapStore:
             found = self._connection.execute("SELECT T_previous_camera, covariance FROM frame ORDER BY image")
             return [(unpack(T, "<f8", 4, 4), unpack(covariance, "<f8", 6, 6)) for T, covariance in found]
 
-    def attempts(self, first_image: int = 0) -> Iterator[StoredAttempt]:
+    def candidates(self, first_image: int = 0) -> Iterator[LoopRecord]:
         """What became of each belief about an image from that one on, in the order in which they came."""
         with self.reading():
-            wanted = "SELECT * FROM attempt WHERE query >= ? ORDER BY number"
+            wanted = "SELECT * FROM candidate WHERE query >= ? ORDER BY number"
             for row in self._connection.execute(wanted, (first_image,)):
-                yield read_attempt(row)
+                yield read_candidate(row)
 
     def checkpoint(self, session: int) -> Checkpoint | None:
         """The parts of the system at the last checkpoint of a session; None before the first."""
@@ -306,7 +307,10 @@ class MapStore:
             found = self._connection.execute("SELECT * FROM checkpoint WHERE session = ?", (session,)).fetchone()
             if found is None:
                 return None
-            return Checkpoint(found["frames"], json.loads(found["structure"]), read_arrays(self._connection, session))
+            if digest(found["structure"].encode()) != found["digest"]:
+                raise ValueError("the structure of the checkpoint is damaged")
+            arrays = read_arrays(self._connection, session)
+            return Checkpoint(found["frames"], deserialize(json.loads(found["structure"]), arrays))
 
     def ask(self, question: str, *values: Any) -> list[sqlite3.Row]:
         """What SQL finds, for whoever wants to know more than the other methods say."""
@@ -325,10 +329,10 @@ class MapStore:
         except sqlite3.Error as error:
             raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
 
-    def answers_before(self, image: int) -> int:
-        """How many attempts there are about images before one."""
+    def num_loops_before(self, image: int) -> int:
+        """How many candidates there are about images before one."""
         with self.reading():
-            (count,) = self._connection.execute("SELECT count(*) FROM attempt WHERE query < ?", (image,)).fetchone()
+            (count,) = self._connection.execute("SELECT count(*) FROM candidate WHERE query < ?", (image,)).fetchone()
             return int(count)
 
     def count(self, table: str) -> int:
@@ -364,5 +368,5 @@ def _session(row: sqlite3.Row) -> Session:
         config=row["config"],
         provenance=json.loads(row["provenance"]),
         finished=bool(row["finished"]),
-        world=row["world"],
+        map_id=row["map_id"],
     )

@@ -12,7 +12,7 @@ from markupsafe import escape
 from rich.console import Console
 
 from slam.errors import DataError, OutputError
-from slam.run import RunOptions, run_recorded
+from slam.run import RunOptions, run_pipeline
 
 QUIET = Console(quiet=True)
 HOSTILE = 'o\'drive <i id=x> "[bold]" &amp; улица 街道'
@@ -39,7 +39,7 @@ FILES = {
 
 
 def run(source: Path, out: Path, sequence: str | None = None, **settings: object) -> dict:
-    run_recorded(RunOptions(source, sequence, out), settings, QUIET, QUIET)
+    run_pipeline(RunOptions(source=source, sequence=sequence, out=out), settings, QUIET, QUIET)
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -140,7 +140,7 @@ def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_da
     (tmp_path / "x.vocabulary").write_bytes(b"no words")
     settings = {"paradigm": "sequence-histograms", "vocabulary": str(tmp_path / "x.vocabulary"), "record": False}
     with pytest.raises(DataError, match=r"x\.vocabulary"):
-        run_recorded(RunOptions(test_data / "kitti_clips", "06", tmp_path / "out"), settings, QUIET, QUIET)
+        run(test_data / "kitti_clips", tmp_path / "out", "06", **settings)
     assert not (tmp_path / "out").exists()
 
 
@@ -175,5 +175,7 @@ def test_a_damaged_image_midway_leaves_an_earlier_run_untouched(clip05: Path, te
     damaged.write_bytes(b"not a picture")
     before = {path.name: path.read_bytes() for path in clip05.iterdir()}
     with pytest.raises(DataError, match=r"000007\.png"):
-        run_recorded(RunOptions(source, "06", clip05, overwrite=True), {"record": False}, QUIET, QUIET)
+        run_pipeline(
+            RunOptions(source=source, sequence="06", out=clip05, overwrite=True), {"record": False}, QUIET, QUIET
+        )
     assert {path.name: path.read_bytes() for path in clip05.iterdir()} == before

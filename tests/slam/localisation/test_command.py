@@ -13,7 +13,7 @@ import pytest
 from slam import cli
 
 LAP = 160
-COLUMNS = "image,found,x,y,z,qx,qy,qz,qw,inliers,sigma_m,sigma_deg,beside,world,reason"
+COLUMNS = "image,found,x,y,z,qx,qy,qz,qw,inliers,sigma_m,sigma_deg,beside,map_id,reason"
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

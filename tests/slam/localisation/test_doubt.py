@@ -57,8 +57,8 @@ def test_another_place_counts_where_it_is_elsewhere_and_explains_as_much(
     assert "image 30 of the map explains 95 features elsewhere" in doubt(
         best, [beside, strong], features, saved, CONFIG
     )
-    worlds = np.arange(len(saved.world)) // 20  # two drives that have never met may show one street
-    assert doubt(best, [strong], features, replace(saved, world=worlds), CONFIG) == ""
+    worlds = np.arange(len(saved.map_id)) // 20  # two drives that have never met may show one street
+    assert doubt(best, [strong], features, replace(saved, map_id=worlds), CONFIG) == ""
     moved = hypothesis(3, range(95), aside_m=2 * CONFIG.elsewhere_m)
     assert "elsewhere" in doubt(best, [moved], features, saved, CONFIG)
 
