@@ -21,7 +21,7 @@ def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict
         out = Path(folder) / "run"
         run_pipeline(
             RunOptions(source=source, sequence=sequence, out=out),
-            {"record": record},
+            {"save_recording": record},
             Console(stderr=True),
             Console(stderr=True),
         )

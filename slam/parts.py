@@ -39,7 +39,7 @@ def check_names(config: RunConfig) -> RunConfig:
         ConfigError: unknown paradigm, local features or back end; the message lists the known ones.
     """
     check_paradigm(config.paradigm)
-    check_features(config.places.features)
+    check_features(config.place_recognition.features)
     back_end(config.robust)
     return config
 
@@ -76,14 +76,14 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: RowSink | No
 
     The rows of the recogniser's similarity matrix go to `rows`, where there is one.
     """
-    features = SharedFeatures(local_features(config.places))
+    features = SharedFeatures(local_features(config.place_recognition))
     odometry = build_odometry(camera, config)
     return Components(
         odometry=odometry,
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, config.places, rows),
+        recognizer=build_recognizer(config.paradigm, features, config.place_recognition, rows),
         loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
-        graph=PoseGraph(config.graph),
+        graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),
     )
@@ -92,5 +92,5 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: RowSink | No
 def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
     """Odometry of the pair, or of the left camera alone."""
     if config.mono:
-        return MonocularVisualOdometry(MonoOdometry(camera, config.one_camera.odometry), camera)
+        return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
     return StereoVisualOdometry(StereoOdometry(camera, config.odometry))

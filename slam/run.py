@@ -220,11 +220,11 @@ class Pipeline:
     def _open_viewer(self, folder: Path) -> Viewer:
         """Open what shows or records the run."""
         view, dataset = self.options.view, self.dataset
-        if view == "none" and not self.config.record:
+        if view == "none" and not self.config.save_recording:
             return NullViewer()
         from slam.viewer.rerun_viewer import RerunViewer
 
-        path = folder / "recording.rrd" if self.config.record else None
+        path = folder / "recording.rrd" if self.config.save_recording else None
         mode = "record" if view == "none" else view
         return RerunViewer(path, dataset.camera, dataset.ground_truth, mode, self.run_id)  # type: ignore[arg-type]
 
@@ -259,7 +259,7 @@ def resolve_config(options: RunOptions, settings: Mapping[str, object], base: Ru
     base = read_checked_config(options.config) if options.config else base or RunConfig()
     own = {k: v for k, v in settings.items() if k not in (*_PLACE_RECOGNITION_SETTINGS, _CAMERA_HEIGHT)}
     places = {k: v for k, v in settings.items() if k in _PLACE_RECOGNITION_SETTINGS}
-    changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
+    changed = replace(base, **own, place_recognition=replace(base.place_recognition, **places))  # type: ignore[arg-type]
     return check_names(_with_height(changed, settings[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in settings else changed)
 
 
@@ -268,10 +268,10 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     if not config.mono:
         raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
     try:
-        odometry = replace(config.one_camera.odometry, height_m=float(height))  # type: ignore[arg-type]
+        odometry = replace(config.mono_odometry.odometry, height_m=float(height))  # type: ignore[arg-type]
     except ValueError as error:
         raise ConfigError(f"--camera-height: {error}") from error
-    return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
+    return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
 
 
 @contextmanager

@@ -65,8 +65,8 @@ class Job:
             "paradigm": self.paradigm,
             "robust": self.robust,
             "seed": self.seed,
-            "record": self.record,
-            "keep_map": self.record,
+            "save_recording": self.record,
+            "save_map": self.record,
         }
 
     @property

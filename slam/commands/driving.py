@@ -132,8 +132,8 @@ def run(
         "descriptor": descriptor,
         "robust": robust,
         "seed": seed,
-        "record": False if no_record else None,
-        "keep_map": False if no_map else None,
+        "save_recording": False if no_record else None,
+        "save_map": False if no_map else None,
         "mono": mono or None,
         "camera_height": camera_height,
     }
@@ -176,7 +176,7 @@ def reprocess(
         topics=found.topics,
         reuse_map=map_,
     )
-    chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}
+    chosen = {"paradigm": paradigm, "robust": robust, "save_recording": not no_record}
     settings = {name: value for name, value in chosen.items() if value is not None}
     interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)

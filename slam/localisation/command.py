@@ -91,7 +91,7 @@ def _extractor(store: MapDatabase) -> FeatureExtractor:
     """Of the features that the map is made of."""
     try:
         config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")
-        return local_features(config.places)
+        return local_features(config.place_recognition)
     except (ConfigError, ValueError) as error:
         raise DataError(
             f"{store.path}: expected the settings of its drive, found others ({error}); run again"

@@ -142,7 +142,7 @@ class SessionGraph:
         merged = merge_sessions(
             self._trajectories(poses),
             [renumber(numbered.loop, self._images, self._images) for numbered in self._loops],
-            config.graph,
+            config.pose_graph_for_camera(),
             config.robust,
         )
         corrected = OptimizedSession(

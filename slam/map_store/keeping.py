@@ -192,7 +192,7 @@ def open_session_recorder(folder: RunFolder, config: RunConfig, session: Session
         OutputError: the map cannot be written.
         RevisitError: what the block raises, with a word on how to go on.
     """
-    if not config.keep_map:
+    if not config.save_map:
         yield NullSessionRecorder()
         return
     with _open(folder.path / MAP_FILE, config, session) as store:

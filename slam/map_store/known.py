@@ -55,10 +55,10 @@ def check_fits(known: PriorMap, drive: Dataset, config: RunConfig) -> None:
         raise DataError(f"{file}: expected drives of one camera, {known.last.camera}, found {drive.camera}")
     if config.mono or made.mono:
         raise ConfigError("--map: expected a stereo pair: drives of one camera have no common unit of length")
-    if (config.paradigm, config.places) != (made.paradigm, made.places):
+    if (config.paradigm, config.place_recognition) != (made.paradigm, made.place_recognition):
         raise ConfigError(
             f"--map: expected the recogniser that made {file}, {made.paradigm}, with its settings, found others; "
             "leave them out"
         )
-    if not config.keep_map:
+    if not config.save_map:
         raise ConfigError("--no-map: a drive that joins a map is kept in one; leave it out")

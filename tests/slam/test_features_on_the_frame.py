@@ -1,4 +1,4 @@
-"""Features extracted ahead by the thread that reads are those that the system would extract, and no image is described twice."""
+"""Features extracted by the thread that reads ahead are those of the system, and no image is described twice."""
 
 import threading
 from dataclasses import dataclass, field

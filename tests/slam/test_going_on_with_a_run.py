@@ -32,7 +32,7 @@ TIMES = {
     "memory_mb",
 }
 FRAMES = 150
-WITHOUT_RECORDING = {"record": False}
+WITHOUT_RECORDING = {"save_recording": False}
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive:
 
 
 def test_without_a_map_nothing_is_kept(drive: Path, tmp_path: Path):
-    run(drive, tmp_path / "out", keep_map=False)
+    run(drive, tmp_path / "out", save_map=False)
     assert not (tmp_path / "out" / "map.db").exists()
 
 

@@ -29,7 +29,7 @@ def left_only(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture(scope="module")
 def run(left_only: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("mono") / "run"
-    run_pipeline(RunOptions(source=left_only, out=out), {"mono": True, "record": False}, QUIET, QUIET)
+    run_pipeline(RunOptions(source=left_only, out=out), {"mono": True, "save_recording": False}, QUIET, QUIET)
     return out
 
 

@@ -42,7 +42,7 @@ def part_of(circle_drive: Path, root: Path, begin: int, end: int, mirrored: bool
 
 def run(source: Path, out: Path, known: Path | None = None, **settings: object) -> dict:
     options = RunOptions(source=source, out=out, map_file=known)
-    run_pipeline(options, {"record": False} | settings, QUIET, QUIET)
+    run_pipeline(options, {"save_recording": False} | settings, QUIET, QUIET)
     return json.loads((out / "metrics.json").read_text())
 
 

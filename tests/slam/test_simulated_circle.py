@@ -34,7 +34,7 @@ QUIET = Console(quiet=True)
 def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run over two laps of 160 m, images at half of KITTI's size."""
     out = tmp_path_factory.mktemp("circle") / "run"
-    run_pipeline(RunOptions(source=circle_drive, out=out), {"record": False}, QUIET, QUIET)
+    run_pipeline(RunOptions(source=circle_drive, out=out), {"save_recording": False}, QUIET, QUIET)
     return out
 
 
