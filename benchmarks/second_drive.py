@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from slam.datasets.source import Source
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
-from slam.localisation.command import Answer, LocateOptions, locate
-from slam.localisation.locator import Located
+from slam.localisation.command import LocateOptions, QueryResult, locate
+from slam.localisation.locator import LocalizationResult
 from slam.map_store.store import MapDatabase, map_file
 from slam.storage.trajectory import read_kitti
 
@@ -58,11 +58,13 @@ def chosen(drive: Path, frames: Array, out: Path) -> Path:
     return out
 
 
-def errors(answers: Iterable[Answer], mapped: Array, truth: Array) -> tuple[Array, Array]:
+def errors(answers: Iterable[QueryResult], mapped: Array, truth: Array) -> tuple[Array, Array]:
     """Metres and degrees of those found, once the map's poses (M, 4, 4) were laid on the truth of the first frames."""
     laid = umeyama(mapped[:, :3, 3], truth[: len(mapped), :3, 3])
     found = [
-        (answer.found, truth[int(Path(answer.name).stem)]) for answer in answers if isinstance(answer.found, Located)
+        (answer.found, truth[int(Path(answer.name).stem)])
+        for answer in answers
+        if isinstance(answer.found, LocalizationResult)
     ]
     metres = [np.linalg.norm(laid.apply(at.T_world_camera[:3, 3]) - T[:3, 3]) for at, T in found]
     turns = [(laid.R @ at.T_world_camera[:3, :3]).T @ T[:3, :3] for at, T in found]

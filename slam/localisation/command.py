@@ -17,23 +17,23 @@ from slam.config import RunConfig, from_values
 from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError
 from slam.localisation.images import open_queries
-from slam.localisation.locator import Located, Locator, NotFound
+from slam.localisation.locator import LocalizationResult, Localizer, NotLocalized
 from slam.localisation.saved_map import SavedMap
 from slam.map_store.store import MapDatabase, map_file
 from slam.progress import progress_bar
 from slam.storage.tables import write_table
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
-_COLUMNS = ("image", "found", *_POSE, "inliers", "sigma_m", "sigma_deg", "beside", "map_id", "reason")
+_COLUMNS = ("image", "localized", *_POSE, "inliers", "sigma_m", "sigma_deg", "matched_image", "map_id", "reason")
 
 
 @dataclass(frozen=True)
 class LocateOptions:
-    """What the user asks for.
+    """Options of `revisit locate`.
 
     Attributes:
-        map: a map store, or the folder of a run that holds one.
-        images: to be placed.
+        map: map database, or the folder of a run that holds one.
+        images: images to be localized.
         out: CSV file for the poses; None to write none.
     """
 
@@ -43,31 +43,32 @@ class LocateOptions:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What became of one image.
+class QueryResult:
+    """Result for one image.
 
     Attributes:
-        name: of the image.
+        name: name of the image.
         found: its pose, or why there is none.
     """
 
     name: str
-    found: Located | NotFound
+    found: LocalizationResult | NotLocalized
 
     def cells(self) -> dict[str, object]:
-        """The answer by its columns; None where it has no value."""
-        found, values = self.found, dict.fromkeys(_COLUMNS)
-        said: dict[str, object] = {"image": self.name, "found": isinstance(found, Located), "inliers": found.inliers}
-        if isinstance(found, NotFound):
-            return values | said | {"beside": found.image, "reason": found.reason}
+        """The result by its columns; None where it has no value."""
+        found = self.found
+        values: dict[str, object] = dict.fromkeys(_COLUMNS)
+        values |= {"image": self.name, "inliers": found.inliers, "matched_image": found.image}
+        if isinstance(found, NotLocalized):
+            return values | {"localized": False, "reason": found.reason}
         numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
         pose = dict(zip(_POSE, map(float, numbers), strict=True))
         sigmas = {"sigma_m": found.sigma_m, "sigma_deg": found.sigma_deg}
-        return values | said | pose | sigmas | {"beside": found.image, "map_id": found.map_id, "reason": ""}
+        return values | pose | sigmas | {"localized": True, "map_id": found.map_id, "reason": ""}
 
 
-def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
-    """Place images in a saved map, and write the table if that was asked for.
+def locate(options: LocateOptions, messages: Console) -> tuple[QueryResult, ...]:
+    """Localize images in a saved map, and write the table if that was asked for.
 
     Raises:
         DataError: no map, no images, or they do not belong together.
@@ -76,11 +77,11 @@ def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
     with MapDatabase.open(map_file(options.map)) as store:
         saved = SavedMap.open(store)
         queries = open_queries(options.images, saved.camera)
-        locator = Locator(saved, _extractor(store))
+        locator = Localizer(saved, _extractor(store))
         answers = []
         with progress_bar(messages, "Locating") as progress:
             for name, image in queries:
-                answers.append(Answer(name, locator.locate(image)))
+                answers.append(QueryResult(name, locator.locate(image)))
                 progress(len(answers), len(queries))
     if options.out is not None:
         write_table(options.out, _COLUMNS, (answer.cells().values() for answer in answers))
@@ -98,12 +99,12 @@ def _extractor(store: MapDatabase) -> FeatureExtractor:
         ) from error
 
 
-def as_table(answers: Sequence[Answer]) -> Group:
+def as_table(answers: Sequence[QueryResult]) -> Group:
     """Poses for people, one image a line."""
-    table = Table("image", "x m", "y m", "z m", "sigma m", "agree", "beside", "", box=None)
+    table = Table("image", "x m", "y m", "z m", "sigma m", "agree", "matched_image", "", box=None)
     for answer in answers:
         table.add_row(*_row(answer.cells()))
-    return Group(table, said(answers))
+    return Group(table, count_line(answers))
 
 
 def _row(cells: dict[str, object]) -> Iterable[str]:
@@ -111,15 +112,15 @@ def _row(cells: dict[str, object]) -> Iterable[str]:
     for name in ("x", "y", "z", "sigma_m"):
         yield "" if cells[name] is None else f"{cells[name]:.2f}"
     yield str(cells["inliers"])
-    yield "" if cells["beside"] is None else str(cells["beside"])
+    yield "" if cells["matched_image"] is None else str(cells["matched_image"])
     yield escape(f"not found: {cells['reason']}") if cells["reason"] else ""
 
 
-def said(answers: Sequence[Answer]) -> str:
-    """How many were found."""
-    return f"{sum(isinstance(answer.found, Located) for answer in answers)} of {len(answers)} images found"
+def count_line(answers: Sequence[QueryResult]) -> str:
+    """How many images were localized."""
+    return f"{sum(isinstance(answer.found, LocalizationResult) for answer in answers)} of {len(answers)} images found"
 
 
-def as_json(answers: Sequence[Answer]) -> str:
+def as_json(answers: Sequence[QueryResult]) -> str:
     """The same for scripts."""
     return json.dumps([answer.cells() for answer in answers], indent=2)

@@ -56,4 +56,4 @@ def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     config = replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
     assert config.pose_graph_for_camera().unit_drift > 0
-    assert RunConfig().graph == RunConfig().pose_graph
+    assert RunConfig().pose_graph_for_camera() == RunConfig().pose_graph

@@ -13,7 +13,7 @@ import pytest
 from slam import cli
 
 LAP = 160
-COLUMNS = "image,found,x,y,z,qx,qy,qz,qw,inliers,sigma_m,sigma_deg,beside,map_id,reason"
+COLUMNS = "image,localized,x,y,z,qx,qy,qz,qw,inliers,sigma_m,sigma_deg,matched_image,map_id,reason"
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -46,7 +46,7 @@ def test_a_folder_gives_a_table_and_a_file(
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == COLUMNS.split(",")
-    assert [(row["image"], row["found"]) for row in rows] == [
+    assert [(row["image"], row["localized"]) for row in rows] == [
         ("2.png", "false"),
         ("10.png", "true"),
         ('[red]a, "b".png', "true"),
@@ -87,7 +87,7 @@ def test_an_image_alone_gives_the_same_as_in_the_drive(
     for name in ("calib.txt",):
         (drive / "sequences/00" / name).write_bytes((circle_drive / "sequences/00" / name).read_bytes())
     (within,) = asked(drive)
-    assert alone["found"]
+    assert alone["localized"]
     assert within["image"] == "000000.png"
     assert alone | {"image": ""} == within | {"image": ""}
 
