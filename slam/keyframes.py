@@ -1,4 +1,4 @@
-"""Which frames are worth keeping: those from where the world looks different."""
+"""Selection of the key frames of the map: frames that moved or turned enough since the last one."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +16,8 @@ class KeyFrameConfig:
     """When a frame becomes a key frame.
 
     Attributes:
-        min_distance_m: moved this far since the last key frame, metres, or
-        min_angle_deg: turned this much, degrees.
+        min_distance_m: minimum distance from the last key frame, metres, or
+        min_angle_deg: minimum angle to it, degrees.
     """
 
     min_distance_m: float = 1.0
@@ -32,7 +32,7 @@ class KeyFrameSelector:
         self._last: Array | None = None
 
     def accepts(self, T_world_camera: Array) -> bool:
-        """Decide about a frame with pose (4, 4), metres; where the answer is yes it is the new reference."""
+        """Whether a frame with pose (4, 4), metres, becomes a key frame; the next frames are then compared with it."""
         if self._last is not None and not self._is_far(se3.inverse(self._last) @ T_world_camera):
             return False
         self._last = T_world_camera.copy()

@@ -1,4 +1,4 @@
-"""The ledger: what became of each belief, in one row, with the reason in plain words."""
+"""The loop log: one row for each belief of the recogniser, with what became of it and why."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -13,46 +13,46 @@ from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
 from slam.system import LoopCandidate
 
-Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
+LoopTruth = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, relative pose -> true revisit?
 
 
-def loop_rows(candidates: Iterable[LoopCandidate], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
+def loop_rows(candidates: Iterable[LoopCandidate], optimized: Optimized, truth: LoopTruth) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
-        candidates: in the order in which they were made.
-        optimized: the verdicts on the closures among them, in the same order.
-        judge: tells true revisits from false ones; None where there is no ground truth.
+        candidates: loop candidates in the order in which they were made.
+        optimized: result of the back end, with the closures among them in the same order.
+        truth: whether a candidate is a true revisit, by ground truth; it returns None where there is none.
     """
     rows, closures = [], 0
     for candidate in candidates:
         if candidate.belief.match is None:
             continue
-        row = _proposed(candidate.belief, candidate.belief.match, judge)
+        row = _proposed_row(candidate.belief, candidate.belief.match, truth)
         if isinstance(candidate.geometry, Rejection):
-            row = _refused(row, candidate.geometry)
+            row = _with_rejection(row, candidate.geometry)
         elif isinstance(candidate.geometry, LoopClosure):
-            row = _judged(row, candidate.geometry, optimized, closures, judge)
+            row = _with_closure(row, candidate.geometry, optimized, closures, truth)
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _proposed(belief: Belief, match: int, judge: Judge) -> LoopRow:
+def _proposed_row(belief: Belief, match: int, truth: LoopTruth) -> LoopRow:
     reason = "accepted by the recogniser"
     if not belief.verified:
         reason = f"not accepted: {belief.inliers or 0} matches agree with one epipolar geometry, too few"
     elif not belief.accepted:
         reason = f"not accepted: score {belief.score:.1f} is below the recogniser's threshold"
-    truth = judge(belief.query, match, None)
-    return LoopRow(belief.query, match, belief.score, belief.accepted, truth=truth, reason=reason)
+    is_true = truth(belief.query, match, None)
+    return LoopRow(belief.query, match, belief.score, belief.accepted, truth=is_true, reason=reason)
 
 
-def _refused(row: LoopRow, rejection: Rejection) -> LoopRow:
+def _with_rejection(row: LoopRow, rejection: Rejection) -> LoopRow:
     return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
 
 
-def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, judge: Judge) -> LoopRow:
+def _with_closure(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, truth: LoopTruth) -> LoopRow:
     return replace(
         row,
         matches=closure.matches,
@@ -61,7 +61,7 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
         in_graph=bool(optimized.kept[number]),
         weight=float(optimized.weights[number]),
         residual=float(optimized.residuals[number]),
-        truth=judge(closure.query, closure.match, closure),
+        truth=truth(closure.query, closure.match, closure),
         reason=optimized.reasons[number],
     )
 
@@ -72,13 +72,13 @@ def stage_rows(
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
-        candidates: in the order in which they were made.
-        gates: verdicts on the closures among them, in the same order.
-        history: what became of those closures online.
+        candidates: loop candidates in the order in which they were made.
+        gates: decisions of the drift gate on the closures among them, in the same order.
+        history: events of those closures in the online graph.
     """
-    lives: list[list[str]] = [[] for _ in gates]
+    events: list[list[str]] = [[] for _ in gates]
     for change in history:
-        lives[change.loop].append(f"frame {change.frame}: {change.reason}")
+        events[change.loop].append(f"frame {change.frame}: {change.reason}")
     rows, closures = [], 0
     for candidate in candidates:
         belief = candidate.belief
@@ -86,14 +86,14 @@ def stage_rows(
             continue
         row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
         if isinstance(candidate.geometry, LoopClosure):
-            gate, online = gates[closures], ONLINE_SEPARATOR.join(lives[closures])
-            row = _measured(replace(row, online=online), candidate.geometry, gate)
+            gate, online = gates[closures], ONLINE_SEPARATOR.join(events[closures])
+            row = _with_measurement(replace(row, online=online), candidate.geometry, gate)
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
+def _with_measurement(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
     x, y, z = closure.T_match_query[:3, 3].tolist()
     variances = np.diag(closure.covariance)
     return replace(
@@ -111,12 +111,12 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
 
 
 def matched_pixels(candidates: Iterable[LoopCandidate]) -> tuple[MatchedPixels, ...]:
-    """Where the images of each belief agree: with a relative pose where one was found, else as the recogniser saw."""
-    found = (_agreement(candidate.belief, candidate.geometry) for candidate in candidates)
+    """Pixels where the images of each belief agree: with a relative pose, else with one epipolar geometry."""
+    found = (_matched_pixels_of(candidate.belief, candidate.geometry) for candidate in candidates)
     return tuple(pair for pair in found if pair is not None)
 
 
-def _agreement(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
+def _matched_pixels_of(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
     if belief.match is None:
         return None
     if geometry is not None and len(geometry.pixels_query):

@@ -1,4 +1,4 @@
-"""From a result drive to its record, and from the record to the files of a run."""
+"""Results of a run: its record, compared with ground truth, and its files."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.ledger import Judge, loop_rows, matched_pixels, stage_rows
+from slam.ledger import LoopTruth, loop_rows, matched_pixels, stage_rows
 from slam.loop_closing import LoopClosure
 from slam.map_store.ending import MergeResult
 from slam.memory import UNKNOWN, held_mb
@@ -77,16 +77,16 @@ class PipelineResult:
 
     @property
     def alignment(self) -> Alignment:
-        """How trajectories are compared with ground truth: one camera does not know how long a metre is."""
+        """How trajectories are aligned with ground truth: with scale where one camera was used, which knows none."""
         return "sim3" if self.config.mono else "se3"
 
 
 def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRecord:
-    """Gather everything known about the drive, compared with ground truth where there is one."""
+    """Gather everything known about the run, compared with ground truth where there is one."""
     drive, log, optimized = result.dataset, result.run_log, result.optimized
     table, landmarks, graph = log.table(), result.components.landmarks, result.components.graph
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
-    metres = None if truth is None else _metres(optimized, truth, result.alignment)
+    unit_m = None if truth is None else _unit_m(optimized, truth, result.alignment)
     odometry = np.array(log.odometry)
     places = _places(result, truth)
     record = RunRecord(
@@ -98,7 +98,7 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
         ground_truth=truth,
         predicted=table.predicted,
         inliers=table.inliers,
-        loops=loop_rows(log.candidates, optimized, loop_truth_from_poses(truth, metres)),
+        loops=loop_rows(log.candidates, optimized, loop_truth_from_poses(truth, unit_m)),
         stage_ms=dict(table.stage_ms),
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.similarities),
@@ -114,25 +114,28 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
     return record
 
 
-def _metres(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
+def _unit_m(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
     """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
     fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
     return fit.scale * optimized.lengths
 
 
-def loop_truth_from_poses(truth: Array | None, metres: Array | None) -> Judge:
-    """Tell true revisits from false ones by ground truth (N, 4, 4) and the units (N,) of frames, or not at all."""
+def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTruth:
+    """Whether loops are true revisits, by ground truth (N, 4, 4) and the unit (N,) of each frame, metres.
 
-    def judge(query: int, match: int, closure: LoopClosure | None) -> bool | None:
-        if truth is None or metres is None:
+    Without ground truth it is not known: None.
+    """
+
+    def is_true(query: int, match: int, closure: LoopClosure | None) -> bool | None:
+        if truth is None or unit_m is None:
             return None
         if closure is None:
             return is_same_place(truth, query, match)
         T_match_query = closure.T_match_query.copy()
-        T_match_query[:3, 3] *= metres[match]
+        T_match_query[:3, 3] *= unit_m[match]
         return is_true_loop(truth, query, match, T_match_query)
 
-    return judge
+    return is_true
 
 
 def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> None:
@@ -162,7 +165,7 @@ def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> No
 
 
 def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
-    """The left image of a frame; None where it can no longer be read, which is no reason to lose the run."""
+    """The left image of a frame; None where it can no longer be read, so that the run keeps its other results."""
     try:
         return drive[index].left
     except DataError:
@@ -218,11 +221,11 @@ def _measured(record: RunRecord, result: PipelineResult, places: PlaceResult) ->
     }
 
 
-def _map_metrics(met: MergeResult | None) -> dict[str, object]:
-    if met is None:
+def _map_metrics(merge: MergeResult | None) -> dict[str, object]:
+    if merge is None:
         return {}
-    said = dataclasses.asdict(met) | {"sessions": list(met.sessions), "T_map_session": met.T_map_session.tolist()}
-    return {"map": said}
+    lists = {"sessions": list(merge.sessions), "T_map_session": merge.T_map_session.tolist()}
+    return {"map": dataclasses.asdict(merge) | lists}
 
 
 def _places(result: PipelineResult, ground_truth: Array | None) -> PlaceResult:

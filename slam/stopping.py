@@ -1,4 +1,4 @@
-"""Stopping at the keyboard without losing what has been found."""
+"""Interrupting a run from the keyboard without losing its results."""
 
 import signal
 import threading

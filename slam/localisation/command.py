@@ -101,7 +101,7 @@ def _extractor(store: MapDatabase) -> FeatureExtractor:
 
 def as_table(answers: Sequence[QueryResult]) -> Group:
     """Poses for people, one image a line."""
-    table = Table("image", "x m", "y m", "z m", "sigma m", "agree", "matched_image", "", box=None)
+    table = Table("image", "x m", "y m", "z m", "sigma m", "agree", "matched image", "", box=None)
     for answer in answers:
         table.add_row(*_row(answer.cells()))
     return Group(table, count_line(answers))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.config import RunConfig
 from slam.loop_closing import LoopClosure
-from slam.map_store.store import LoopVerdict, MapDatabase, OptimizedSession, Session
+from slam.map_store.store import LoopOutcome, MapDatabase, OptimizedSession, Session
 from slam.robust import Optimized
 from slam.sessions import MergedSessions, SessionTrajectory, align_sessions, merge_sessions
 
@@ -149,7 +149,7 @@ class SessionGraph:
             images=self._images,
             poses=merged.poses,
             units=np.ones(len(self._images)),
-            verdicts=_verdicts(self._loops, merged.optimized),
+            outcomes=_outcomes(self._loops, merged.optimized),
             map_id=self.sessions[0].map_id,
         )
         return corrected, SessionResult(self._own_result(alone, merged), self._merge_result(merged))
@@ -208,14 +208,14 @@ def _sessions_of_map(earlier: Sequence[Session], loops: Sequence[NumberedLoop]) 
 
 def _by_itself(session: Session, optimized: Optimized, loops: Sequence[NumberedLoop]) -> OptimizedSession:
     images = session.first_image + np.arange(len(optimized.poses))
-    verdicts = _verdicts(loops, optimized) if loops else {}
-    return OptimizedSession(images, optimized.poses, optimized.lengths, verdicts, session.number)
+    outcomes = _outcomes(loops, optimized) if loops else {}
+    return OptimizedSession(images, optimized.poses, optimized.lengths, outcomes, session.number)
 
 
 def _images(store: MapDatabase, session: Session) -> Images:
     return session.first_image + np.arange(store.images(session.number))
 
 
-def _verdicts(loops: Sequence[NumberedLoop], optimized: Optimized) -> dict[int, LoopVerdict]:
+def _outcomes(loops: Sequence[NumberedLoop], optimized: Optimized) -> dict[int, LoopOutcome]:
     columns = zip(optimized.kept, optimized.weights, optimized.residuals, optimized.reasons, strict=True)
-    return {loop.number: LoopVerdict(*decision) for loop, decision in zip(loops, columns, strict=True)}
+    return {loop.number: LoopOutcome(*decision) for loop, decision in zip(loops, columns, strict=True)}

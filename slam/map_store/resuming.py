@@ -28,12 +28,12 @@ _SESSION_GAP_M = 1000.0
 
 @dataclass(frozen=True)
 class ResumableRun:
-    """A run that can go on.
+    """A run that stopped and can be resumed.
 
     Attributes:
-        map_file: its map store.
-        session: the drive that stopped.
-        frames: that it has behind it.
+        map_file: path of its map database.
+        session: the session that stopped.
+        frames: number of frames that have been processed.
     """
 
     map_file: Path
@@ -52,18 +52,18 @@ class ResumableRun:
 
 
 def find_resumable_run(out: Path) -> ResumableRun | None:
-    """The run into a folder that has come furthest without coming to its end; None where there is none.
+    """The unfinished run into a folder that has processed most frames; None where there is none.
 
     Raises:
         DataError: the only map there is damaged.
     """
     files = [folder / MAP_FILE for folder in (*unfinished(out), out) if (folder / MAP_FILE).is_file()]
-    runs = [stopped for stopped in map(_stopped, files) if stopped is not None]
+    runs = [stopped for stopped in map(_resumable_run, files) if stopped is not None]
     return max(runs, key=lambda run: run.frames, default=None)
 
 
 def is_complete(out: Path) -> bool:
-    """Whether a folder holds a run that came to its end."""
+    """Whether a folder holds a run that has come to its end."""
     if not (out / "metrics.json").is_file() or not (out / MAP_FILE).is_file():
         return False
     with MapDatabase.open(out / MAP_FILE) as store:
@@ -71,7 +71,7 @@ def is_complete(out: Path) -> bool:
 
 
 def check_unfinished(out: Path) -> None:
-    """Refuse to begin anew where a run can go on.
+    """Refuse to start a new run where one can be resumed.
 
     Raises:
         OutputError: there is one.
@@ -85,7 +85,7 @@ def check_unfinished(out: Path) -> None:
 
 
 def reopen_run_folder(stopped: ResumableRun, out: Path) -> RunFolder:
-    """The folder in which a stopped run goes on. Where that run has left results, they stay until the new ones come.
+    """The folder in which a stopped run is resumed. Results that it has written stay until the new ones come.
 
     Raises:
         OutputError: the map cannot be copied.
@@ -98,38 +98,38 @@ def reopen_run_folder(stopped: ResumableRun, out: Path) -> RunFolder:
     return folder
 
 
-def check_same(stopped: ResumableRun, drive: Dataset, config: RunConfig) -> None:
-    """Check that what is asked for is the run that stopped.
+def check_same(stopped: ResumableRun, dataset: Dataset, config: RunConfig) -> None:
+    """Check that the settings and the dataset are those of the run that stopped.
 
     Raises:
         ConfigError: other settings.
-        DataError: another drive.
+        DataError: another dataset.
     """
     if config != stopped.config:
         raise ConfigError(
             f"{stopped.map_file}: the run was made with other settings than these; leave them out with --resume, "
             "or begin anew with --overwrite"
         )
-    check_dataset(stopped, drive)
+    check_dataset(stopped, dataset)
 
 
-def check_dataset(stopped: ResumableRun, drive: Dataset) -> None:
-    """Check that a recording is the one of which a map was made.
+def check_dataset(stopped: ResumableRun, dataset: Dataset) -> None:
+    """Check that a dataset is the one that a map was made of.
 
     Raises:
         DataError: it is another one.
     """
     with MapDatabase.open(stopped.map_file) as store:
         times = store.timestamps(stopped.session.number)
-    same_times = np.array_equal(drive.timestamps[: stopped.frames], times)  # false, too, where there are fewer
-    if drive.camera != stopped.session.camera or not same_times:
+    same_times = np.array_equal(dataset.timestamps[: stopped.frames], times)  # false, too, where there are fewer
+    if dataset.camera != stopped.session.camera or not same_times:
         raise DataError(
             f"{stopped.map_file}: expected the drive that it was made of ({stopped.session.provenance.get('source')}, "
             f"{stopped.frames} frames so far), found another; give that one, or begin anew with --overwrite"
         )
 
 
-def _stopped(file: Path) -> ResumableRun | None:
+def _resumable_run(file: Path) -> ResumableRun | None:
     with MapDatabase.open(file) as store:
         sessions = store.sessions()
         if not sessions:

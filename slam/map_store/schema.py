@@ -1,4 +1,4 @@
-"""The tables of a map store, its version, and opening one."""
+"""The tables of a map database, its version, and opening one."""
 
 import os
 import sqlite3
@@ -21,7 +21,7 @@ CREATE TABLE session (
     camera TEXT NOT NULL,                 -- JSON: intrinsics, pixels; baseline, metres
     config TEXT NOT NULL,                 -- TOML, as config.toml
     provenance TEXT NOT NULL,             -- JSON: source, recording, command, versions
-    finished INTEGER NOT NULL DEFAULT 0,  -- 1 when the drive has ended and was optimised
+    finished INTEGER NOT NULL DEFAULT 0,  -- 1 when the session has ended and was optimised
     map_id INTEGER NOT NULL DEFAULT 0     -- sessions of one map id are in one frame of reference
 );
 CREATE TABLE frame (
@@ -68,7 +68,7 @@ CREATE TABLE candidate (
     kept INTEGER,                         -- 1 where the loop stands in the corrected graph; NULL until the end
     weight REAL,
     residual REAL,
-    verdict TEXT                          -- in plain words
+    final_reason TEXT                     -- why it was kept or left out
 );
 CREATE INDEX candidate_at ON candidate(at_image);
 CREATE TABLE checkpoint (

@@ -1,7 +1,7 @@
-"""The map store: one SQLite file, written as the drive goes, open to any number of readers.
+"""The map database: one SQLite file, written while a run goes on, open to any number of readers.
 
-What a checkpoint says and the frames up to it are committed together, so that a store, however its writer ended, is a
-drive that stopped at its last checkpoint.
+A checkpoint and the frames up to it are committed together: however its writer ended, the database holds a session
+that stopped at its last checkpoint. Decision record: docs/decisions/map_database.md.
 """
 
 import json
@@ -44,16 +44,16 @@ _DAMAGE = (sqlite3.Error, ValueError, LookupError, TypeError, AttributeError, Ov
 
 @dataclass(frozen=True)
 class Session:
-    """One drive of a map.
+    """One session of a map: one run over a dataset.
 
     Attributes:
-        number: from 0.
-        first_image: number of its first image through all sessions.
-        name: of the drive.
-        camera: of its left images, with the pair's baseline.
-        config: TOML, as in `config.toml`.
+        number: number of the session, from 0.
+        first_image: number of its first image, counted through all sessions.
+        name: name of the dataset.
+        camera: camera of its left images, with the pair's baseline.
+        config: settings as TOML, as in `config.toml`.
         provenance: source, recording, command and versions.
-        finished: the drive has ended and was optimised.
+        finished: True when it has ended and was optimised.
         map_id: sessions with the same number are in one frame of reference.
     """
 
@@ -80,8 +80,8 @@ class Checkpoint:
     state: Any
 
 
-class LoopVerdict(NamedTuple):
-    """What the final optimisation said of a loop: whether it stands, how far it is trusted, and why."""
+class LoopOutcome(NamedTuple):
+    """Result of the final optimisation for a loop: whether it was kept, its weight and residual, and why."""
 
     kept: bool
     weight: float
@@ -91,32 +91,32 @@ class LoopVerdict(NamedTuple):
 
 @dataclass(frozen=True)
 class OptimizedSession:
-    """What the final optimisation said.
+    """Result of the final optimisation.
 
     Attributes:
-        images: numbers (N,) of the images.
-        poses: T_world_camera (N, 4, 4) of them.
-        units: (N,) of length, in that of the first frame.
-        verdicts: of the closed loops, by the number of their candidates.
+        images: (N,) numbers of the images.
+        poses: (N, 4, 4) T_world_camera of the images.
+        units: (N,) unit of length of each image, as a multiple of that of the first frame.
+        outcomes: results for the verified loops, by the number of their candidates.
         map_id: frame of reference of the poses, by the number of its first session.
     """
 
     images: NDArray[np.int64]
     poses: Array
     units: Array
-    verdicts: Mapping[int, LoopVerdict]
+    outcomes: Mapping[int, LoopOutcome]
     map_id: int = 0
 
 
 class MapDatabase:
-    """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
+    """Reads and writes one map database. Every method is one transaction, or part of the one that `writing` opens."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool) -> None:
         self._connection, self.path, self._writable = connection, path, writable
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Make an empty store.
+        """Create an empty database.
 
         Raises:
             OutputError: the file cannot be written.
@@ -125,7 +125,7 @@ class MapDatabase:
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> Self:
-        """Open a store that is there.
+        """Open an existing database.
 
         Raises:
             DataError: no such file, no map store, a damaged one, or one of another version.
@@ -133,7 +133,7 @@ class MapDatabase:
         return cls(schema.connect(path, "rw" if writable else "ro"), path, writable)
 
     def close(self) -> None:
-        """Leave one file, which readers need not add to: what waits in its log goes into it."""
+        """Close the database; its write-ahead log is merged into the one file."""
         if self._writable:
             with suppress(sqlite3.Error):  # somebody is reading it: then the log stays
                 self._connection.execute("PRAGMA journal_mode = DELETE")
@@ -149,7 +149,7 @@ class MapDatabase:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Keep together what is written in the block: all of it, or nothing if it fails.
+        """Write everything in the block in one transaction: all of it, or nothing if it fails.
 
         Raises:
             OutputError: the disk is full, or the file cannot be written for another reason.
@@ -170,7 +170,7 @@ class MapDatabase:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Turn what a damaged file does in the block into one line about it.
+        """Turn every error that a damaged file causes in the block into a DataError of one line.
 
         Raises:
             DataError: the file is damaged.
@@ -200,11 +200,11 @@ class MapDatabase:
         self._insert("landmark", landmark_row(frame))
 
     def add_candidate(self, number: int, candidate: LoopRecord) -> None:
-        """Add what became of a belief; call within `writing`."""
+        """Add a loop candidate; call within `writing`."""
         self._insert("candidate", candidate_row(number, candidate))
 
     def set_checkpoint(self, session: int, checkpoint: Checkpoint) -> None:
-        """Put a checkpoint in the place of the session's last one; call within `writing`."""
+        """Replace the checkpoint of a session; call within `writing`."""
         structure, arrays = serialize(checkpoint.state)
         text = json.dumps(structure, separators=(",", ":"), allow_nan=False)
         values = (session, checkpoint.frames, text, digest(text.encode()))
@@ -216,21 +216,21 @@ class MapDatabase:
         self._connection.execute("DELETE FROM candidate WHERE number >= ?", (begin,))
 
     def finish(self, session: int, corrected: OptimizedSession, ended: bool) -> None:
-        """Write the final poses and verdicts; call within `writing`."""
+        """Write the final poses and loop outcomes; call within `writing`."""
         poses = [
             (pack(T, "<f8"), float(unit), int(image))
             for image, T, unit in zip(corrected.images, corrected.poses, corrected.units, strict=True)
         ]
         self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
-        verdicts = [(*_plain(verdict), number) for number, verdict in corrected.verdicts.items()]
+        outcomes = [(*_plain(outcome), number) for number, outcome in corrected.outcomes.items()]
         self._connection.executemany(
-            "UPDATE candidate SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
+            "UPDATE candidate SET kept = ?, weight = ?, residual = ?, final_reason = ? WHERE number = ?", outcomes
         )
         closing_row = "UPDATE session SET finished = ?, map_id = ? WHERE number = ?"
         self._connection.execute(closing_row, (ended, corrected.map_id, session))
 
     def sessions(self) -> tuple[Session, ...]:
-        """All drives of the map, in order.
+        """All sessions of the map, in order.
 
         Raises:
             DataError: the store is damaged; so say all methods that read.
@@ -240,7 +240,7 @@ class MapDatabase:
             return tuple(_session(row) for row in rows)
 
     def images(self, session: int | None = None) -> int:
-        """How many images there are, in all or of one session."""
+        """Number of images, in all or of one session."""
         return self._count("frame", session)
 
     def frames(self, first_image: int = 0) -> Iterator[FrameRecord]:
@@ -277,7 +277,7 @@ class MapDatabase:
             return tuple(row[0] for row in found)
 
     def landmarks(self, image: int) -> Landmarks:
-        """What one image saw.
+        """Landmarks of one image.
 
         Raises:
             DataError: there is no such image.
@@ -295,14 +295,14 @@ class MapDatabase:
             return [(unpack(T, "<f8", 4, 4), unpack(covariance, "<f8", 6, 6)) for T, covariance in found]
 
     def candidates(self, first_image: int = 0) -> Iterator[LoopRecord]:
-        """What became of each belief about an image from that one on, in the order in which they came."""
+        """Loop candidates about images from that one on, in the order in which they came."""
         with self.reading():
             wanted = "SELECT * FROM candidate WHERE query >= ? ORDER BY number"
             for row in self._connection.execute(wanted, (first_image,)):
                 yield read_candidate(row)
 
     def checkpoint(self, session: int) -> Checkpoint | None:
-        """The parts of the system at the last checkpoint of a session; None before the first."""
+        """The last checkpoint of a session; None before the first."""
         with self.reading():
             found = self._connection.execute("SELECT * FROM checkpoint WHERE session = ?", (session,)).fetchone()
             if found is None:
@@ -313,7 +313,7 @@ class MapDatabase:
             return Checkpoint(found["frames"], deserialize(json.loads(found["structure"]), arrays))
 
     def ask(self, question: str, *values: Any) -> list[sqlite3.Row]:
-        """What SQL finds, for whoever wants to know more than the other methods say."""
+        """Rows of an SQL query, for questions that the other methods do not answer."""
         with self.reading():
             return self._connection.execute(question, values).fetchall()
 
@@ -330,7 +330,7 @@ class MapDatabase:
             raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
 
     def num_loops_before(self, image: int) -> int:
-        """How many candidates there are about images before one."""
+        """Number of loop candidates about images before one."""
         with self.reading():
             (count,) = self._connection.execute("SELECT count(*) FROM candidate WHERE query < ?", (image,)).fetchone()
             return int(count)
@@ -351,7 +351,7 @@ class MapDatabase:
 
 
 def map_file(path: Path) -> Path:
-    """The map store that a path names: itself, or that of the run in a folder."""
+    """The map database that a path names: itself, or that of the run in a folder."""
     return path / MAP_FILE if path.is_dir() else path
 
 

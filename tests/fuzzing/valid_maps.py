@@ -14,7 +14,7 @@ from slam.config import RunConfig, to_toml
 from slam.errors import DataError
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Landmarks, LoopClosure, Rejection
-from slam.map_store.store import Checkpoint, LoopVerdict, MapDatabase, OptimizedSession, Session
+from slam.map_store.store import Checkpoint, LoopOutcome, MapDatabase, OptimizedSession, Session
 
 FRAMES = 3
 
@@ -33,8 +33,8 @@ def map_stores() -> list[bytes]:
                 store.add_candidate(number, candidate)
             store.set_checkpoint(0, Checkpoint(FRAMES, {"similarity_matrix": _rows().state()}))
             poses = np.tile(np.eye(4), (FRAMES, 1, 1))
-            verdicts = {1: LoopVerdict(True, 1.0, 0.5, "kept")}
-            store.finish(0, OptimizedSession(np.arange(FRAMES), poses, np.ones(FRAMES), verdicts), ended=True)
+            outcomes = {1: LoopOutcome(True, 1.0, 0.5, "kept")}
+            store.finish(0, OptimizedSession(np.arange(FRAMES), poses, np.ones(FRAMES), outcomes), ended=True)
         return [path.read_bytes()]
 
 
