@@ -12,14 +12,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from slam.run import RunOptions, run_recorded
+from slam.run import RunOptions, run_pipeline
 
 
 def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict[str, object]]:
     """Metrics of one run into a folder that is thrown away."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        run_recorded(RunOptions(source, sequence, out), {"record": record}, Console(stderr=True), Console(stderr=True))
+        run_pipeline(
+            RunOptions(source=source, sequence=sequence, out=out),
+            {"save_recording": record},
+            Console(stderr=True),
+            Console(stderr=True),
+        )
         return json.loads((out / "metrics.json").read_text())
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
 
-from slam.map_store.resuming import find_stopped
+from slam.map_store.resuming import find_resumable_run
 
 
 def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
@@ -30,7 +30,7 @@ def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple
     time.sleep(seconds)
     process.kill()
     process.wait()
-    stopped = find_stopped(out)
+    stopped = find_resumable_run(out)
     begin = time.perf_counter()
     subprocess.run(command(arguments, out, "--resume"), check=True, capture_output=True)
     return (stopped.frames if stopped else 0), time.perf_counter() - begin

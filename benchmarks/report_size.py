@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slam.record import DriveRecord, LoopRow
+from slam.record import LoopRow, RunRecord
 from slam.report.evidence import album
 from slam.report.page import write_report
 from tests.slam.report import fabricate
@@ -28,7 +28,7 @@ INLIERS = 150
 RUNS = 3
 
 
-def long_drive() -> DriveRecord:
+def long_drive() -> RunRecord:
     """Fabricate a drive whose ledger shows as many different images as it can; every seventh loop is none."""
     rows = []
     for query in np.linspace(FRAMES // 2, FRAMES - 1, ROWS).astype(int).tolist():

@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from slam.datasets.source import Source
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
-from slam.localisation.command import Answer, LocateOptions, locate
-from slam.localisation.locator import Located
-from slam.map_store.store import MapStore, map_file
+from slam.localisation.command import LocateOptions, QueryResult, locate
+from slam.localisation.locator import LocalizationResult
+from slam.map_store.store import MapDatabase, map_file
 from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
@@ -58,11 +58,13 @@ def chosen(drive: Path, frames: Array, out: Path) -> Path:
     return out
 
 
-def errors(answers: Iterable[Answer], mapped: Array, truth: Array) -> tuple[Array, Array]:
+def errors(answers: Iterable[QueryResult], mapped: Array, truth: Array) -> tuple[Array, Array]:
     """Metres and degrees of those found, once the map's poses (M, 4, 4) were laid on the truth of the first frames."""
     laid = umeyama(mapped[:, :3, 3], truth[: len(mapped), :3, 3])
     found = [
-        (answer.found, truth[int(Path(answer.name).stem)]) for answer in answers if isinstance(answer.found, Located)
+        (answer.found, truth[int(Path(answer.name).stem)])
+        for answer in answers
+        if isinstance(answer.found, LocalizationResult)
     ]
     metres = [np.linalg.norm(laid.apply(at.T_world_camera[:3, 3]) - T[:3, 3]) for at, T in found]
     turns = [(laid.R @ at.T_world_camera[:3, :3]).T @ T[:3, :3] for at, T in found]
@@ -86,9 +88,9 @@ def main() -> None:
     asked_for = LocateOptions(out / "first", Source(chosen(drive, asked, out / "asked")))
     answers = locate(asked_for, Console(stderr=True))
     told = json.loads((out / "second/metrics.json").read_text())["map"]
-    with MapStore.open(map_file(out / "second")) as store:
+    with MapDatabase.open(map_file(out / "second")) as store:
         both = store.poses()
-    with MapStore.open(map_file(out / "first")) as store:
+    with MapDatabase.open(map_file(out / "first")) as store:
         mapped = store.poses()
     ate, way = absolute_trajectory_error(both, truth), path_length(truth)
     print(f"joined: {told['joined']}, by {told['kept']} loops; ATE of both {ate:.3f} m of {way:.0f} m")

@@ -12,7 +12,7 @@ from street import arguments, street
 from slam.config import RunConfig
 from slam.datasets.open import open_drive
 from slam.evaluation.trajectory import absolute_trajectory_error
-from slam.parts import build_parts
+from slam.parts import build_components
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style
 from slam.system import Slam
@@ -21,14 +21,14 @@ given = arguments(__doc__).parse_args()
 drive = open_drive(street(given))
 
 config = RunConfig()
-slam = Slam(build_parts(drive.camera, config))
-poses, attempts = [], []
+slam = Slam(build_components(drive.camera, config))
+poses, candidates = [], []
 for frame in drive:
     now = slam.process(frame)
     poses.append(now.T_world_camera_odometry)
-    attempts += now.attempts
+    candidates += now.candidates
 late, optimized = slam.finish(config.robust)
-closed = [attempt.belief for attempt in (*attempts, *late) if attempt.closed]
+closed = [candidate.belief for candidate in (*candidates, *late) if candidate.closed]
 
 before, after, truth = np.array(poses), optimized.poses, drive.ground_truth
 panels = (("odometry alone", before, colours.ODOMETRY), (f"{optimized.kept.sum()} loops", after, colours.CORRECTED))
@@ -38,7 +38,7 @@ axes = figure.subplots(1, 2, sharex=True, sharey=True)
 for ax, (name, estimate, colour) in zip(axes, panels, strict=True):
     ate = absolute_trajectory_error(estimate, truth)
     print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
-    cloud = slam.parts.landmarks.cloud(estimate)  # points are kept in the frame that saw them: they move with it
+    cloud = slam.components.landmarks.cloud(estimate)  # points are kept in the frame that saw them: they move with it
     style(ax)
     ax.plot(cloud.points[::5, 0], cloud.points[::5, 2], ".", color="black", ms=0.8, alpha=0.3, rasterized=True)
     ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")

@@ -1,4 +1,4 @@
-"""Add a paradigm of your own: a class with `observe` and `finish`, and nothing to inherit from.
+"""Add a paradigm of your own: a class with `observe`, `finish`, `state` and `restore`, and nothing to inherit from.
 
     python examples/6_own_paradigm.py [--out runs/examples]
 
@@ -38,6 +38,14 @@ class BrightnessPattern:
     def finish(self):
         """Nothing is left unanswered."""
         return []
+
+    def state(self):
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"vectors": list(self._vectors)}
+
+    def restore(self, state):
+        """Continue from a state."""
+        self._vectors = list(state["vectors"])
 
     def _believe(self, query, cosines):
         if not len(cosines):

@@ -10,6 +10,7 @@ eight times the error, because it holds on to the lens as it was thought to be.)
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +158,24 @@ class Bundle:
         depth = np.where(known.trust > 0, known.depth, depth)
         place = np.where(known.trust[:, None] > 0, known.place, places[a])
         return Points(sightings.ids, sightings.anchor, place, depth, known.trust)
+
+    def state(self) -> dict[str, Any]:
+        """Key frames, poses, points and the lens as learned, for a checkpoint."""
+        return {
+            "frames": [dict(vars(frame)) for frame in self._frames],
+            "lens_coefficients": self.lens.coefficients,
+            "lens_covariance": self.lens.covariance,
+            "poses": self.poses,
+            "points": dict(vars(self.points)),
+            "noise_px": self.noise_px,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._frames = [Seen(**frame) for frame in state["frames"]]
+        self.lens = Lens(self.lens.camera, state["lens_coefficients"], state["lens_covariance"])
+        self.poses, self.points = state["poses"], Points(**state["points"])
+        self.noise_px = state["noise_px"]
 
 
 class _Problem:

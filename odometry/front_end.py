@@ -1,6 +1,7 @@
 """From images to points: what a pair shows, and where the next pair shows it again."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,15 @@ class View:
 
     pair: Pair
     points: Sighted
+
+    def state(self) -> dict[str, Any]:
+        """Images and points, for a checkpoint."""
+        return {"left": self.pair[0], "right": self.pair[1], "points": dict(vars(self.points))}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> "View":
+        """The view of a state."""
+        return cls((state["left"], state["right"]), Sighted(**state["points"]))
 
 
 class FrontEnd:
@@ -79,6 +89,14 @@ class FrontEnd:
             shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
             counts.append(int((shifts > _CLEAR_PX).sum()))
         return counts[1] > max(_FEWEST, 3 * counts[0])
+
+    def state(self) -> dict[str, Any]:
+        """How many tracks have been named, for a checkpoint."""
+        return {"num_tracks": self._named}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._named = state["num_tracks"]
 
 
 _CLEAR_PX = 2.0  # disparities that no calibration error explains

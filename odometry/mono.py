@@ -10,6 +10,7 @@ and says so. The unit of length is free at first, and kept from then on: see `Mo
 
 from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,3 +247,47 @@ class MonoOdometry:
         else:
             self._candidate = self._candidate.bridged(T_previous_current, covariance)
         return Motion(T_previous_current, covariance, True, reason)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image: dicts, lists, plain values and arrays, for a checkpoint."""
+        reference, candidate = (
+            None if found is None else found.state(dict(vars(found.view)))
+            for found in (self._reference, self._candidate)
+        )
+        return {
+            "front_end": self._front_end.state(),
+            "map": self.bundle.state(),
+            "scale_correction": self._ruler.state(),
+            "map_images": list(self._images),
+            "frame_counter": self._ticks.state(),
+            "T_map_reference": self._T_map_reference,
+            "reference": reference,
+            "candidate": candidate,
+            "velocity": self._velocity,
+            "speeds": list(self._speeds),
+            "frames_unmeasured": self._unmeasured,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue, bit for bit, from the state of another odometry of the same camera and configuration.
+
+        Raises:
+            KeyError, TypeError, ValueError: the state is of another odometry.
+        """
+        self._front_end.restore(state["front_end"])
+        self.bundle.restore(state["map"])
+        self._ruler.restore(state["scale_correction"])
+        self._images = deque(state["map_images"], maxlen=self._images.maxlen)
+        self._ticks.restore(state["frame_counter"])
+        self._T_map_reference = state["T_map_reference"]
+        self._reference = self._restored_reference(state["reference"])
+        self._candidate = self._restored_reference(state["candidate"])
+        self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
+
+    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[Tracks] | None:
+        if state is None:
+            return None
+        tracks = Tracks(**state["view"])
+        self._check(tracks.image)
+        return Reference(**(state | {"view": tracks}))

@@ -1,6 +1,7 @@
 """Points of one camera, followed from image to image."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,3 +82,11 @@ class MonoFrontEnd:
         found = np.isfinite(pixels[:, 0])
         there = Tracks(image.copy(), tracks.ids[found], pixels[found], tracks.key_pixels[found], tracks.key_image)
         return Followed(there, tracks.pixels[found])
+
+    def state(self) -> dict[str, Any]:
+        """How many tracks have been named, for a checkpoint."""
+        return {"num_tracks": self._named}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._named = state["num_tracks"]

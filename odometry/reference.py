@@ -1,7 +1,7 @@
 """What motion is measured from: an earlier view, and where the camera has been since."""
 
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,3 +59,7 @@ class Reference(Generic[ViewT]):
     def velocity(self, T_reference_current: Array) -> Array:
         """Tangent vector (6,) of the motion to (4, 4) from the image measured before, per image."""
         return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age
+
+    def state(self, view: object) -> dict[str, Any]:
+        """Plain values and arrays, for a checkpoint; `view` is the state of the view."""
+        return {**vars(self), "view": view}

@@ -5,7 +5,7 @@ tried by samples of three points (Fischler and Bolles, CACM 1981) and weighed by
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,14 @@ class Ruler(Protocol):
         """Factor by which the points (N, 3) that a camera sees, and their map, are to be made larger."""
         ...
 
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from key frame to key frame, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        ...
+
 
 class NoRuler:
     """Of a camera whose height is not known: the unit stays what it is."""
@@ -92,6 +100,13 @@ class NoRuler:
     def factor(self, points_camera: Array) -> float:
         """Leave everything as it is."""
         return 1.0
+
+    def state(self) -> dict[str, Any]:
+        """Nothing changes."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Nothing changes."""
 
 
 class HeightRuler:
@@ -116,3 +131,11 @@ class HeightRuler:
         gain = self._variance / (self._variance + self._config.repeats * self._config.sigma**2)
         self._variance *= 1.0 - gain
         return float(np.exp(gain * np.clip(off, -limit, limit)))
+
+    def state(self) -> dict[str, Any]:
+        """Variance of the filter, for a checkpoint."""
+        return {"variance": self._variance}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._variance = state["variance"]

@@ -10,6 +10,7 @@ and says so.
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,3 +234,41 @@ class StereoOdometry:
         """Measure from this view on, and refine nothing before it."""
         self._window.restart(view.points)
         self._reference, self._lost = Reference(view), None
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from pair to pair: dicts, lists, plain values and arrays, for a checkpoint."""
+        return {
+            "calibration_coefficients": self.calibration.coefficients,
+            "calibration_covariance": self.calibration.covariance,
+            "front_end": self._front_end.state(),
+            "window": self._window.state(),
+            "frame_counter": self._ticks.state(),
+            "reference": None if self._reference is None else self._reference.state(self._reference.view.state()),
+            "lost_reference": None if self._lost is None else self._lost.state(self._lost.view.state()),
+            "velocity": self._velocity,
+            "speeds": list(self._speeds),
+            "frames_unmeasured": self._unmeasured,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue, bit for bit, from the state of another odometry of the same camera and configuration.
+
+        Raises:
+            KeyError, TypeError, ValueError: the state is of another odometry.
+        """
+        coefficients, covariance = state["calibration_coefficients"], state["calibration_covariance"]
+        self.calibration = Calibration(self._camera, coefficients, covariance)
+        self._front_end.restore(state["front_end"])
+        self._window.restore(state["window"])
+        self._ticks.restore(state["frame_counter"])
+        self._reference = self._restored_reference(state["reference"])
+        self._lost = self._restored_reference(state["lost_reference"])
+        self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
+
+    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[View] | None:
+        if state is None:
+            return None
+        view = View.from_state(state["view"])
+        self._check(*view.pair)
+        return Reference(**(state | {"view": view}))

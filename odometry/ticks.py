@@ -1,6 +1,7 @@
 """How many images a camera took between two that arrived."""
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 
@@ -32,3 +33,12 @@ class Ticks:
         ticks = max(round(interval / usual), 1)
         self._intervals.append(interval / ticks)
         return ticks
+
+    def state(self) -> dict[str, Any]:
+        """The latest time and intervals, for a checkpoint."""
+        return {"last_timestamp": self._last, "intervals_s": list(self._intervals)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._last = state["last_timestamp"]
+        self._intervals = deque(state["intervals_s"], maxlen=self._intervals.maxlen)

@@ -7,6 +7,7 @@ point by point (Triggs et al., Bundle Adjustment, 1999, section 6). Memory is bo
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +138,16 @@ class SlidingWindow:
             self._poses = poses
             noise = float(np.sqrt(np.median(chi2[tracks.followed()]) / _MEDIAN))
             self._noise_px = min(max(noise, self._config.floor_px), _NOISE_AT_FIRST)
+
+    def state(self) -> dict[str, Any]:
+        """Frames and poses of the window, for a checkpoint."""
+        frames = [dict(vars(frame)) for frame in self._frames]
+        return {"frames": frames, "poses": self._poses, "noise_px": self._noise_px}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._frames = [Sighted(**frame) for frame in state["frames"]]
+        self._poses, self._noise_px = state["poses"], state["noise_px"]
 
 
 def _seen_from_first(poses: Array) -> Array:

@@ -1,7 +1,7 @@
 """The contract that every place recogniser meets, and the answer it gives."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,4 +88,21 @@ class PlaceRecognizer(Protocol):
 
     def finish(self) -> list[Belief]:
         """Return the beliefs of images that are still unanswered when the drive ends."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image: dicts with text keys, lists, plain values and numpy arrays.
+
+        For checkpoints; arrays are not copied. What follows from the configuration is left out.
+        """
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue, bit for bit, from the state of another recogniser of the same configuration.
+
+        Called before the first image; the arrays of the state belong to the recogniser from then on.
+
+        Raises:
+            KeyError, TypeError, ValueError: the state is of another recogniser.
+        """
         ...

@@ -1,4 +1,4 @@
-"""Where the time goes, stage by stage."""
+"""Timing of a run, stage by stage."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Item = TypeVar("Item")
 
 
-class StageClock:
+class StageTimer:
     """Adds up the time of named stages within one frame."""
 
     def __init__(self) -> None:
@@ -33,10 +33,10 @@ class StageClock:
         return spent
 
 
-def timed(items: Iterator[Item], clock: StageClock) -> Iterator[Item]:
+def timed(items: Iterator[Item], timer: StageTimer) -> Iterator[Item]:
     """Pass items on, counting the wait for each as the stage `read`."""
     while True:
-        with clock.stage("read"):
+        with timer.stage("read"):
             item = next(items, None)
         if item is None:
             return

@@ -1,4 +1,4 @@
-"""One configuration for a run: the parts' own, composed; every default works.
+"""One configuration for a run, composed of those of the components; every default works.
 
 Written beside the results as `config.toml` and read back from it.
 """
@@ -27,14 +27,14 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class OneCameraConfig:
-    """What is different with one camera.
+class MonoConfig:
+    """Settings of a run with one camera.
 
     Attributes:
-        odometry: of one camera.
-        drift: how wrong it may be.
-        unit_drift: change of the logarithm of its unit of length, one standard deviation over a metre of way,
-            that grows with the square root of the way.
+        odometry: settings of the odometry.
+        drift: drift model of the odometry in the pose graph.
+        unit_drift: standard deviation of the change of the logarithm of its unit of length over a path of one metre;
+            it grows with the square root of the path length.
     """
 
     odometry: MonoOdometryConfig = field(default_factory=MonoOdometryConfig)
@@ -47,34 +47,40 @@ class RunConfig:
     """Everything that decides the result of a run.
 
     Attributes:
-        paradigm: place recogniser, by name.
-        robust: back end of the final optimisation, by name.
-        seed: of every random generator.
-        record: write `recording.rrd`.
-        keep_map: write `map.db`, with which a run can go on, be located in, or be joined by another.
+        paradigm: name of the place recogniser.
+        robust: name of the back end of the final optimisation.
+        seed: seed of every random generator.
+        save_recording: write `recording.rrd`.
+        save_map: write `map.db`, which resuming, localization and later sessions need.
         mono: use the left camera alone.
+        odometry: settings of the stereo odometry.
+        mono_odometry: settings of a run with one camera.
+        place_recognition: settings of the place recognisers.
+        loop_closing: settings of the geometric verification of loops.
+        pose_graph: noise model and loop selection of the pose graph, for a stereo pair.
+        key_frames: when a frame joins the map.
+        landmarks: settings of the landmark map.
     """
 
     paradigm: str = "tracked-words"
     robust: str = DEFAULT
     seed: int = 0
-    record: bool = True
-    keep_map: bool = True
+    save_recording: bool = True
+    save_map: bool = True
     mono: bool = False
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
-    one_camera: OneCameraConfig = field(default_factory=OneCameraConfig)
-    places: ParadigmsConfig = field(default_factory=ParadigmsConfig)
+    mono_odometry: MonoConfig = field(default_factory=MonoConfig)
+    place_recognition: ParadigmsConfig = field(default_factory=ParadigmsConfig)
     loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     key_frames: KeyFrameConfig = field(default_factory=KeyFrameConfig)
     landmarks: LandmarkMapConfig = field(default_factory=LandmarkMapConfig)
 
-    @property
-    def graph(self) -> PoseGraphConfig:
-        """What the graph believes, with so many cameras."""
+    def pose_graph_for_camera(self) -> PoseGraphConfig:
+        """Settings of the pose graph, with the drift of the odometry that is used."""
         if not self.mono:
             return self.pose_graph
-        return replace(self.pose_graph, drift=self.one_camera.drift, unit_drift=self.one_camera.unit_drift)
+        return replace(self.pose_graph, drift=self.mono_odometry.drift, unit_drift=self.mono_odometry.unit_drift)
 
 
 def to_toml(config: RunConfig) -> str:

@@ -27,8 +27,8 @@ def demo_drive(seed: int, messages: Console) -> Path:
 
 def run_demo(out: Path, seed: int, messages: Console, results: Console) -> bool:
     """Simulate, run and report into `out`. Returns whether the run was interrupted."""
-    from slam.run import RunOptions, run_recorded
+    from slam.run import RunOptions, run_pipeline
 
     source = demo_drive(seed, messages)
-    options = RunOptions(source, None, out, overwrite=True)
-    return run_recorded(options, {"seed": seed}, messages, results)
+    options = RunOptions(source=source, out=out, overwrite=True)
+    return run_pipeline(options, {"seed": seed}, messages, results)

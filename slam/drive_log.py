@@ -1,4 +1,4 @@
-"""What a run remembers of each frame: numbers, never an image."""
+"""Log of a run: what is known of each frame and of each loop candidate, in numbers; never an image."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -7,61 +7,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.recognizer import Belief
-from slam.map_store.rows import StoredFrame
+from slam.frame_record import FrameRecord
 from slam.storage.tables import FrameTable
-from slam.system import LoopAttempt, Processed
+from slam.system import FrameResult, LoopCandidate
 
 Array = NDArray[np.float64]
 
 
 @dataclass
-class DriveLog:
+class RunLog:
     """Grows by one entry a frame.
 
     Attributes:
         timestamps: seconds.
-        odometry, online: T_world_camera (4, 4), metres, as they were when the frame was seen.
-        attempts: every belief, and what came of it; none of the match where that is an image of another drive.
-        meetings: beliefs with such a match, and what came of them.
+        odometry, online: T_world_camera (4, 4), metres, at the moment when the frame was processed.
+        candidates: every belief, and what came of it.
         stage_ms: milliseconds by stage.
     """
 
     timestamps: list[float] = field(default_factory=list)
     odometry: list[Array] = field(default_factory=list)
     online: list[Array] = field(default_factory=list)
-    attempts: list[LoopAttempt] = field(default_factory=list)
-    meetings: list[LoopAttempt] = field(default_factory=list)
+    candidates: list[LoopCandidate] = field(default_factory=list)
     stage_ms: list[dict[str, float]] = field(default_factory=list)
     _motions: list[tuple[bool, str, int, int, float]] = field(default_factory=list)
 
-    def add(self, processed: Processed, outside_ms: dict[str, float]) -> None:
-        """Remember a frame; `outside_ms` are the stages outside the system, milliseconds."""
-        self.timestamps.append(processed.frame.timestamp)
-        self.odometry.append(processed.T_world_camera_odometry)
-        self.online.append(processed.T_world_camera)
-        self.conclude(processed.attempts)
-        self.stage_ms.append(processed.stage_ms | outside_ms)
-        self._motions.append(_summary(processed.motion))
+    def add(self, result: FrameResult, outside_ms: dict[str, float]) -> None:
+        """Add a frame; `outside_ms` are the milliseconds of the stages outside the system."""
+        self._add(result.frame.timestamp, result.T_world_camera_odometry, result.T_world_camera, result.motion)
+        self.stage_ms.append(result.stage_ms | outside_ms)
+        self.add_loops(result.candidates)
 
-    def recall(self, frame: StoredFrame, attempts: Iterable[LoopAttempt]) -> None:
-        """Remember a frame of an earlier run that goes on."""
-        self.timestamps.append(frame.timestamp)
-        self.odometry.append(frame.T_world_odometry)
-        self.online.append(frame.T_world_online)
-        self.conclude(attempts)
-        self.stage_ms.append(dict(frame.stage_ms))
-        self._motions.append(_summary(frame.motion))
+    def restore_frame(self, record: FrameRecord, candidates: Iterable[LoopCandidate]) -> None:
+        """Add a frame of an earlier run that is resumed."""
+        self._add(record.timestamp, record.T_world_odometry, record.T_world_online, record.motion)
+        self.stage_ms.append(dict(record.stage_ms))
+        self.add_loops(candidates)
 
-    def conclude(self, attempts: Iterable[LoopAttempt]) -> None:
-        """Remember what came of beliefs."""
-        for attempt in attempts:
-            if attempt.elsewhere:
-                self.meetings.append(attempt)
-                unmatched = Belief(attempt.belief.query, None, 0.0, accepted=False)
-                self.attempts.append(LoopAttempt(unmatched, None, None))
-            else:
-                self.attempts.append(attempt)
+    def add_loops(self, candidates: Iterable[LoopCandidate]) -> None:
+        """Add what became of beliefs."""
+        self.candidates.extend(candidates)
 
     def table(self) -> FrameTable:
         """Everything that `frames.csv` holds."""
@@ -76,6 +61,12 @@ class DriveLog:
             residual_px=np.array(residuals, dtype=np.float64),
             stage_ms={stage: np.array([spent.get(stage, 0.0) for spent in self.stage_ms]) for stage in stages},
         )
+
+    def _add(self, timestamp: float, odometry: Array, online: Array, motion: Motion) -> None:
+        self.timestamps.append(timestamp)
+        self.odometry.append(odometry)
+        self.online.append(online)
+        self._motions.append(_summary(motion))
 
 
 def _summary(motion: Motion) -> tuple[bool, str, int, int, float]:

@@ -1,28 +1,37 @@
-"""How the system moves and sees depth: with the two eyes of a stereo pair, or with one."""
+"""Visual odometry as the system uses it: motion and depth from frames, with a stereo pair or with one camera."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odometry.calibration import Calibration
 from odometry.camera import StereoCamera
 from odometry.mono import MonoOdometry
 from odometry.motion import Motion
 from odometry.stereo import StereoOdometry
+from place_recognition.evaluation.map_size import array_bytes
 from slam.datasets.dataset import Frame
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_AS_SURE = 0.5  # share of the pair's baseline that one moving eye must have had for its depths to be as sure, about
+# Depth from motion is used where the camera has moved by this share of the pair's baseline: it is then about as
+# accurate as depth from the pair.
+_MIN_BASELINE_SHARE = 0.5
 
 
-class Eyes(Protocol):
-    """Answers how the camera moved since the previous frame, and how far away what it shows is."""
+class VisualOdometry(Protocol):
+    """Measures the motion between frames, and the depth of pixels of the latest frame."""
 
     @property
-    def odometry(self) -> StereoOdometry | MonoOdometry | None:
-        """What does the work; None where it has been done before."""
+    def has_metric_scale(self) -> bool:
+        """Whether all frames have one unit of length; the scale of one camera drifts."""
+        ...
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration error of a stereo pair as learned so far; None where none is learned."""
         ...
 
     def track(self, frame: Frame) -> Motion:
@@ -30,42 +39,88 @@ class Eyes(Protocol):
         ...
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Disparity (N,), pixels, of the stereo camera at pixels (N, 2) of the frame tracked last; NaN: not known."""
+        """Disparity (N,), pixels, at pixels (N, 2) of the frame tracked last; NaN where it is unknown."""
+        ...
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from frame to frame, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state that another odometry of the same configuration has given."""
         ...
 
 
-class TwoEyes:
-    """A stereo pair."""
+class StereoVisualOdometry:
+    """Odometry of a stereo pair (a VisualOdometry)."""
+
+    has_metric_scale = True
 
     def __init__(self, odometry: StereoOdometry) -> None:
-        self.odometry = odometry
+        self._odometry = odometry
+
+    @property
+    def calibration(self) -> Calibration:
+        """Calibration error of the pair as learned so far."""
+        return self._odometry.calibration
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous pair."""
-        assert frame.right is not None  # the run has refused drives without right images
-        return self.odometry.track(frame.left, frame.right, frame.timestamp)
+        assert frame.right is not None  # the run refuses recordings without right images
+        return self._odometry.track(frame.left, frame.right, frame.timestamp)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
         """Disparity (N,) by matching left and right."""
         assert right is not None
-        return self.odometry.disparity(left, right, pixels)
+        return self._odometry.disparity(left, right, pixels)
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        return array_bytes(self._odometry)
+
+    def state(self) -> dict[str, Any]:
+        """State of the odometry."""
+        return self._odometry.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the odometry."""
+        self._odometry.restore(state)
 
 
-class OneEye:
-    """One camera; what it has seen while moving takes the place of the right image.
+class MonocularVisualOdometry:
+    """Odometry of one camera; earlier images of it take the place of the right image (a VisualOdometry).
 
     Depths are given as the disparities that a pair of the camera's baseline would show, in the unit of the map.
     """
 
+    has_metric_scale = False
+    calibration = None
+
     def __init__(self, odometry: MonoOdometry, camera: StereoCamera) -> None:
-        self.odometry, self._camera = odometry, camera
+        self._odometry, self._camera = odometry, camera
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous left image."""
-        return self.odometry.track(frame.left, frame.timestamp)
+        return self._odometry.track(frame.left, frame.timestamp)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Disparity (N,) by depth from motion, where that is about as sure as a pair's."""
-        depths, camera = self.odometry.depths(left, pixels), self._camera
-        sure = depths.baseline >= _AS_SURE * camera.baseline
-        return np.where(sure, camera.fx * camera.baseline * depths.inverse, np.nan)
+        """Disparity (N,) by depth from motion, where that is about as accurate as a pair's."""
+        depths, camera = self._odometry.depths(left, pixels), self._camera
+        accurate = depths.baseline >= _MIN_BASELINE_SHARE * camera.baseline
+        return np.where(accurate, camera.fx * camera.baseline * depths.inverse, np.nan)
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        return array_bytes(self._odometry)
+
+    def state(self) -> dict[str, Any]:
+        """State of the odometry."""
+        return self._odometry.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the odometry."""
+        self._odometry.restore(state)

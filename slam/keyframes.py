@@ -1,6 +1,7 @@
-"""Which frames are worth remembering: those from where the world looks different."""
+"""Selection of the key frames of the map: frames that moved or turned enough since the last one."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,8 @@ class KeyFrameConfig:
     """When a frame becomes a key frame.
 
     Attributes:
-        min_distance_m: moved this far since the last key frame, metres, or
-        min_angle_deg: turned this much, degrees.
+        min_distance_m: minimum distance from the last key frame, metres, or
+        min_angle_deg: minimum angle to it, degrees.
     """
 
     min_distance_m: float = 1.0
@@ -31,7 +32,7 @@ class KeyFrameSelector:
         self._last: Array | None = None
 
     def accepts(self, T_world_camera: Array) -> bool:
-        """Decide about a frame with pose (4, 4), metres; where the answer is yes it is the new reference."""
+        """Whether a frame with pose (4, 4), metres, becomes a key frame; the next frames are then compared with it."""
         if self._last is not None and not self._is_far(se3.inverse(self._last) @ T_world_camera):
             return False
         self._last = T_world_camera.copy()
@@ -41,3 +42,11 @@ class KeyFrameSelector:
         moved = float(np.linalg.norm(T_last_camera[:3, 3]))
         turned = float(np.degrees(se3.angle(T_last_camera)))
         return moved >= self.config.min_distance_m or turned >= self.config.min_angle_deg
+
+    def state(self) -> dict[str, Any]:
+        """Pose of the last key frame, for a checkpoint."""
+        return {"T_world_key_frame": self._last}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._last = state["T_world_key_frame"]

@@ -1,4 +1,4 @@
-"""The ledger: what became of each belief, in one row, with the reason in plain words."""
+"""The loop log: one row for each belief of the recogniser, with what became of it and why."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -11,48 +11,48 @@ from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Change
 from slam.record import LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.robust import LoopGate, Optimized
-from slam.system import LoopAttempt
+from slam.system import LoopCandidate
 
-Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
+LoopTruth = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, relative pose -> true revisit?
 
 
-def write_ledger(attempts: Iterable[LoopAttempt], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
+def loop_rows(candidates: Iterable[LoopCandidate], optimized: Optimized, truth: LoopTruth) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
-        attempts: in the order in which they were made.
-        optimized: the verdicts on the closures among them, in the same order.
-        judge: tells true revisits from false ones; None where there is no ground truth.
+        candidates: loop candidates in the order in which they were made.
+        optimized: result of the back end, with the closures among them in the same order.
+        truth: whether a candidate is a true revisit, by ground truth; it returns None where there is none.
     """
     rows, closures = [], 0
-    for attempt in attempts:
-        if attempt.belief.match is None:
+    for candidate in candidates:
+        if candidate.belief.match is None:
             continue
-        row = _proposed(attempt.belief, attempt.belief.match, judge)
-        if isinstance(attempt.geometry, Rejection):
-            row = _refused(row, attempt.geometry)
-        elif isinstance(attempt.geometry, LoopClosure):
-            row = _judged(row, attempt.geometry, optimized, closures, judge)
+        row = _proposed_row(candidate.belief, candidate.belief.match, truth)
+        if isinstance(candidate.geometry, Rejection):
+            row = _with_rejection(row, candidate.geometry)
+        elif isinstance(candidate.geometry, LoopClosure):
+            row = _with_closure(row, candidate.geometry, optimized, closures, truth)
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _proposed(belief: Belief, match: int, judge: Judge) -> LoopRow:
+def _proposed_row(belief: Belief, match: int, truth: LoopTruth) -> LoopRow:
     reason = "accepted by the recogniser"
     if not belief.verified:
         reason = f"not accepted: {belief.inliers or 0} matches agree with one epipolar geometry, too few"
     elif not belief.accepted:
         reason = f"not accepted: score {belief.score:.1f} is below the recogniser's threshold"
-    truth = judge(belief.query, match, None)
-    return LoopRow(belief.query, match, belief.score, belief.accepted, truth=truth, reason=reason)
+    is_true = truth(belief.query, match, None)
+    return LoopRow(belief.query, match, belief.score, belief.accepted, truth=is_true, reason=reason)
 
 
-def _refused(row: LoopRow, rejection: Rejection) -> LoopRow:
+def _with_rejection(row: LoopRow, rejection: Rejection) -> LoopRow:
     return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
 
 
-def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, judge: Judge) -> LoopRow:
+def _with_closure(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, truth: LoopTruth) -> LoopRow:
     return replace(
         row,
         matches=closure.matches,
@@ -61,32 +61,32 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
         in_graph=bool(optimized.kept[number]),
         weight=float(optimized.weights[number]),
         residual=float(optimized.residuals[number]),
-        truth=judge(closure.query, closure.match, closure),
+        truth=truth(closure.query, closure.match, closure),
         reason=optimized.reasons[number],
     )
 
 
-def stage_rows(attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate]) -> tuple[StageRow, ...]:
+def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[LoopGate]) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
-        attempts: in the order in which they were made.
-        gates: verdicts on the closures among them, in the same order.
+        candidates: loop candidates in the order in which they were made.
+        gates: decisions of the drift gate on the closures among them, in the same order.
     """
     rows, closures = [], 0
-    for attempt in attempts:
-        belief = attempt.belief
+    for candidate in candidates:
+        belief = candidate.belief
         if belief.match is None:
             continue
         row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
-        if isinstance(attempt.geometry, LoopClosure):
-            row = _measured(row, attempt.geometry, gates[closures])
+        if isinstance(candidate.geometry, LoopClosure):
+            row = _with_measurement(row, candidate.geometry, gates[closures])
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
+def _with_measurement(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
     x, y, z = closure.T_match_query[:3, 3].tolist()
     variances = np.diag(closure.covariance)
     return replace(
@@ -103,14 +103,14 @@ def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
     )
 
 
-def event_rows(attempts: Iterable[LoopAttempt], history: Iterable[Change]) -> tuple[LoopEventRow, ...]:
+def event_rows(candidates: Iterable[LoopCandidate], history: Iterable[Change]) -> tuple[LoopEventRow, ...]:
     """Decisions of the online pose graph about each closure, by query and in the order in which they were made.
 
     Args:
-        attempts: in the order in which they were made.
+        candidates: loop candidates in the order in which they were made.
         history: decisions about the closures among them, whose numbers count these closures.
     """
-    closures = [attempt.geometry for attempt in attempts if isinstance(attempt.geometry, LoopClosure)]
+    closures = [candidate.geometry for candidate in candidates if isinstance(candidate.geometry, LoopClosure)]
     rows = []
     for change in history:
         closure = closures[change.loop]
@@ -118,13 +118,13 @@ def event_rows(attempts: Iterable[LoopAttempt], history: Iterable[Change]) -> tu
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def matched_pixels(attempts: Iterable[LoopAttempt]) -> tuple[MatchedPixels, ...]:
-    """Where the images of each belief agree: with a relative pose where one was found, else as the recogniser saw."""
-    found = (_agreement(attempt.belief, attempt.geometry) for attempt in attempts)
+def matched_pixels(candidates: Iterable[LoopCandidate]) -> tuple[MatchedPixels, ...]:
+    """Pixels where the images of each belief agree: with a relative pose, else with one epipolar geometry."""
+    found = (_matched_pixels_of(candidate.belief, candidate.geometry) for candidate in candidates)
     return tuple(pair for pair in found if pair is not None)
 
 
-def _agreement(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
+def _matched_pixels_of(belief: Belief, geometry: LoopClosure | Rejection | None) -> MatchedPixels | None:
     if belief.match is None:
         return None
     if geometry is not None and len(geometry.pixels_query):

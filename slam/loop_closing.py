@@ -2,27 +2,38 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.stereo_matching import match_rows
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import SharedFeatures
-from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, relative_pose
+from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, compare_units, relative_pose
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Disparity = Callable[[Image, Any, Array], Array]  # of left image, right image or None, and pixels (N, 2)
 Compare = Callable[[StereoCamera, Array, Array, GeometryConfig], Unit]  # of points (K, 3) of a match and of a query
 
 
 def same_unit(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Unit:
     """Two images of a stereo pair have one unit, the metre."""
     return SAME_UNIT
+
+
+class DepthSource(Protocol):
+    """Depth of the frame that was processed last: the part of a visual odometry that closing loops needs."""
+
+    @property
+    def has_metric_scale(self) -> bool:
+        """Whether the depths of all frames have one unit of length."""
+        ...
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,), pixels, at pixels (N, 2) of the left image; NaN where it is unknown."""
+        ...
 
 
 def _no_pixels() -> NDArray[np.float32]:
@@ -114,20 +125,20 @@ class LoopCloser:
         self,
         camera: StereoCamera,
         features: SharedFeatures,
+        depth: DepthSource,
         config: LoopCloserConfig | None = None,
-        disparity: Disparity = match_rows,
-        compare: Compare = same_unit,
     ) -> None:
         self._camera, self._features = camera, features
         self._config = config or LoopCloserConfig()
-        self._disparity, self._compare = disparity, compare
+        self._depth = depth
+        self._compare: Compare = same_unit if depth.has_metric_scale else compare_units
         self._known: dict[int, Landmarks] = {}
 
-    def remember(self, index: int, left: Image, right: Image | None) -> Landmarks:
+    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
         """Find and keep the landmarks of frame `index` from its rectified grey images (H, W)."""
         found = self._features.of(index, left)
         pixels = np.asarray(found.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
-        points = self._camera.triangulate(pixels, self._disparity(left, right, pixels))
+        points = self._camera.triangulate(pixels, self._depth.disparity(left, right, pixels))
         seen = np.isfinite(points).all(axis=1)
         columns, rows = np.rint(pixels[seen]).astype(np.int64).T
         height, width = left.shape
@@ -139,17 +150,17 @@ class LoopCloser:
         )
         return self._known[index]
 
-    def recall(self, index: int, landmarks: Landmarks) -> None:
+    def restore_frame(self, index: int, landmarks: Landmarks) -> None:
         """Know frame `index` by landmarks that were found before."""
         self._known[index] = landmarks
 
-    def close(self, query: int, match: int) -> LoopClosure | Rejection:
+    def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Prove or reject that frame `query` shows the place of the earlier frame `match`.
 
         Raises:
             ValueError: a frame has not been remembered.
         """
-        now, then = self._recall(query), self._recall(match)
+        now, then = self._landmarks_of(query), self._landmarks_of(match)
         pairs = mutual_matches(
             then.descriptors.astype(np.float32), now.descriptors.astype(np.float32), self._config.ratio
         )
@@ -179,9 +190,9 @@ class LoopCloser:
             pixels_match=pixels_match,
         )
 
-    def _recall(self, index: int) -> Landmarks:
+    def _landmarks_of(self, index: int) -> Landmarks:
         if index not in self._known:
-            raise ValueError(f"expected a frame that was remembered, got {index}; call remember({index}, ...) first")
+            raise ValueError(f"expected a frame that was remembered, got {index}; call add_frame({index}, ...) first")
         return self._known[index]
 
     def _doubt(self, forward: RelativePose | None, backward: RelativePose | None, pixels: NDArray[np.float32]) -> str:

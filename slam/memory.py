@@ -1,18 +1,18 @@
-"""Where the memory goes: what each part of the system holds on to when the drive ends."""
+"""Memory of the system: what each component holds when the run ends."""
 
 from place_recognition.evaluation.map_size import array_bytes, map_size
-from slam.system import Parts
+from slam.system import Components
 
 UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json
 
 
-def held_mb(parts: Parts) -> dict[str, float | None]:
-    """Megabytes of the arrays that each stage has gathered, by its name; `map` are the landmarks drawn."""
+def held_mb(components: Components) -> dict[str, float | None]:
+    """Megabytes of the arrays that each component holds, by stage; `map` is the landmark map."""
     held = {
-        "odometry": array_bytes(parts.eyes.odometry),
-        "features": array_bytes(parts.features),
-        "landmarks": array_bytes(parts.loop_closer),
-        "place recognition": map_size(parts.recognizer).bytes,
-        "map": array_bytes(parts.landmarks),
+        "odometry": components.odometry.array_bytes(),
+        "features": array_bytes(components.features),
+        "landmarks": array_bytes(components.loop_closer),
+        "place recognition": map_size(components.recognizer).bytes,
+        "map": array_bytes(components.landmarks),
     }
     return {stage: size / 1e6 for stage, size in held.items()} | {"pose graph": None}

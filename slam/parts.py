@@ -1,4 +1,4 @@
-"""The parts of the system, built from a configuration: the one place where names become classes."""
+"""The components of the system, built from a configuration: the one place where names become classes."""
 
 from pathlib import Path
 
@@ -11,14 +11,13 @@ from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, bu
 from place_recognition.recognizer import PlaceRecognizer, RowSink
 from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
-from slam.eyes import Eyes, OneEye, TwoEyes
+from slam.eyes import MonocularVisualOdometry, StereoVisualOdometry, VisualOdometry
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import LoopCloser, same_unit
-from slam.loop_geometry import compare_units
+from slam.loop_closing import LoopCloser
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
 from slam.robust import back_end
-from slam.system import Parts
+from slam.system import Components
 
 
 def check_paradigm(name: str) -> None:
@@ -40,12 +39,12 @@ def check_names(config: RunConfig) -> RunConfig:
         ConfigError: unknown paradigm, local features or back end; the message lists the known ones.
     """
     check_paradigm(config.paradigm)
-    check_features(config.places.features)
+    check_features(config.place_recognition.features)
     back_end(config.robust)
     return config
 
 
-def read_checked(path: Path) -> RunConfig:
+def read_checked_config(path: Path) -> RunConfig:
     """Configuration from a TOML file, whose names all exist.
 
     Raises:
@@ -72,23 +71,26 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
-def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
-    """All parts for one camera, of a configuration whose names have been checked.
+def build_components(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Components:
+    """All components for one camera, of a configuration whose names have been checked.
 
-    The rows of the recogniser's matrix go to `rows`, where there is one.
+    The rows of the recogniser's similarity matrix go to `rows`, where there is one.
     """
-    features = SharedFeatures(local_features(config.places))
-    eyes: Eyes
-    if config.mono:
-        eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), compare_units
-    else:
-        eyes, compare = TwoEyes(StereoOdometry(camera, config.odometry)), same_unit
-    return Parts(
-        eyes=eyes,
+    features = SharedFeatures(local_features(config.place_recognition))
+    odometry = build_odometry(camera, config)
+    return Components(
+        odometry=odometry,
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, config.places, rows),
-        loop_closer=LoopCloser(camera, features, config.loop_closing, eyes.disparity, compare),
-        graph=PoseGraph(config.graph),
+        recognizer=build_recognizer(config.paradigm, features, config.place_recognition, rows),
+        loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
+        graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),
     )
+
+
+def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
+    """Odometry of the pair, or of the left camera alone."""
+    if config.mono:
+        return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
+    return StereoVisualOdometry(StereoOdometry(camera, config.odometry))

@@ -1,4 +1,4 @@
-"""Where numbers come from: the source, the command, the versions, and how much memory they took."""
+"""Provenance of results: source, command, versions and peak memory."""
 
 import platform
 import resource
@@ -14,7 +14,7 @@ _LIBRARIES = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba
 def provenance(source: Path, sequence: str, command: Sequence[str] = ()) -> dict[str, object]:
     """Source, sequence, command and versions, as they stand in metrics.json.
 
-    The command is what was typed, unless another one that does the same is given, without its `revisit`.
+    The command is what was typed, unless an equivalent one is given, without its `revisit`.
     """
     versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in _LIBRARIES}
     return {
@@ -26,6 +26,6 @@ def provenance(source: Path, sequence: str, command: Sequence[str] = ()) -> dict
 
 
 def peak_memory_mb() -> float:
-    """Largest memory that this process has held, megabytes."""
+    """Maximum resident memory of this process so far, megabytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)

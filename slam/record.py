@@ -1,4 +1,4 @@
-"""What one run leaves behind, in numpy: the common source of files, pictures and the report."""
+"""Record of a run in numpy: the common source of its files, figures and report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,19 +14,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LoopRow:
-    """One line of the ledger `loops.csv`: what became of the belief about one query image.
+    """One row of the loop log `loops.csv`: what became of the belief about one query image.
 
     Attributes:
         query, match: frame indices.
-        score: the recogniser's, on its own scale.
+        score: score of the recogniser, on its own scale.
         accepted: the recogniser took the match for a revisit.
-        matches, inliers: landmark matches, and those that agree with the relative pose; 0 where none were sought.
-        verified: the relative pose was proved by geometry.
+        matches, inliers: number of landmark matches, and of those that agree with the relative pose; 0 where none
+            were sought.
+        verified: geometric verification found a relative pose.
         in_graph: the loop stands in the corrected graph.
-        weight: the robust back end's trust, 0 to 1; NaN where the loop never entered the graph.
+        weight: weight that the robust back end gave it, 0 to 1; NaN where the loop never entered the graph.
         residual: square root of chi-square (6 degrees of freedom) after optimisation; NaN likewise.
         truth: whether it is a true revisit, by ground truth; None where there is none.
-        reason: the verdict in plain words.
+        reason: why it was kept or rejected, in words.
     """
 
     query: int
@@ -49,7 +50,7 @@ class StageRow:
 
     Attributes:
         query, match: frame indices.
-        epipolar_inliers: matches that agree with one epipolar geometry; None where none was sought.
+        epipolar_inliers: number of matches that agree with one epipolar geometry; None where none was sought.
         epipolar_verified: False where that was tried and failed.
         x_m, y_m, z_m: position of the query's camera in the match's camera frame (right, down, forward), metres.
         rotation_deg: angle between the two cameras, degrees.
@@ -94,12 +95,12 @@ class LoopEventRow:
 
 @dataclass(frozen=True)
 class MatchedPixels:
-    """Where two images show the same things, as far as geometry bears that out, believed in the end or not.
+    """Pixels where two images show the same points and agree with one geometry, whether the loop was kept or not.
 
     Attributes:
         query, match: frame indices.
         pixels_query, pixels_match: (K, 2) float32 in the two left images, pixels.
-        agree_with: what they agree with, "one relative pose" or else "one epipolar geometry".
+        agree_with: the geometry: "one relative pose" or else "one epipolar geometry".
     """
 
     query: int
@@ -110,8 +111,8 @@ class MatchedPixels:
 
 
 @dataclass(frozen=True)
-class Cloud:
-    """Points of the map.
+class PointCloud:
+    """Points of the landmark map.
 
     Attributes:
         points: (N, 3) metres, world frame (first camera: x right, y down, z forward).
@@ -123,29 +124,29 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class DriveRecord:
-    """Everything known after a drive.
+class RunRecord:
+    """Everything known after a run.
 
     Attributes:
-        name: of the drive.
+        name: name of the dataset.
         timestamps: (N,) seconds.
         odometry: T_world_camera (N, 4, 4) by odometry alone, metres.
-        online: (N, 4, 4) the estimate of each frame at the moment it was seen.
+        online: (N, 4, 4) the estimate of each frame at the moment it was processed.
         corrected: (N, 4, 4) after the final optimisation.
-        ground_truth: (N, 4, 4) or None.
+        ground_truth: (N, 4, 4), or None where it is not known.
         predicted: (N,) bool, frames whose motion was extrapolated.
-        inliers: (N,) int, tracks that agree with the motion.
-        loops: the ledger, by query.
+        inliers: (N,) int, number of tracks that agree with the motion.
+        loops: the loop log, by query.
         stage_ms: milliseconds of each stage for each frame, stage name to (N,).
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
         metrics: what goes into metrics.json, nested.
-        stages: what each stage measured of each row of the ledger.
+        stages: what each stage measured of each row of the loop log.
         events: decisions of the online pose graph about the verified loops, by query.
         matched: of the rows whose images agree somewhere.
         curve: precision over recall of the recogniser; None without ground truth.
-        matrices: what the recogniser thought of all pairs of images, by stage: "similarity", "filtered".
+        matrices: similarity matrices of the recogniser by stage, "similarity" and "filtered".
         odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the
-            first pose held; None where they are not known.
+            first pose fixed; None where they are not known.
     """
 
     name: str
@@ -158,8 +159,8 @@ class DriveRecord:
     inliers: NDArray[np.int64]
     loops: tuple[LoopRow, ...]
     stage_ms: dict[str, Array]
-    map_before: Cloud
-    map_after: Cloud
+    map_before: PointCloud
+    map_after: PointCloud
     metrics: dict[str, object]
     stages: tuple[StageRow, ...] = ()
     events: tuple[LoopEventRow, ...] = ()

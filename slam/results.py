@@ -1,4 +1,4 @@
-"""From a finished drive to its record, and from the record to the files of a run."""
+"""Results of a run: its record, compared with ground truth, and its files."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry.stereo import StereoOdometry
 from place_recognition.evaluation.map_size import map_size
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
-from slam.drive_log import DriveLog
+from slam.drive_log import RunLog
 from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.trajectory import (
@@ -25,13 +24,13 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.ledger import Judge, event_rows, matched_pixels, stage_rows, write_ledger
+from slam.ledger import LoopTruth, event_rows, loop_rows, matched_pixels, stage_rows
 from slam.loop_closing import LoopClosure
-from slam.map_store.ending import Met
+from slam.map_store.ending import MergeResult
 from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceMetrics, evaluate_places
 from slam.provenance import peak_memory_mb
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
 from slam.robust import Optimized
@@ -43,54 +42,54 @@ from slam.storage.landmarks import write_sightings
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_events, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
-from slam.system import Slam
+from slam.system import Components
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Finished:
-    """A drive that has ended.
+@dataclass(frozen=True, kw_only=True)
+class PipelineResult:
+    """A run that has come to its end.
 
     Attributes:
-        drive: the recording.
+        dataset: the dataset that was processed.
         config: the settings.
-        slam: the system, with its graph and landmarks.
-        drive_log: what it said of each frame.
-        rows: the recogniser's matrix.
-        optimized: the final trajectory and the verdicts on the loops.
-        interrupted: stopped by the user.
+        components: the components of the system, with the pose graph and the landmark map.
+        run_log: what is known of each frame.
+        matrix: the recogniser's similarity matrix.
+        optimized: the final trajectory and the decisions on the loops.
+        interrupted: True where the user stopped the run.
         wall_seconds: from the first frame to the end of the final optimisation.
-        behind: frames that an earlier run had driven, which this one has gone on with.
-        met: what the drive has to do with others in its map; None where there are none.
+        num_restored: number of frames that an earlier run had processed, which this one resumed.
+        merge: result of the session in its map of other sessions; None where there are none.
     """
 
-    drive: Dataset
+    dataset: Dataset
     config: RunConfig
-    slam: Slam
-    drive_log: DriveLog
-    rows: MatrixRows
+    components: Components
+    run_log: RunLog
+    matrix: MatrixRows
     optimized: Optimized
     interrupted: bool
     wall_seconds: float
-    behind: int = 0
-    met: Met | None = None
+    num_restored: int = 0
+    merge: MergeResult | None = None
 
     @property
     def alignment(self) -> Alignment:
-        """How trajectories are compared with ground truth: one camera does not know how long a metre is."""
+        """How trajectories are aligned with ground truth: with scale where one camera was used, which knows none."""
         return "sim3" if self.config.mono else "se3"
 
 
-def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecord:
-    """Gather everything known about the drive, compared with ground truth where there is one."""
-    drive, log, optimized = finished.drive, finished.drive_log, finished.optimized
-    table, landmarks, graph = log.table(), finished.slam.parts.landmarks, finished.slam.parts.graph
+def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRecord:
+    """Gather everything known about the run, compared with ground truth where there is one."""
+    drive, log, optimized = result.dataset, result.run_log, result.optimized
+    table, landmarks, graph = log.table(), result.components.landmarks, result.components.graph
     truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
-    metres = None if truth is None else _metres(optimized, truth, finished.alignment)
+    unit_m = None if truth is None else _unit_m(optimized, truth, result.alignment)
     odometry = np.array(log.odometry)
-    places = _places(finished, truth)
-    record = DriveRecord(
+    places = _places(result, truth)
+    record = RunRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {drive.name}",
         timestamps=table.timestamps,
         odometry=odometry,
@@ -99,47 +98,50 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         ground_truth=truth,
         predicted=table.predicted,
         inliers=table.inliers,
-        loops=write_ledger(log.attempts, optimized, judge_by(truth, metres)),
+        loops=loop_rows(log.candidates, optimized, loop_truth_from_poses(truth, unit_m)),
         stage_ms=dict(table.stage_ms),
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.similarities),
         metrics={},
-        stages=stage_rows(log.attempts, graph.gates),
-        events=event_rows(log.attempts, graph.history),
-        matched=matched_pixels(log.attempts),
+        stages=stage_rows(log.candidates, graph.gates),
+        events=event_rows(log.candidates, graph.history),
+        matched=matched_pixels(log.candidates),
         curve=places.curve,
-        matrices={stage: finished.rows.matrix(len(table), stage) for stage in finished.rows.stages},
+        matrices={stage: result.matrix.matrix(len(table), stage) for stage in result.matrix.stages},
         odometry_covariances=graph.odometry_covariances(),
         corrected_covariances=graph.covariances(optimized),
     )
-    record.metrics.update(provenance | _measured(record, finished, places))
+    record.metrics.update(provenance | _measured(record, result, places))
     return record
 
 
-def _metres(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
+def _unit_m(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
     """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
     fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
     return fit.scale * optimized.lengths
 
 
-def judge_by(truth: Array | None, metres: Array | None) -> Judge:
-    """Tell true revisits from false ones by ground truth (N, 4, 4) and the units (N,) of frames, or not at all."""
+def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTruth:
+    """Whether loops are true revisits, by ground truth (N, 4, 4) and the unit (N,) of each frame, metres.
 
-    def judge(query: int, match: int, closure: LoopClosure | None) -> bool | None:
-        if truth is None or metres is None:
+    Without ground truth it is not known: None.
+    """
+
+    def is_true(query: int, match: int, closure: LoopClosure | None) -> bool | None:
+        if truth is None or unit_m is None:
             return None
         if closure is None:
             return is_same_place(truth, query, match)
         T_match_query = closure.T_match_query.copy()
-        T_match_query[:3, 3] *= metres[match]
+        T_match_query[:3, 3] *= unit_m[match]
         return is_true_loop(truth, query, match, T_match_query)
 
-    return judge
+    return is_true
 
 
-def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None:
+def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> None:
     """Write every file of a run into a folder."""
-    config, drive = finished.config, finished.drive
+    config, drive = result.config, result.dataset
     write_metrics(folder / "metrics.json", record.metrics)
     with atomic_writer(folder / "config.toml") as file:
         file.write(to_toml(config))
@@ -147,55 +149,55 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
         poses = getattr(record, name)
         write_kitti(folder / f"trajectory_{name}.txt", poses)
         write_tum(folder / f"trajectory_{name}.tum", record.timestamps, poses)
-    if finished.met is not None and finished.met.joined:
-        in_map = finished.met.T_map_session @ record.corrected
+    if result.merge is not None and result.merge.joined:
+        in_map = result.merge.T_map_session @ record.corrected
         write_kitti(folder / "trajectory_map.txt", in_map)
         write_tum(folder / "trajectory_map.tum", record.timestamps, in_map)
-    write_frames(folder / "frames.csv", finished.drive_log.table())
+    write_frames(folder / "frames.csv", result.run_log.table())
     write_loops(folder / "loops.csv", record.loops)
     write_stages(folder / "loop_stages.csv", record.stages)
     write_events(folder / "loop_events.csv", record.events)
     write_covariances(folder / "covariances.npz", record)
-    _write_calibration(folder, finished)
-    _write_graphs(folder, record, finished)
+    _write_calibration(folder, result)
+    _write_graphs(folder, record, result)
     _write_maps(folder, record)
-    write_sightings(folder / "landmarks.npz", finished.slam.parts.landmarks.frames, drive.camera)
+    write_sightings(folder / "landmarks.npz", result.components.landmarks.frames, drive.camera)
     save_png(before_after(record), folder / "before_after.png")
     write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
 
 
 def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
-    """The left image of a frame; None where it can no longer be read, which is no reason to lose the run."""
+    """The left image of a frame; None where it can no longer be read, so that the run keeps its other results."""
     try:
         return drive[index].left
     except DataError:
         return None
 
 
-def _write_calibration(folder: Path, finished: Finished) -> None:
-    odometry = finished.slam.parts.eyes.odometry
-    if isinstance(odometry, StereoOdometry):  # others learn none
-        write_calibration(folder / "calibration.toml", odometry.calibration)
+def _write_calibration(folder: Path, result: PipelineResult) -> None:
+    calibration = result.components.odometry.calibration
+    if calibration is not None:
+        write_calibration(folder / "calibration.toml", calibration)
 
 
-def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
-    graph, optimized = finished.slam.parts.graph, finished.optimized
+def _write_graphs(folder: Path, record: RunRecord, result: PipelineResult) -> None:
+    graph, optimized = result.components.graph, result.optimized
     motions, loops = graph.levelled(optimized.lengths)
     closed = [loop for loop, keep in zip(loops, optimized.kept, strict=True) if keep]
     write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
     write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, motions, closed))
 
 
-def _write_maps(folder: Path, record: DriveRecord) -> None:
+def _write_maps(folder: Path, record: RunRecord) -> None:
     from slam.mapping.ply import write_cloud
 
     write_cloud(folder / "map_before.ply", record.map_before)
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: DriveRecord, finished: Finished, places: PlaceMetrics) -> dict[str, object]:
+def _measured(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -> dict[str, object]:
     errors = {
-        name: _errors(getattr(record, name), record.ground_truth, finished.alignment)
+        name: _errors(getattr(record, name), record.ground_truth, result.alignment)
         for name in ("odometry", "online", "corrected")
     }
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
@@ -203,36 +205,36 @@ def _measured(record: DriveRecord, finished: Finished, places: PlaceMetrics) -> 
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
-        "seed": finished.config.seed,
+        "seed": result.config.seed,
         "frames": len(record.timestamps),
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
         "loops": loops.as_metrics(),
         "places": places.metrics,
-        "graph": _graph_metrics(record, errors, finished.optimized),
-        **_map_metrics(finished.met),
+        "graph": _graph_metrics(record, errors, result.optimized),
+        **_map_metrics(result.merge),
         "timing_ms": timing_ms(record.stage_ms),
-        "frames_per_second": (len(record.timestamps) - finished.behind) / finished.wall_seconds,
-        "wall_seconds": finished.wall_seconds,
+        "frames_per_second": (len(record.timestamps) - result.num_restored) / result.wall_seconds,
+        "wall_seconds": result.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
-        "memory_mb": held_mb(finished.slam.parts),
-        "interrupted": finished.interrupted,
+        "memory_mb": held_mb(result.components),
+        "interrupted": result.interrupted,
         "notes": notes,
     }
 
 
-def _map_metrics(met: Met | None) -> dict[str, object]:
-    if met is None:
+def _map_metrics(merge: MergeResult | None) -> dict[str, object]:
+    if merge is None:
         return {}
-    said = dataclasses.asdict(met) | {"sessions": list(met.sessions), "T_map_session": met.T_map_session.tolist()}
-    return {"map": said}
+    lists = {"sessions": list(merge.sessions), "T_map_session": merge.T_map_session.tolist()}
+    return {"map": dataclasses.asdict(merge) | lists}
 
 
-def _places(finished: Finished, ground_truth: Array | None) -> PlaceMetrics:
+def _places(result: PipelineResult, ground_truth: Array | None) -> PlaceMetrics:
     truth = None if ground_truth is None else revisit_matrix(ground_truth)
-    beliefs = [attempt.belief for attempt in finished.drive_log.attempts]
-    size = map_size(finished.slam.parts.recognizer)
-    return evaluate_places(finished.config.paradigm, beliefs, truth, size)
+    beliefs = [candidate.belief for candidate in result.run_log.candidates]
+    size = map_size(result.components.recognizer)
+    return evaluate_places(result.config.paradigm, beliefs, truth, size)
 
 
 def _errors(estimate: Array, truth: Array | None, alignment: Alignment) -> TrajectoryErrors:
@@ -245,7 +247,7 @@ def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
     return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
 
 
-def _graph_metrics(record: DriveRecord, errors: dict[str, TrajectoryErrors], optimized: Optimized) -> dict[str, object]:
+def _graph_metrics(record: RunRecord, errors: dict[str, TrajectoryErrors], optimized: Optimized) -> dict[str, object]:
     judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
     known = record.ground_truth is not None
     return {

@@ -1,8 +1,8 @@
-"""One recorded drive from its images to its results: the system, the clock, the viewer and the files."""
+"""The pipeline: one dataset from its images to its results, with the viewer, the map database and the files."""
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,67 +14,66 @@ from place_recognition.evaluation.matrix import MatrixRows
 from slam.clock import timed
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset
-from slam.datasets.described import Described
 from slam.datasets.open import open_source
 from slam.datasets.prefetch import prefetch
 from slam.datasets.source import Source
-from slam.drive_log import DriveLog
+from slam.drive_log import RunLog
 from slam.errors import ConfigError, DataError, OutputError
-from slam.map_store.keeping import Keeper, NewDrive, NullKeeper, open_keeper
-from slam.map_store.known import Known, check_fits, read_known
-from slam.map_store.remembered import Build, read_drive, remembering
+from slam.map_store.keeping import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
+from slam.map_store.known import check_fits, read_prior_map
+from slam.map_store.remembered import Build, read_session, replay_components
 from slam.map_store.resuming import (
-    Stopped,
-    check_drive,
+    ResumableRun,
+    check_dataset,
     check_same,
     check_unfinished,
-    find_stopped,
+    find_resumable_run,
     is_complete,
-    take_over,
+    reopen_run_folder,
 )
-from slam.parts import build_parts, check_names, read_checked
+from slam.parts import build_components, check_names, read_checked_config
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.report.tables import summary
-from slam.results import Finished, make_record, write_results
+from slam.results import PipelineResult, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder
-from slam.system import LoopAttempt, Processed, Slam
+from slam.system import FrameResult, LoopCandidate, Slam
 from slam.viewer.viewer import NullViewer, Viewer
-from slam.watching import Watcher
+from slam.watching import RunVisualizer
 
 log = logging.getLogger("revisit")
 
-_WARM_UP_FRAMES = 3  # the first with a motion, and one after it
-_MATRIX_ROWS = 1500  # of the recogniser's matrix, for a picture of it: 9 MB
-_OF_PLACES = ("features", "vocabulary", "descriptor")  # settings that belong to place recognition
-_HEIGHT = "camera_height"  # of the one camera
+_WARM_UP_FRAMES = 3  # the first frame with a motion, and one after it
+_MATRIX_ROWS = 1500  # of the recogniser's similarity matrix, for a picture of it: 9 MB
+_PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor")
+_CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
 VIEWS = ("none", "native", "web")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """Where a run reads and writes.
 
     Attributes:
-        source: root of the recorded drive.
-        sequence: which of its sequences; None where there is only one.
+        source: root of the dataset.
         out: folder for the results.
-        view: how to watch: none, native or web.
-        overwrite: replace an earlier run.
-        resume: go on where a run into the same folder has stopped, if there is one.
-        map_file: map of other drives that this one may meet, or a run's folder with one; None for none.
-        config: settings file, or None for the defaults.
-        kind: of the source; None to recognise it.
-        fps: images a second, where no file says when they were taken.
-        topics: of a bag, left and right; empty to find them.
-        command: that makes this run, where it is not what was typed.
-        again: map of the same drive, whose motions and landmarks are taken over; None to measure them.
+        sequence: name of the sequence in it; None where there is only one.
+        view: how to watch the run: none, native or web.
+        overwrite: replace the results of an earlier run.
+        resume: resume the run into the same folder that has stopped, if there is one.
+        map_file: map of earlier sessions that this one is added to, or a run's folder with one; None for none.
+        config: settings file; None for the defaults.
+        kind: format of the source; None to detect it.
+        fps: images a second, where no file has their times.
+        topics: left and right image topic of a bag; empty to find them.
+        command: command line of this run, where it is not what was typed.
+        reuse_map: map of the same dataset whose motions and landmarks are replayed; None to measure them.
     """
 
     source: Path
-    sequence: str | None
     out: Path
+    sequence: str | None = None
     view: str = "none"
     overwrite: bool = False
     resume: bool = False
@@ -84,7 +83,7 @@ class RunOptions:
     fps: float | None = None
     topics: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
-    again: Path | None = None
+    reuse_map: Path | None = None
 
     @property
     def recording(self) -> Source:
@@ -92,8 +91,8 @@ class RunOptions:
         return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
-def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
-    """Run the chain on a recorded drive and write every result into `options.out`.
+def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
+    """Run the pipeline on a dataset and write every result into `options.out`.
 
     Args:
         options: where to read and write.
@@ -105,73 +104,163 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         Whether the run was interrupted from the keyboard; its results so far are written all the same.
 
     Raises:
-        RevisitError: the drive, the settings or the output folder cannot be used; earlier results stay untouched.
+        RevisitError: the dataset, the settings or the output folder cannot be used; earlier results stay untouched.
     """
-    stopped = find_stopped(options.out) if options.resume else None
-    if options.resume and stopped is None and is_complete(options.out):
+    stopped = find_resumable_run(options.out) if options.resume else None
+    if stopped is not None:
+        return Pipeline.resumed(options, settings, stopped).run(messages, results)
+    if options.resume and is_complete(options.out):
         messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
         return False
-    known = read_known(options.map_file) if options.map_file and not stopped else None
-    config = configure(options, settings, _settings_so_far(options, stopped, known))
-    drive = open_source(options.recording)
-    if not drive.has_right and not config.mono:
+    if options.map_file is not None:
+        return Pipeline.on_map(options, settings, options.map_file).run(messages, results)
+    if options.reuse_map is not None:
+        return Pipeline.replayed(options, settings, options.reuse_map).run(messages, results)
+    return Pipeline.fresh(options, settings).run(messages, results)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pipeline:
+    """A run that is ready to begin; made by one of `fresh`, `resumed`, `on_map` and `replayed`.
+
+    Attributes:
+        options: where to read and write.
+        dataset: what is read.
+        config: the settings.
+        run_id: globally unique id (UUID) of the run.
+        open_folder: opens the folder of the results.
+        prior_map: map of earlier sessions that this one is added to; None for none.
+        build: builds the components.
+    """
+
+    options: RunOptions
+    dataset: Dataset
+    config: RunConfig
+    run_id: str
+    open_folder: Callable[[], RunFolder]
+    prior_map: Path | None = None
+    build: Build = build_components
+
+    @classmethod
+    def fresh(cls, options: RunOptions, settings: Mapping[str, object]) -> "Pipeline":
+        """A run that begins with the first frame and no map."""
+        return cls._new(options, resolve_config(options, settings))
+
+    @classmethod
+    def resumed(cls, options: RunOptions, settings: Mapping[str, object], stopped: ResumableRun) -> "Pipeline":
+        """A run that continues where it stopped.
+
+        Raises:
+            RevisitError: the dataset or the settings are others than those of the run.
+        """
+        config = resolve_config(options, settings, stopped.config)
+        dataset = open_dataset(options, config)
+
+        def open_folder() -> RunFolder:
+            check_same(stopped, dataset, config)
+            return reopen_run_folder(stopped, options.out)
+
+        return cls(options=options, dataset=dataset, config=config, run_id=stopped.run_id, open_folder=open_folder)
+
+    @classmethod
+    def on_map(cls, options: RunOptions, settings: Mapping[str, object], map_file: Path) -> "Pipeline":
+        """A run that adds a session to a map of earlier sessions.
+
+        Raises:
+            RevisitError: the map is damaged, or made with another camera or recogniser.
+        """
+        prior = read_prior_map(map_file)
+        pipeline = cls._new(options, resolve_config(options, settings, prior.config))
+        check_fits(prior, pipeline.dataset, pipeline.config)
+        return replace(pipeline, prior_map=prior.map_file)
+
+    @classmethod
+    def replayed(cls, options: RunOptions, settings: Mapping[str, object], map_file: Path) -> "Pipeline":
+        """A run that takes motions and landmarks from a map of the same dataset, and finds the loops again.
+
+        Raises:
+            RevisitError: the map is damaged, or of another dataset.
+        """
+        session = read_session(map_file)
+        pipeline = cls._new(options, resolve_config(options, settings, session.config))
+        check_dataset(session, pipeline.dataset)
+        return replace(pipeline, build=replay_components(map_file))
+
+    @classmethod
+    def _new(cls, options: RunOptions, config: RunConfig) -> "Pipeline":
+        def open_folder() -> RunFolder:
+            if not options.overwrite:
+                check_unfinished(options.out)
+            return RunFolder.create(options.out, options.overwrite)
+
+        dataset = open_dataset(options, config)
+        return cls(options=options, dataset=dataset, config=config, run_id=uuid4().hex, open_folder=open_folder)
+
+    def run(self, messages: Console, results: Console) -> bool:
+        """Process the dataset and write the results; whether the run was interrupted."""
+        options, dataset = self.options, self.dataset
+        origin = provenance(options.source, dataset.name, options.command)
+        origin |= {"recording": options.recording.as_metrics()}
+        info = SessionInfo(dataset.name, dataset.camera, origin | {"run": self.run_id}, self.prior_map)
+        with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
+            with (
+                open_session_recorder(folder, self.config, info) as recorder,
+                closing_viewer(self._open_viewer(folder.path), messages) as viewer,
+            ):
+                result = process_dataset(dataset, self.config, viewer, messages, recorder, self.build)
+                record = make_record(result, origin)
+                viewer.finish(record)
+            log.info("%d frames in %.1f s", len(record.timestamps), result.wall_seconds)
+            write_results(folder.path, record, result)
+            folder.commit()
+        results.print(summary(record))
+        results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
+        return result.interrupted
+
+    def _open_viewer(self, folder: Path) -> Viewer:
+        """Open what shows or records the run."""
+        view, dataset = self.options.view, self.dataset
+        if view == "none" and not self.config.save_recording:
+            return NullViewer()
+        from slam.viewer.rerun_viewer import RerunViewer
+
+        path = folder / "recording.rrd" if self.config.save_recording else None
+        mode = "record" if view == "none" else view
+        return RerunViewer(path, dataset.camera, dataset.ground_truth, mode, self.run_id)  # type: ignore[arg-type]
+
+
+def open_dataset(options: RunOptions, config: RunConfig) -> Dataset:
+    """Open the dataset of a run.
+
+    Raises:
+        DataError: it cannot be read, or has no right images and two cameras are asked for.
+    """
+    dataset = open_source(options.recording)
+    if not dataset.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
         )
-    if known:
-        check_fits(known, drive, config)
-    if options.again:
-        check_drive(read_drive(options.again), drive)
-    origin = provenance(options.source, drive.name, options.command) | {"recording": options.recording.as_metrics()}
-    run = stopped.run if stopped else uuid4().hex
-    new = NewDrive(drive.name, drive.camera, origin | {"run": run}, known.map_file if known else None)
-    with _folder(options, stopped, drive, config) as folder, run_log(folder.path / "run.log"):
-        with (
-            open_keeper(folder, config, new) as keeper,
-            shown(open_viewer(options, config, drive, folder.path, run), messages) as viewer,
-        ):
-            build = remembering(options.again) if options.again else build_parts
-            finished = drive_through(drive, config, viewer, messages, keeper, build)
-            record = make_record(finished, origin)
-            viewer.finish(record)
-        log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
-        write_results(folder.path, record, finished)
-        folder.commit()
-    results.print(summary(record))
-    results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
-    return finished.interrupted
+    return dataset
 
 
-def _settings_so_far(options: RunOptions, stopped: Stopped | None, known: Known | None) -> RunConfig | None:
-    """Settings of what the run goes on with; None where it begins anew."""
-    if stopped or known:
-        return (stopped or known).config  # type: ignore[union-attr]
-    return read_drive(options.again).config if options.again else None
+def resolve_config(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
+    """Settings of the command line over those of the settings file, over the base or else the defaults.
 
-
-def _folder(options: RunOptions, stopped: Stopped | None, drive: Dataset, config: RunConfig) -> RunFolder:
-    """Where to write: into a new folder, or on into that of a run that stopped."""
-    if stopped is not None:
-        check_same(stopped, drive, config)
-        return take_over(stopped, options.out)
-    if not options.overwrite:
-        check_unfinished(options.out)
-    return RunFolder.create(options.out, options.overwrite)
-
-
-def configure(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
-    """Settings of the file, then of the command line, over the defaults, or over those of a run or map that goes on.
+    Args:
+        options: with the settings file.
+        settings: what the command line changes, field to value.
+        base: settings of the run or map that is continued; a settings file takes its place.
 
     Raises:
         ConfigError: one of them cannot work.
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
-    base = read_checked(options.config) if options.config else base or RunConfig()
-    own = {name: value for name, value in settings.items() if name not in (*_OF_PLACES, _HEIGHT)}
-    places = {name: value for name, value in settings.items() if name in _OF_PLACES}
-    changed = replace(base, **own, places=replace(base.places, **places))  # type: ignore[arg-type]
-    return check_names(_with_height(changed, settings[_HEIGHT]) if _HEIGHT in settings else changed)
+    base = read_checked_config(options.config) if options.config else base or RunConfig()
+    own = {k: v for k, v in settings.items() if k not in (*_PLACE_RECOGNITION_SETTINGS, _CAMERA_HEIGHT)}
+    places = {k: v for k, v in settings.items() if k in _PLACE_RECOGNITION_SETTINGS}
+    changed = replace(base, **own, place_recognition=replace(base.place_recognition, **places))  # type: ignore[arg-type]
+    return check_names(_with_height(changed, settings[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in settings else changed)
 
 
 def _with_height(config: RunConfig, height: object) -> RunConfig:
@@ -179,26 +268,15 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     if not config.mono:
         raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
     try:
-        odometry = replace(config.one_camera.odometry, height_m=float(height))  # type: ignore[arg-type]
+        odometry = replace(config.mono_odometry.odometry, height_m=float(height))  # type: ignore[arg-type]
     except ValueError as error:
         raise ConfigError(f"--camera-height: {error}") from error
-    return replace(config, one_camera=replace(config.one_camera, odometry=odometry))
-
-
-def open_viewer(options: RunOptions, config: RunConfig, drive: Dataset, folder: Path, run: str) -> Viewer:
-    """Open what shows or records the run of this name."""
-    if options.view == "none" and not config.record:
-        return NullViewer()
-    from slam.viewer.rerun_viewer import RerunViewer
-
-    path = folder / "recording.rrd" if config.record else None
-    mode = "record" if options.view == "none" else options.view
-    return RerunViewer(path, drive.camera, drive.ground_truth, mode, run)  # type: ignore[arg-type]
+    return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
 
 
 @contextmanager
-def shown(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
-    """Close what shows or records the run in the end. No run loses its results to a recording without room."""
+def closing_viewer(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
+    """Close the viewer in the end. A recording that cannot be written is a warning: the run keeps its results."""
     try:
         yield viewer
     finally:
@@ -209,72 +287,78 @@ def shown(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
             messages.print(str(error), markup=False, highlight=False)
 
 
-def drive_through(
-    drive: Dataset,
+def process_dataset(
+    dataset: Dataset,
     config: RunConfig,
     viewer: Viewer,
     messages: Console,
-    keeper: Keeper | None = None,
-    build: Build = build_parts,
-) -> Finished:
-    """Take the frames one by one; what is known when the drive ends, or when the user stops it.
-
-    Begins where the keeper's drive has stopped.
-    """
+    recorder: SessionRecorder | None = None,
+    build: Build = build_components,
+) -> PipelineResult:
+    """Process the frames one by one, from where the recorder's session stopped to the end or an interruption."""
     import cv2
 
-    warm_up(drive, config, build)
+    warm_up(dataset, config, build)
     cv2.setRNGSeed(config.seed)
-    rows = MatrixRows(_MATRIX_ROWS)
-    keeper = keeper or NullKeeper()
-    slam = Slam(build(drive.camera, config, rows), keeper.beginning)
-    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
-    behind = keeper.recall(slam, rows, drive_log)
-    watcher.recall(drive_log)
+    recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRows(_MATRIX_ROWS), RunLog()
+    components = build(dataset.camera, config, matrix)
+    slam = Slam(recorder.components_in_session(components))
+    visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()
+    num_restored = recorder.restore(slam, matrix, run_log)
+    visualizer.restore(run_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        described = Described(drive, slam.parts.features.extractor)
-        for frame, features in timed(prefetch(described, begin=behind), slam.clock):
-            processed = slam.process(frame, features)
-            note(processed)
-            drive_log.add(processed, watcher.show(processed))
-            keeper.add(processed, drive_log.stage_ms[-1])
-            progress(frame.index + 1, len(drive))
-            if stop.made:
+        for frame in timed(prefetch(dataset, begin=num_restored, prepare=slam.describe), slam.timer):
+            result = slam.process(frame)
+            log_frame(result)
+            run_log.add(result, visualizer.show(result))
+            recorder.add(result, run_log.stage_ms[-1])
+            progress(frame.index + 1, len(dataset))
+            if stop.requested:
                 messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break
-    keeper.pause()
+    recorder.write_checkpoint()
     late, optimized = slam.finish(config.robust)
-    note_loops(late)
-    drive_log.conclude(late)
-    ended = keeper.finish(late, optimized, ended=not stop.made)
-    seconds = time.perf_counter() - start
-    return Finished(drive, config, slam, drive_log, rows, ended.optimized, stop.made, seconds, behind, ended.met)
+    log_loops(late)
+    run_log.add_loops(late)
+    session = recorder.finish(late, optimized, ended=not stop.requested)
+    return PipelineResult(
+        dataset=dataset,
+        config=config,
+        components=components,
+        run_log=run_log,
+        matrix=matrix,
+        optimized=session.optimized,
+        interrupted=stop.requested,
+        wall_seconds=time.perf_counter() - start,
+        num_restored=num_restored,
+        merge=session.merge,
+    )
 
 
-def warm_up(drive: Dataset, config: RunConfig, build: Build = build_parts) -> None:
-    """Have everything compiled by driving the first frames once, so that the clock counts driving alone."""
-    slam = Slam(build(drive.camera, config, None))
-    for index in range(min(_WARM_UP_FRAMES, len(drive))):
-        slam.process(drive[index])
+def warm_up(dataset: Dataset, config: RunConfig, build: Build = build_components) -> None:
+    """Compile everything by processing the first frames with other components, so that the timing leaves it out."""
+    slam = Slam(build(dataset.camera, config, None))
+    for index in range(min(_WARM_UP_FRAMES, len(dataset))):
+        slam.process(dataset[index])
 
 
-def note(processed: Processed) -> None:
+def log_frame(result: FrameResult) -> None:
     """Log what is out of the ordinary about a frame."""
-    if processed.motion.predicted:
-        log.warning("frame %d: motion predicted, %s", processed.frame.index, processed.motion.reason)
-    note_loops(processed.attempts)
+    if result.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
+    log_loops(result.candidates)
 
 
-def note_loops(attempts: Sequence[LoopAttempt]) -> None:
+def log_loops(candidates: Sequence[LoopCandidate]) -> None:
     """Log what became of each loop that was proposed."""
-    for attempt in attempts:
-        if attempt.reason:
-            verdict = "closed" if attempt.closed else "not closed"
-            log.info("loop %d -> %s %s: %s", attempt.belief.query, attempt.belief.match, verdict, attempt.reason)
+    for candidate in candidates:
+        if candidate.reason:
+            outcome = "closed" if candidate.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
 
 
 @contextmanager
-def run_log(path: Path) -> Iterator[None]:
+def log_to_file(path: Path) -> Iterator[None]:
     """Send the log to a file while the block runs."""
     handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))

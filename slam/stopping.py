@@ -1,4 +1,4 @@
-"""Stopping at the keyboard without losing what has been found."""
+"""Interrupting a run from the keyboard without losing its results."""
 
 import signal
 import threading
@@ -11,13 +11,13 @@ class StopRequest:
     """Whether the user has asked to stop."""
 
     def __init__(self) -> None:
-        self.made = False
+        self.requested = False
 
-    def make(self, number: int, frame: FrameType | None) -> None:
+    def request(self, number: int, frame: FrameType | None) -> None:
         """Handle the signal; a second one interrupts at once."""
-        if self.made:
+        if self.requested:
             raise KeyboardInterrupt
-        self.made = True
+        self.requested = True
 
 
 @contextmanager
@@ -30,7 +30,7 @@ def stop_on_interrupt() -> Iterator[StopRequest]:
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
-    before = signal.signal(signal.SIGINT, request.make)
+    before = signal.signal(signal.SIGINT, request.request)
     try:
         yield request
     finally:

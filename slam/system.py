@@ -1,50 +1,67 @@
-"""The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry proves, the graph corrects."""
+"""The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry verifies, the graph corrects."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
-from slam.clock import StageClock
+from slam.clock import StageTimer
 from slam.datasets.dataset import Frame
-from slam.eyes import Eyes
+from slam.eyes import VisualOdometry
+from slam.frame_record import FrameRecord, LoopRecord
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import Geometry, Landmarks, LoopCloser, LoopClosure, Rejection
+from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
 from slam.loop_trust import Admission
-from slam.map_store.rows import StoredAttempt, StoredFrame
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
 from slam.robust import Optimized
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+class LoopVerifier(Protocol):
+    """Keeps the landmarks of frames and verifies loops between them: see `slam.loop_closing.LoopCloser`."""
+
+    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
+        """Extract and keep the landmarks of a frame."""
+        ...
+
+    def restore_frame(self, index: int, landmarks: Landmarks) -> None:
+        """Keep the landmarks of a frame of an earlier run."""
+        ...
+
+    def verify(self, query: int, match: int) -> LoopClosure | Rejection:
+        """Relative pose of two frames, or why there is none."""
+        ...
 
 
 @dataclass(frozen=True)
-class Parts:
-    """The interchangeable parts of the system."""
+class Components:
+    """The interchangeable components of the system."""
 
-    eyes: Eyes
+    odometry: VisualOdometry
     features: SharedFeatures
     recognizer: PlaceRecognizer
-    loop_closer: LoopCloser
+    loop_closer: LoopVerifier
     graph: PoseGraph
     key_frames: KeyFrameSelector
     landmarks: LandmarkMap
 
 
 @dataclass(frozen=True)
-class LoopAttempt:
+class LoopCandidate:
     """What became of one belief.
 
     Attributes:
-        belief: what the recogniser thought; images before the drive's first one, of earlier drives through the same
-            map, have negative numbers.
+        belief: answer of the recogniser about one frame.
         geometry: the relative pose, or why there is none; None for a belief that was not accepted.
-        admission: what the graph said of the closure; None where there was no closure.
+        admission: decision of the pose graph about the closure; None where there was no closure.
     """
 
     belief: Belief
@@ -53,36 +70,29 @@ class LoopAttempt:
 
     @property
     def reason(self) -> str:
-        """The verdict so far, in plain words; empty for a belief that was not accepted."""
+        """The decision so far and its reason; empty for a belief that was not accepted."""
         if self.admission is not None:
             return self.admission.reason
-        if isinstance(self.geometry, LoopClosure):
-            return "a place of the map"
         return self.geometry.reason if isinstance(self.geometry, Rejection) else ""
 
     @property
-    def elsewhere(self) -> bool:
-        """Whether the match is an image of an earlier drive."""
-        return self.belief.match is not None and self.belief.match < 0
-
-    @property
     def closed(self) -> bool:
-        """Whether the online map leaned on the loop from that moment."""
+        """Whether the online graph used the loop from that moment on."""
         return self.admission is not None and self.admission.joined
 
 
 @dataclass(frozen=True)
-class Processed:
+class FrameResult:
     """What the system knows the moment a frame has been processed.
 
     Attributes:
         frame: the images.
-        motion: since the previous frame.
-        T_world_camera_odometry: (4, 4) by odometry alone, metres.
+        motion: motion since the previous frame.
+        T_world_camera_odometry: (4, 4) pose by odometry alone, metres.
         T_world_camera: (4, 4) online estimate, loops so far included.
-        landmarks: what was seen with depth, in the camera's frame.
+        landmarks: features with depth, in the camera's frame.
         is_key_frame: whether the landmarks joined the map.
-        attempts: the beliefs that became ready, and what came of them.
+        candidates: the beliefs that became ready with this frame, and what came of them.
         stage_ms: milliseconds by stage.
     """
 
@@ -92,135 +102,112 @@ class Processed:
     T_world_camera: Array
     landmarks: Landmarks
     is_key_frame: bool
-    attempts: tuple[LoopAttempt, ...]
+    candidates: tuple[LoopCandidate, ...]
     stage_ms: dict[str, float]
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """Where a drive begins for parts that have seen others before it.
-
-    Attributes:
-        image: number of its first image.
-        travelled: way driven before it, metres, so much larger than it was that no place seen before is near.
-    """
-
-    image: int = 0
-    travelled: float = 0.0
-
-
 class Slam:
-    """Takes frames one by one; knows no files, no ground truth and no viewer."""
+    """Processes frames one by one; knows no files, no sessions, no ground truth and no viewer."""
 
-    def __init__(self, parts: Parts, beginning: Beginning | None = None) -> None:
-        beginning = beginning or Beginning()
-        self.parts = parts
-        self.clock = StageClock()
-        self._first = beginning.image
+    def __init__(self, components: Components) -> None:
+        self.components = components
+        self.timer = StageTimer()
         self._T_world_odometry = np.eye(4)
-        self._travelled = beginning.travelled
-        self._frames = 0
+        self._distance_travelled_m = 0.0
+        self._num_frames = 0
 
-    def process(self, frame: Frame, features: LocalFeatures | None = None) -> Processed:
-        """Process the next frame of a drive.
+    def describe(self, frame: Frame) -> Frame:
+        """Return the frame with its local features. Another thread may do this ahead of `process`."""
+        return frame.with_features(self.components.features.extractor)
+
+    def process(self, frame: Frame) -> FrameResult:
+        """Process the next frame of a dataset.
 
         Args:
-            frame: `frame.index` counts from 0 without gaps.
-            features: of the left image, by `parts.features.extractor`; None to find them here.
+            frame: `frame.index` counts from 0 without gaps; features that it lacks are extracted here.
         """
-        motion = self._move(frame)
-        landmarks = self._look(frame, features)
-        beliefs = self._recognise(frame)
-        attempts = self._close_all(beliefs)
+        motion = self._track(frame)
+        landmarks = self._extract_landmarks(frame)
+        candidates = self._verify_all(self._recognize(frame))
         is_key_frame = self._map(frame.index, landmarks)
-        with self.clock.stage("pose graph"):
-            T_world_camera = self.parts.graph.latest()
-        return Processed(
-            frame,
-            motion,
-            self._T_world_odometry,
-            T_world_camera,
-            landmarks,
-            is_key_frame,
-            attempts,
-            self.clock.lap(),
+        with self.timer.stage("pose graph"):
+            T_world_camera = self.components.graph.latest()
+        return FrameResult(
+            frame=frame,
+            motion=motion,
+            T_world_camera_odometry=self._T_world_odometry,
+            T_world_camera=T_world_camera,
+            landmarks=landmarks,
+            is_key_frame=is_key_frame,
+            candidates=candidates,
+            stage_ms=self.timer.lap(),
         )
 
-    def recall(self, frame: StoredFrame, attempts: Iterable[StoredAttempt]) -> tuple[LoopAttempt, ...]:
-        """Take over what was found out about the next frame before; no image is looked at.
+    def restore_frame(self, record: FrameRecord, loops: Iterable[LoopRecord]) -> tuple[LoopCandidate, ...]:
+        """Take over the next frame of an earlier run from its record, without its images.
 
-        Graph and map become what they were. Odometry and recogniser do not: they go on where a checkpoint has
-        left them.
+        Restores the pose graph, the landmarks and the loop closer. Odometry, recogniser and key frame selector are
+        restored from a checkpoint.
         """
-        self._advance(frame.motion)
-        self.parts.loop_closer.recall(frame.image, frame.landmarks)
-        recalled = tuple(self._enter(attempt.belief, attempt.geometry) for attempt in attempts)
-        if frame.key_frame:
-            self._draw(frame.image - self._first, frame.landmarks)
-        return recalled
+        self._advance(record.motion)
+        self.components.loop_closer.restore_frame(record.image, record.landmarks)
+        candidates = tuple(self._add_to_graph(loop.belief, loop.geometry) for loop in loops)
+        if record.key_frame:
+            self._add_landmarks(record.image, record.landmarks)
+        return candidates
 
-    def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], Optimized]:
-        """End the drive: answer the beliefs still open, then optimise everything with the named robust back end."""
-        attempts = self._close_all(self.parts.recognizer.finish())
-        return attempts, self.parts.graph.optimize(robust)
+    def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], Optimized]:
+        """Process the beliefs still open, then optimise everything with the named robust back end."""
+        candidates = self._verify_all(self.components.recognizer.finish())
+        return candidates, self.components.graph.optimize(robust)
 
-    def _move(self, frame: Frame) -> Motion:
-        with self.clock.stage("odometry"):
-            motion = self.parts.eyes.track(frame)
+    def _track(self, frame: Frame) -> Motion:
+        with self.timer.stage("odometry"):
+            motion = self.components.odometry.track(frame)
         self._advance(motion)
         return motion
 
     def _advance(self, motion: Motion) -> None:
-        if self._frames:
+        if self._num_frames:
             self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
-            self._travelled += float(np.linalg.norm(motion.T_previous_current[:3, 3]))
-            with self.clock.stage("pose graph"):
-                self.parts.graph.add_odometry(motion.T_previous_current, motion.covariance)
-        self._frames += 1
+            self._distance_travelled_m += float(np.linalg.norm(motion.T_previous_current[:3, 3]))
+            with self.timer.stage("pose graph"):
+                self.components.graph.add_odometry(motion.T_previous_current, motion.covariance)
+        self._num_frames += 1
 
-    def _look(self, frame: Frame, features: LocalFeatures | None) -> Landmarks:
-        image = self._first + frame.index
-        if features is not None:
-            self.parts.features.give(image, features)
-        with self.clock.stage("features"):
-            self.parts.features.of(image, frame.left)
-        with self.clock.stage("landmarks"):
-            return self.parts.loop_closer.remember(image, frame.left, frame.right)
+    def _extract_landmarks(self, frame: Frame) -> Landmarks:
+        with self.timer.stage("features"):
+            features = self.describe(frame).features
+        assert features is not None
+        self.components.features.give(frame.index, features)
+        with self.timer.stage("landmarks"):
+            return self.components.loop_closer.add_frame(frame.index, frame.left, frame.right)
 
-    def _recognise(self, frame: Frame) -> list[Belief]:
-        with self.clock.stage("place recognition"):
-            return self.parts.recognizer.observe(self._first + frame.index, frame.left, self._travelled)
+    def _recognize(self, frame: Frame) -> list[Belief]:
+        with self.timer.stage("place recognition"):
+            return self.components.recognizer.observe(frame.index, frame.left, self._distance_travelled_m)
 
-    def _close_all(self, beliefs: Iterable[Belief]) -> tuple[LoopAttempt, ...]:
-        """Try the beliefs about images of this drive; the last ones of the drive before come late."""
-        return tuple(self._close(belief) for belief in beliefs if belief.query >= self._first)
+    def _verify_all(self, beliefs: Iterable[Belief]) -> tuple[LoopCandidate, ...]:
+        return tuple(self._verify(belief) for belief in beliefs)
 
-    def _close(self, belief: Belief) -> LoopAttempt:
+    def _verify(self, belief: Belief) -> LoopCandidate:
         if belief.match is None or not belief.accepted:
-            return self._enter(belief, None)
-        with self.clock.stage("loop closing"):
-            geometry = self.parts.loop_closer.close(belief.query, belief.match)
-        return self._enter(belief, geometry)
+            return LoopCandidate(belief, None, None)
+        with self.timer.stage("loop closing"):
+            geometry = self.components.loop_closer.verify(belief.query, belief.match)
+        return self._add_to_graph(belief, geometry)
 
-    def _enter(self, belief: Belief, geometry: Geometry) -> LoopAttempt:
-        """Enter a loop within this drive into its graph; images are counted from its first one from here on."""
-        belief = replace(belief, query=belief.query - self._first, match=self._counted(belief.match))
+    def _add_to_graph(self, belief: Belief, geometry: Geometry) -> LoopCandidate:
         if not isinstance(geometry, LoopClosure):
-            return LoopAttempt(belief, geometry, None)
-        geometry = replace(geometry, query=geometry.query - self._first, match=geometry.match - self._first)
-        if geometry.match < 0:
-            return LoopAttempt(belief, geometry, None)
-        with self.clock.stage("pose graph"):
-            return LoopAttempt(belief, geometry, self.parts.graph.add_loop(geometry))
-
-    def _counted(self, image: int | None) -> int | None:
-        return None if image is None else image - self._first
+            return LoopCandidate(belief, geometry, None)
+        with self.timer.stage("pose graph"):
+            return LoopCandidate(belief, geometry, self.components.graph.add_loop(geometry))
 
     def _map(self, index: int, landmarks: Landmarks) -> bool:
-        is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)
+        is_key_frame = self.components.key_frames.accepts(self._T_world_odometry)
         if is_key_frame:
-            self._draw(index, landmarks)
+            self._add_landmarks(index, landmarks)
         return is_key_frame
 
-    def _draw(self, index: int, landmarks: Landmarks) -> None:
-        self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)
+    def _add_landmarks(self, index: int, landmarks: Landmarks) -> None:
+        self.components.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)

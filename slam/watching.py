@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from odometry import se3
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.datasets.dataset import Dataset, Frame
-from slam.drive_log import DriveLog
+from slam.drive_log import RunLog
 from slam.loop_closing import LoopClosure
-from slam.system import LoopAttempt, Processed, Slam
+from slam.system import FrameResult, LoopCandidate, Slam
 from slam.viewer.viewer import ClosedLoop, Step, Viewer
 
 Array = NDArray[np.float64]
@@ -20,55 +20,55 @@ _MATRIX_EVERY = 100  # frames between two pictures of the recogniser's matrix
 _NO_PIXELS = np.empty((0, 2))
 
 
-class Watcher:
+class RunVisualizer:
     """Shows each frame, what became of the loops proposed with it, and the matrix of the recogniser, in a viewer."""
 
     def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRows) -> None:
         self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
         self._last_pair = -_PAIR_EVERY
 
-    def recall(self, log: DriveLog) -> None:
+    def restore(self, log: RunLog) -> None:
         """Show what an earlier run has found out, without its images."""
         if log.timestamps:
-            loops = [attempt for attempt in log.attempts if attempt.geometry is not None]
+            loops = [candidate for candidate in log.candidates if candidate.geometry is not None]
             self._viewer.recall(
                 np.array(log.timestamps),
                 np.array(log.odometry),
-                self._slam.parts.graph.poses(),
-                [(attempt.belief.query, attempt.belief.match or 0, attempt.closed) for attempt in loops],
+                self._slam.components.graph.poses(),
+                [(candidate.belief.query, candidate.belief.match or 0, candidate.closed) for candidate in loops],
             )
 
-    def show(self, processed: Processed) -> dict[str, float]:
+    def show(self, result: FrameResult) -> dict[str, float]:
         """Show a frame. Returns the milliseconds it took, as the stage `viewer`."""
         start = time.perf_counter()
-        self._viewer.step(_step(processed))
-        for attempt in processed.attempts:
-            if attempt.geometry is not None and not attempt.elsewhere:
-                self._show_loop(attempt, processed)
-        if processed.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
-            self._viewer.matrix(self._rows.matrix(processed.frame.index + 1))
+        self._viewer.step(_step(result))
+        for candidate in result.candidates:
+            if candidate.geometry is not None:
+                self._show_loop(candidate, result)
+        if result.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
+            self._viewer.matrix(self._rows.matrix(result.frame.index + 1))
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
-    def _show_loop(self, attempt: LoopAttempt, processed: Processed) -> None:
-        with_pair = attempt.closed and processed.frame.index - self._last_pair >= _PAIR_EVERY
+    def _show_loop(self, candidate: LoopCandidate, result: FrameResult) -> None:
+        with_pair = candidate.closed and result.frame.index - self._last_pair >= _PAIR_EVERY
         if with_pair:
-            self._last_pair = processed.frame.index
-        poses = self._slam.parts.graph.poses() if with_pair else np.empty((0, 4, 4))
-        self._viewer.loop(self._closed(attempt, processed, with_pair), poses)
+            self._last_pair = result.frame.index
+        poses = self._slam.components.graph.poses() if with_pair else np.empty((0, 4, 4))
+        self._viewer.loop(self._closed(candidate, result, with_pair), poses)
 
-    def _closed(self, attempt: LoopAttempt, processed: Processed, with_pair: bool) -> ClosedLoop:
-        geometry, belief = attempt.geometry, attempt.belief
+    def _closed(self, candidate: LoopCandidate, result: FrameResult, with_pair: bool) -> ClosedLoop:
+        geometry, belief = candidate.geometry, candidate.belief
         assert belief.match is not None
         proved = geometry if isinstance(geometry, LoopClosure) else None
         return ClosedLoop(
             query=belief.query,
             match=belief.match,
-            image_query=self._query_image(belief.query, processed.frame) if with_pair else None,
+            image_query=self._query_image(belief.query, result.frame) if with_pair else None,
             image_match=self._drive[belief.match].left if with_pair else None,
             pixels_query=_NO_PIXELS if proved is None else proved.pixels_query.astype(np.float64),
             pixels_match=_NO_PIXELS if proved is None else proved.pixels_match.astype(np.float64),
-            accepted=attempt.closed,
-            reason=attempt.reason,
+            accepted=candidate.closed,
+            reason=candidate.reason,
         )
 
     def _query_image(self, query: int, frame: Frame) -> NDArray[np.uint8]:
@@ -76,27 +76,27 @@ class Watcher:
         return frame.left if query == frame.index else self._drive[query].left
 
 
-def _step(processed: Processed) -> Step:
-    beliefs = [attempt.belief for attempt in processed.attempts]  # several at once, or none, where answers come late
+def _step(result: FrameResult) -> Step:
+    beliefs = [candidate.belief for candidate in result.candidates]  # several at once, or none, where answers come late
     belief = max(beliefs, key=lambda belief: (belief.accepted, belief.score), default=None)
     return Step(
-        index=processed.frame.index,
-        timestamp=processed.frame.timestamp,
-        image=processed.frame.left,
-        T_world_camera_odometry=processed.T_world_camera_odometry,
-        T_world_camera=processed.T_world_camera,
-        pixels_previous=processed.motion.pixels_previous,
-        pixels_current=processed.motion.pixels_current,
-        inliers=processed.motion.inliers,
-        predicted=processed.motion.predicted,
-        landmarks_world=_landmarks_world(processed),
-        stage_ms=processed.stage_ms,
+        index=result.frame.index,
+        timestamp=result.frame.timestamp,
+        image=result.frame.left,
+        T_world_camera_odometry=result.T_world_camera_odometry,
+        T_world_camera=result.T_world_camera,
+        pixels_previous=result.motion.pixels_previous,
+        pixels_current=result.motion.pixels_current,
+        inliers=result.motion.inliers,
+        predicted=result.motion.predicted,
+        landmarks_world=_landmarks_world(result),
+        stage_ms=result.stage_ms,
         score=belief.score if belief else 0.0,
         accepted=belief.accepted if belief else False,
     )
 
 
-def _landmarks_world(processed: Processed) -> Array | None:
-    if not processed.is_key_frame:
+def _landmarks_world(result: FrameResult) -> Array | None:
+    if not result.is_key_frame:
         return None
-    return se3.transform(processed.T_world_camera, processed.landmarks.points.astype(np.float64))
+    return se3.transform(result.T_world_camera, result.landmarks.points.astype(np.float64))

@@ -6,6 +6,7 @@ are sure. Temporal consistency in both directions of time, so such an image is a
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from place_recognition.map.route import Route
 from place_recognition.recognizer import Belief, no_pixels
@@ -92,3 +93,13 @@ class Bridge:
 
     def _shows(self, location: int) -> bool:
         return len(self._route.images[location]) >= self.config.least_features
+
+    def state(self) -> dict[str, Any]:
+        """The latest accepted belief and those after it, for a checkpoint."""
+        before = None if self._before is None else dict(vars(self._before))
+        return {"accepted": before, "waiting": [dict(vars(belief)) for belief in self._unsure]}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._before = None if state["accepted"] is None else Belief(**state["accepted"])
+        self._unsure = [Belief(**belief) for belief in state["waiting"]]

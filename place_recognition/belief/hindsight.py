@@ -12,6 +12,7 @@ neighbours match the same few, on no line, and those that follow, which have rea
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,19 @@ class Opinion:
         """What the paradigm believes of each proof about the image with this id."""
         return cls(tuple(map(believe, proofs)), proofs) if proofs else cls.none(query)
 
+    def state(self) -> dict[str, Any]:
+        """Beliefs and proofs as plain values and arrays, for a checkpoint."""
+        return {
+            "beliefs": [dict(vars(belief)) for belief in self.beliefs],
+            "proofs": [dict(vars(proof)) for proof in self.proofs],
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> "Opinion":
+        """The opinion of a state."""
+        beliefs = tuple(Belief(**belief) for belief in state["beliefs"])
+        return cls(beliefs, tuple(Proof(**proof) for proof in state["proofs"]))
+
 
 class Hindsight:
     """Takes the opinions of a paradigm, in the order of queries, and gives a belief for each, a while later."""
@@ -176,6 +190,17 @@ class Hindsight:
         sure = (said == surest) & (said >= enough[:, None])
         denied = np.where(sure & (off > self.config.elsewhere), self.config.most, 0.0)
         return _of_best(denied, steps, np.ones(len(steps), bool))
+
+    def state(self) -> dict[str, Any]:
+        """The opinions of the window, for a checkpoint."""
+        return {"opinions": [opinion.state() for opinion in self._opinions], "num_waiting": self._waiting}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        for opinion in map(Opinion.from_state, state["opinions"]):
+            self._opinions.append(opinion)
+            self._surest.append(_surest(opinion.proofs, self.config.window))
+        self._waiting = state["num_waiting"]
 
 
 def _surest(proofs: tuple[Proof, ...], stretch: int) -> list[Proof]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 from place_recognition.belief.proof import Pairing, Proof, ProofConfig, pair, rank
 from place_recognition.belief.temporal_consistency import ConsistencyConfig, TemporalConsistency
@@ -70,3 +71,11 @@ class Judge:
     def _weight(self, proof: Proof) -> float:
         """Evidence, and as much again at most by the way so far: it cannot speak where the image does not."""
         return proof.evidence + min(self._consistency.trail(proof), proof.evidence)
+
+    def state(self) -> list[dict[str, Any]]:
+        """The latest proofs, for a checkpoint."""
+        return self._consistency.state()
+
+    def restore(self, state: list[dict[str, Any]]) -> None:
+        """Continue from a state."""
+        self._consistency.restore(state)

@@ -111,6 +111,14 @@ class CausalFilter:
             _add_row(known, weights, response)
         return response
 
+    def state(self) -> list[Floats]:
+        """The rows held, for a checkpoint."""
+        return list(self._rows)
+
+    def restore(self, rows: list[Floats]) -> None:
+        """Continue from a state."""
+        self._rows = list(rows)
+
 
 def _add_row(row: Floats, weights: tuple[float, float, float], response: Floats) -> None:
     """Add to response (M,) the three weights times the row's cells at one column less, the same and one more."""

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from place_recognition.belief.proof import Proof
 
@@ -73,3 +74,11 @@ class TemporalConsistency:
     def _agree(self, earlier: Proof, proof: Proof) -> bool:
         reach = self.config.speed * (proof.query - earlier.query) + self.config.slack
         return abs(proof.location - earlier.location) <= reach
+
+    def state(self) -> list[dict[str, Any]]:
+        """The latest proofs, for a checkpoint."""
+        return [dict(vars(proof)) for proof in self._recent]
+
+    def restore(self, state: list[dict[str, Any]]) -> None:
+        """Continue from a state."""
+        self._recent = deque((Proof(**proof) for proof in state), maxlen=self._recent.maxlen)

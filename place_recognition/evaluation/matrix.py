@@ -1,6 +1,7 @@
 """The matrix behind Figures 4.7, 4.8 and 4.12, gathered row by row in bounded memory."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,3 +78,15 @@ class MatrixRows:
                 np.fmax.at(folded, np.arange(len(known)) // 2, known)
                 smaller[row // 2] = np.fmax(smaller[row // 2], folded) if row // 2 in smaller else folded
             self._stages[stage] = smaller
+
+    def state(self) -> dict[str, Any]:
+        """All rows, for a checkpoint."""
+        stages = {stage: {"rows": list(kept), "values": list(kept.values())} for stage, kept in self._stages.items()}
+        return {"step": self._step, "first_image": self._first, "stages": stages}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._step, self._first = state["step"], state["first_image"]
+        self._stages = {
+            stage: dict(zip(kept["rows"], kept["values"], strict=True)) for stage, kept in state["stages"].items()
+        }

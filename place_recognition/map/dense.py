@@ -4,6 +4,8 @@ A query costs time in proportion to the map, a byte or less of memory traffic fo
 numbers are exact, so that neither threads nor the order of summing can change a bit.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -51,6 +53,15 @@ class DenseMap:
         if not np.isfinite(largest):
             raise ValueError("expected a descriptor of finite numbers, got some that are not")
         return np.round(vector * (STEPS / largest) if largest > 0 else vector).astype(np.int8)
+
+    def state(self) -> dict[str, Any]:
+        """All descriptors, for a checkpoint."""
+        return {"vectors": self._vectors.state(), "lengths": self._lengths.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._vectors.restore(state["vectors"])
+        self._lengths.restore(state["lengths"])
 
 
 def _length(vector: NDArray[np.int8]) -> float:

@@ -40,6 +40,16 @@ class GrowingArray(Generic[Scalar]):
         """What the rows take; the room for more is taken from the system when it is used."""
         return self.rows.nbytes
 
-    def __getstate__(self) -> dict[str, object]:
-        """The rows, without the room for more."""
-        return {"_storage": self.rows, "_count": self._count}
+    def state(self) -> NDArray[Scalar]:
+        """The rows, not copied, for a checkpoint."""
+        return self.rows
+
+    def restore(self, rows: NDArray[Scalar]) -> None:
+        """Take over the rows of another array of the same dtype; they belong to this one from now on.
+
+        Raises:
+            ValueError: another dtype.
+        """
+        if rows.dtype != self._storage.dtype:
+            raise ValueError(f"expected rows of {self._storage.dtype}, got {rows.dtype}")
+        self._storage, self._count = rows, len(rows)

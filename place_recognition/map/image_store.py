@@ -110,6 +110,20 @@ class ImageStore:
             raise IndexError(f"expected a location below {len(self)}, got {location}")
         return self._records.read(location)
 
+    def state(self) -> NDArray[np.void] | None:
+        """All records, for a checkpoint; None before the first image."""
+        return None if self._records is None else self._records.state()
+
+    def restore(self, records: NDArray[np.void] | None) -> None:
+        """Take over the records of another store into this one, which is empty.
+
+        Raises:
+            ValueError: records of another number of features.
+        """
+        if records is not None:
+            dimension = records.dtype["quantised"].shape[-1]
+            self._begin(dimension).restore(records)
+
 
 def record_type(features: int, dimension: int) -> np.dtype[np.void]:
     """How one image is kept."""

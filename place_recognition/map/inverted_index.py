@@ -4,6 +4,8 @@ Sivic, Zisserman, 'Video Google', ICCV 2003. The postings of all words lie in fl
 word's blocks chained: at a million images (about 170,000 sequences of 6 images) six bytes a posting make about one GB.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -72,6 +74,32 @@ class InvertedIndex:
         self._next.rows[self._last[full[chained]]] = blocks[chained]
         self._first[full[~chained]] = blocks[~chained]
         self._last[full] = blocks
+
+    def state(self) -> dict[str, Any]:
+        """All postings, for a checkpoint."""
+        return {
+            "first_block": self._first,
+            "last_block": self._last,
+            "num_postings": self._postings,
+            "sequences": self._sequences.state(),
+            "values": self._values.state(),
+            "next_block": self._next.state(),
+            "num_sequences": self._count,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state.
+
+        Raises:
+            ValueError: of another number of words.
+        """
+        if len(state["first_block"]) != len(self._first):
+            raise ValueError(f"expected postings of {len(self._first)} words, got {len(state['first_block'])}")
+        self._first, self._last = state["first_block"], state["last_block"]
+        self._postings, self._count = state["num_postings"], state["num_sequences"]
+        self._sequences.restore(state["sequences"])
+        self._values.restore(state["values"])
+        self._next.restore(state["next_block"])
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closur
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,14 @@ class PlaceFormation:
             return descriptors
         pairs = mutual_matches(self._carried, descriptors, self.config.ratio)
         return descriptors[pairs[:, 1]]
+
+    def state(self) -> dict[str, Any]:
+        """The open place, for a checkpoint."""
+        return {"images": list(self._images), "carried": self._carried}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._images, self._carried = list(state["images"]), state["carried"]
 
 
 class PlaceMap:
@@ -146,3 +155,19 @@ class PlaceMap:
     def place_of(self, location: int) -> int:
         """The place to which a location belongs, which has ended."""
         return int(np.searchsorted(self._ends, location))
+
+    def state(self) -> dict[str, Any]:
+        """All places that have ended, for a checkpoint."""
+        return {
+            "index": self._index.state(),
+            "last_images": self._last.state(),
+            "words_until": self._words_until.state(),
+            "waiting": list(self._waiting),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._index.restore(state["index"])
+        self._last.restore(state["last_images"])
+        self._words_until.restore(state["words_until"])
+        self._waiting = deque(state["waiting"])

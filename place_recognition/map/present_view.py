@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +103,16 @@ class PresentView:
             if len(self._view) == 1 or alike:
                 return
             self._view.popleft()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"image_ids": self._ids.state(), "distances_m": self._ways.state(), "view": list(self._view)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._ids.restore(state["image_ids"])
+        self._ways.restore(state["distances_m"])
+        self._view = deque(state["view"])
 
 
 def is_blank(thumbnail: Picture) -> bool:

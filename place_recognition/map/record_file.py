@@ -3,7 +3,6 @@
 import errno
 import os
 import tempfile
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,18 +55,23 @@ class RecordFile:
         size = self.dtype.itemsize
         return np.frombuffer(os.pread(self._file.fileno(), size, index * size), self.dtype)[0]
 
-    def __getstate__(self) -> dict[str, object]:
-        """All records, wherever they are now; the file itself is not to be had."""
+    def state(self) -> Record:
+        """All records (N,), wherever they are now, for a checkpoint."""
         early = max(self._count - len(self._latest), 0)
         older = [self.read(index) for index in range(early)]
         latest = np.roll(self._latest, -(early % len(self._latest)))[: self._count - early]
-        records = np.concatenate([np.array(older, self.dtype), latest])
-        return {"in_memory": len(self._latest), "records": records}
+        return np.concatenate([np.array(older, self.dtype), latest])
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Keep the same records in a file of one's own."""
-        self.__init__(state["records"].dtype, state["in_memory"])  # type: ignore[misc]
-        for record in state["records"]:
+    def restore(self, records: Record) -> None:
+        """Take over records (N,) into a file that has none.
+
+        Raises:
+            ValueError: records of another type.
+            OSError: the disk is full.
+        """
+        if records.dtype != self.dtype:
+            raise ValueError(f"expected records of {self.dtype}, got {records.dtype}")
+        for record in records:
             self.append(record)
 
     def _write(self, index: int, record: Record) -> None:

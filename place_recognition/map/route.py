@@ -1,6 +1,7 @@
 """The images seen so far, and which of them are past enough to be matched with the latest one."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,3 +136,19 @@ class Route:
     def _shared_with_begin(self, newest: NDArray[np.int8]) -> int:
         begin = self.images.strongest([self._view_begin], self.config.compared)
         return int(count_matches(newest, *begin, self.config.ratio)[0])
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {
+            "features": self.images.state(),
+            "image_ids": self._ids.state(),
+            "distances_m": self._ways.state(),
+            "view_begin": self._view_begin,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self.images.restore(state["features"])
+        self._ids.restore(state["image_ids"])
+        self._ways.restore(state["distances_m"])
+        self._view_begin = state["view_begin"]

@@ -1,5 +1,7 @@
 """The map of both paradigms of sequences: which images make up each sequence, and which words are in it."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,3 +49,12 @@ class SequenceMap:
     @property
     def _ends(self) -> Indices:
         return self._lasts.rows.reshape(-1)
+
+    def state(self) -> dict[str, Any]:
+        """All sequences, for a checkpoint."""
+        return {"index": self.index.state(), "last_images": self._lasts.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self.index.restore(state["index"])
+        self._lasts.restore(state["last_images"])

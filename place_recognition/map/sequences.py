@@ -4,7 +4,7 @@ Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed way) and IJRR 37(1) 2018 (visu
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,14 @@ class Segmentation(Protocol):
             words: (N,) its words.
             travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
         """
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
         ...
 
 
@@ -61,6 +69,15 @@ class FixedWay:
             self._begin, self._images = travelled, 0
         self._images += 1
         return bool(begins)
+
+    def state(self) -> dict[str, Any]:
+        """Where the drive and the open sequence began, for a checkpoint."""
+        return {"first_distance_m": self._drive_begin, "begin_distance_m": self._begin, "num_images": self._images}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._drive_begin, self._begin = state["first_distance_m"], state["begin_distance_m"]
+        self._images = state["num_images"]
 
 
 @dataclass(frozen=True)
@@ -117,3 +134,23 @@ class WordVariance:
             self._changes += [1.0 - float(np.mean(np.isin(distinct, self._latest, assume_unique=True))), 1]
         if len(distinct):
             self._latest = distinct
+
+    def state(self) -> dict[str, Any]:
+        """The words of the open sequence and what usually changes, for a checkpoint."""
+        return {
+            "words_seen": self._seen,
+            "num_images": self._images,
+            "latest_words": self._latest,
+            "changes": self._changes,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state.
+
+        Raises:
+            ValueError: of another number of words.
+        """
+        if len(state["words_seen"]) != len(self._seen):
+            raise ValueError(f"expected a vocabulary of {len(self._seen)} words, got {len(state['words_seen'])}")
+        self._seen, self._images = state["words_seen"], state["num_images"]
+        self._latest, self._changes = state["latest_words"], state["changes"]

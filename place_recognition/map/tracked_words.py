@@ -6,6 +6,7 @@ RA-L 4(2) 2019, sections III-A and III-B. A location is one image, counted from 
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +128,23 @@ class FeatureTracks:
         self._sums = np.concatenate([self._sums, features.descriptors[unused]])
         self._lengths = np.concatenate([self._lengths, np.ones(len(unused), np.int64)])
 
+    def state(self) -> dict[str, Any]:
+        """The tracks and the latest image, for a checkpoint."""
+        return {
+            "image": self._image,
+            "location": self._location,
+            "pixels": self._pixels,
+            "descriptors": self._descriptors,
+            "descriptor_sums": self._sums,
+            "lengths": self._lengths,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._image, self._location = state["image"], state["location"]
+        self._pixels, self._descriptors = state["pixels"], state["descriptors"]
+        self._sums, self._lengths = state["descriptor_sums"], state["lengths"]
+
 
 class WordMap:
     """All words, in the order in which their tracks ended; those that are past may be found.
@@ -183,6 +201,22 @@ class WordMap:
             self._covering = larger
         begin = int(words.first.min())
         self._covering[begin:end] += count_covering(words.first - begin, words.last - begin, end - begin)
+
+    def state(self) -> dict[str, Any]:
+        """All words, for a checkpoint."""
+        return {
+            "index": self._index.state(),
+            "spans": self._spans.state(),
+            "num_covering": self._covering,
+            "waiting": [dict(vars(words)) for words in self._waiting],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._index.restore(state["index"])
+        self._spans.restore(state["spans"])
+        self._covering = state["num_covering"]
+        self._waiting = deque(Words(**words) for words in state["waiting"])
 
 
 def count_covering(first: Indices, last: Indices, locations: int) -> NDArray[np.int32]:

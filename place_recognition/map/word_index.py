@@ -1,6 +1,6 @@
 """Where a word is found again: the nearest of all words of a growing map."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -30,6 +30,14 @@ class WordIndex(Protocol):
         """The nearest word (N,) of each query descriptor (N, D), Euclidean; needs at least one word."""
         ...
 
+    def state(self) -> Any:
+        """All words, for a checkpoint."""
+        ...
+
+    def restore(self, state: Any) -> None:
+        """Continue from a state."""
+        ...
+
 
 class ExactWordIndex:
     """Compares every word (a WordIndex)."""
@@ -48,6 +56,14 @@ class ExactWordIndex:
     def nearest(self, query: Floats) -> Indices:
         """The nearest word (N,) of each query descriptor (N, D); of equally near ones the first."""
         return nearest_words(query, self._words.rows)
+
+    def state(self) -> Any:
+        """All words, for a checkpoint."""
+        return self._words.state()
+
+    def restore(self, state: Any) -> None:
+        """Continue from a state."""
+        self._words.restore(state)
 
 
 @njit(cache=True)

@@ -5,6 +5,8 @@ A balanced tree of cells of like words that split when they are full, as a B-tre
 long: at most one cell a level is split. A search follows the nearest cells of each level, not one path alone.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,16 @@ class WordTree:
         assert self._nodes is not None  # the contract: at least one word
         return search_words(self._nodes, self._words.rows, quantised(query), beam(len(self)))
 
+    def state(self) -> Any:
+        """All nodes and words, for a checkpoint."""
+        nodes = None if self._nodes is None else self._nodes._asdict()
+        return {"nodes": nodes, "words": self._words.state()}
+
+    def restore(self, state: Any) -> None:
+        """Continue from a state."""
+        self._nodes = None if state["nodes"] is None else Nodes(**state["nodes"])
+        self._words.restore(state["words"])
+
 
 class GrowingWordIndex:
     """Compares every word while there are few, and searches a tree when there are many (a WordIndex)."""
@@ -72,6 +84,15 @@ class GrowingWordIndex:
         """The nearest word (N,) of each query descriptor (N, D); needs at least one word."""
         index: WordIndex = self._exact if len(self._tree) <= self._limit else self._tree
         return index.nearest(query)
+
+    def state(self) -> Any:
+        """All words, for a checkpoint."""
+        return {"exact": self._exact.state(), "tree": self._tree.state()}
+
+    def restore(self, state: Any) -> None:
+        """Continue from a state."""
+        self._exact.restore(state["exact"])
+        self._tree.restore(state["tree"])
 
 
 def beam(words: int) -> int:

@@ -6,6 +6,7 @@ general (inverse document frequency): tf-idf.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -101,6 +102,16 @@ class ImageWords:
         weights = np.stack([(present - share) * squares / max(length, 1e-12), squares], axis=1)
         ends = self._ends.rows.reshape(-1)
         return _correlate(weights.astype(np.float32), self._words.rows.reshape(-1), ends, locations)
+
+    def state(self) -> dict[str, Any]:
+        """The words of all images, for a checkpoint."""
+        return {"words": self._words.state(), "ends": self._ends.state(), "images_with_word": self._images_with}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._words.restore(state["words"])
+        self._ends.restore(state["ends"])
+        self._images_with = state["images_with_word"]
 
 
 @njit(cache=True)

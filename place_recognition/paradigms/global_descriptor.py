@@ -5,6 +5,7 @@ robot from. The descriptor may be a histogram of oriented gradients or any netwo
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,3 +70,12 @@ class GlobalDescriptorMatching:
         best = int(similarities.argmax())
         score = float(similarities[best])
         return Belief(image_id, int(self._present.ids[best]), score, accepted=score >= self.config.threshold)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"history": self._present.state(), "descriptors": self._map.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration."""
+        self._present.restore(state["history"])
+        self._map.restore(state["descriptors"])

@@ -19,6 +19,7 @@ of the chapter. What differs from the paper:
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,6 +221,24 @@ class HierarchicalPlaces:
         locations = np.array([location for span in spans for location in span], np.int64)
         votes = np.repeat(ballot.votes.astype(np.float64), [len(span) for span in spans])
         self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], votes)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {
+            "history": self._route.state(),
+            "open_place": self._open.state(),
+            "places": self._places.state(),
+            "consistency": self._judge.state(),
+            "decision": self._verdicts.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration."""
+        self._route.restore(state["history"])
+        self._open.restore(state["open_place"])
+        self._places.restore(state["places"])
+        self._judge.restore(state["consistency"])
+        self._verdicts.restore(state["decision"])
 
 
 def _outwards(reach: int) -> list[int]:

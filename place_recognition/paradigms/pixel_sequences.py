@@ -10,6 +10,7 @@ No geometry is asked. What differs from the paper:
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -109,6 +110,28 @@ class PixelSequences:
         if score <= 0:
             return Belief(image_id, None, 0.0, accepted=False)
         return Belief(image_id, int(ids[best]), score, accepted=score >= self.config.threshold)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {
+            "history": self._present.state(),
+            "thumbnails": self._pictures.state(),
+            "is_blank": self._blank.state(),
+            "likeness": list(self._likeness),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration.
+
+        Raises:
+            ValueError: of another length of sequences.
+        """
+        if len(state["likeness"]) != self.config.length:
+            raise ValueError(f"expected sequences of {self.config.length} images, got {len(state['likeness'])}")
+        self._present.restore(state["history"])
+        self._pictures.restore(state["thumbnails"])
+        self._blank.restore(state["is_blank"])
+        self._likeness.extend(state["likeness"])
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ Detection', IROS 2016. For what differs from the paper see `sequence_matching`.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,3 +73,11 @@ class SequenceHistograms:
     def finish(self) -> list[Belief]:
         """Answer for the images of the last two sequences."""
         return self._matching.finish()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return self._matching.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration and vocabulary."""
+        self._matching.restore(state)

@@ -10,6 +10,7 @@ from the papers, each for a reason found on images that do not judge:
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,6 +118,22 @@ class _Sequence:
     horizons: list[int]
     vector: WordVector
     row: Floats
+
+    def state(self) -> dict[str, Any]:
+        """The sequence as plain values and arrays, for a checkpoint."""
+        return {
+            "first_image": self.images.start,
+            "last_image": self.images.stop - 1,
+            "horizons": self.horizons,
+            "vector": dict(vars(self.vector)),
+            "row": self.row,
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> "_Sequence":
+        """The sequence of a state."""
+        images = range(state["first_image"], state["last_image"] + 1)
+        return cls(images, state["horizons"], WordVector(**state["vector"]), state["row"])
 
 
 class SequenceMatching:
@@ -229,6 +246,32 @@ class SequenceMatching:
             verified=proof.verified,
             pixels=proof.pixels,
         )
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint; the vocabulary stays as it is."""
+        return {
+            "segmentation": self._segmentation.state(),
+            "filter": self._filter.state(),
+            "history": self._route.state(),
+            "words": self._words.state(),
+            "sequences": self._map.state(),
+            "consistency": self._judge.state(),
+            "decision": self._verdicts.state(),
+            "open_horizons": list(self._open),
+            "waiting": None if self._waiting is None else self._waiting.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration and vocabulary."""
+        self._segmentation.restore(state["segmentation"])
+        self._filter.restore(state["filter"])
+        self._route.restore(state["history"])
+        self._words.restore(state["words"])
+        self._map.restore(state["sequences"])
+        self._judge.restore(state["consistency"])
+        self._verdicts.restore(state["decision"])
+        self._open = list(state["open_horizons"])
+        self._waiting = None if state["waiting"] is None else _Sequence.from_state(state["waiting"])
 
 
 def _best_of(rows: tuple[Floats, ...], count: int) -> Indices:

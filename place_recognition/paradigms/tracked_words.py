@@ -15,6 +15,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,3 +151,21 @@ class TrackedWords:
         steps = sorted(range(-self.config.neighbours, self.config.neighbours + 1), key=abs)
         near = dict.fromkeys(location + step for step in steps for location in voted)
         return [location for location in near if 0 <= location <= horizon]
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {
+            "tracks": self._tracks.state(),
+            "history": self._route.state(),
+            "words": self._words.state(),
+            "consistency": self._judge.state(),
+            "decision": self._verdicts.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration."""
+        self._tracks.restore(state["tracks"])
+        self._route.restore(state["history"])
+        self._words.restore(state["words"])
+        self._judge.restore(state["consistency"])
+        self._verdicts.restore(state["decision"])

@@ -13,7 +13,7 @@ from rich.console import Console
 from slam.config import RunConfig, read_config
 from slam.datasets.source import Source
 from slam.errors import OutputError, RevisitError
-from slam.run import RunOptions, configure, run_recorded
+from slam.run import RunOptions, resolve_config, run_pipeline
 from slam.storage.atomic import atomic_writer
 from slam.storage.metrics import read_metrics
 
@@ -65,8 +65,8 @@ class Job:
             "paradigm": self.paradigm,
             "robust": self.robust,
             "seed": self.seed,
-            "record": self.record,
-            "keep_map": self.record,
+            "save_recording": self.record,
+            "save_map": self.record,
         }
 
     @property
@@ -76,7 +76,7 @@ class Job:
         Raises:
             ConfigError: the settings file, a paradigm or a back end cannot be used.
         """
-        return configure(self.run_options(self.folder), self.settings)
+        return resolve_config(self.run_options(self.folder), self.settings)
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -170,7 +170,7 @@ def _run(job: Job) -> JobResult:
     # Written beside its place and then renamed: a process that dies meanwhile leaves nothing that looks finished.
     unfinished = job.folder.with_name(f".{job.name}-{uuid4().hex[:8]}")
     try:
-        if run_recorded(job.run_options(unfinished), job.settings, _QUIET, _QUIET):
+        if run_pipeline(job.run_options(unfinished), job.settings, _QUIET, _QUIET):
             raise KeyboardInterrupt
         _rename(unfinished, job.folder)
     finally:

@@ -237,7 +237,7 @@ def run(
 
     Example: revisit run ~/kitti/dataset --sequence 05 --out runs/kitti05
     """
-    from slam.run import RunOptions, run_recorded
+    from slam.run import RunOptions, run_pipeline
 
     options = RunOptions(
         source=source,
@@ -259,13 +259,13 @@ def run(
         "descriptor": descriptor,
         "robust": robust,
         "seed": seed,
-        "record": False if no_record else None,
-        "keep_map": False if no_map else None,
+        "save_recording": False if no_record else None,
+        "save_map": False if no_map else None,
         "mono": mono or None,
         "camera_height": camera_height,
     }
     settings = {name: value for name, value in chosen.items() if value is not None}
-    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
@@ -302,7 +302,7 @@ def reprocess(
     from dataclasses import replace
 
     from slam.map_store.remembered import source_of
-    from slam.run import RunOptions, run_recorded
+    from slam.run import RunOptions, run_pipeline
 
     found = source_of(map_)
     found = found if source is None else replace(found, path=source)
@@ -312,15 +312,15 @@ def reprocess(
         out=out,
         view="none",
         overwrite=overwrite,
-        again=map_,
+        reuse_map=map_,
         config=config,
         kind=found.kind,
         fps=found.fps,
         topics=found.topics,
     )
-    chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}
+    chosen = {"paradigm": paradigm, "robust": robust, "save_recording": not no_record}
     settings = {name: value for name, value in chosen.items() if value is not None}
-    interrupted = run_recorded(options, settings, Console(stderr=True), Console())
+    interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 

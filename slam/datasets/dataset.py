@@ -1,13 +1,14 @@
 """What a recorded drive is, wherever it came from."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
+from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,18 @@ class Frame:
         timestamp: seconds.
         left: (H, W) uint8, grey, rectified.
         right: (H, W) uint8, or None in a drive with one camera.
+        features: local features of the left image; None until somebody has extracted them.
     """
 
     index: int
     timestamp: float
     left: NDArray[np.uint8]
     right: NDArray[np.uint8] | None
+    features: LocalFeatures | None = None
+
+    def with_features(self, extractor: FeatureExtractor) -> "Frame":
+        """Return the frame with the features of its left image; itself where it has them."""
+        return self if self.features is not None else replace(self, features=extractor.extract(self.left))
 
 
 class Dataset(Protocol):

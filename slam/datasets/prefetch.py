@@ -1,38 +1,52 @@
-"""Reading ahead: the next images are decoded while the current ones are worked on."""
+"""Reading ahead: a thread decodes the next images, and prepares them, while the current one is processed.
+
+Decision record: docs/decisions/features_on_the_frame.md.
+"""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
-Item = TypeVar("Item", covariant=True)
+Item = TypeVar("Item")
+ItemRead = TypeVar("ItemRead", covariant=True)
 
 
-class Recording(Protocol[Item]):
+class Recording(Protocol[ItemRead]):
     """Frames, or images alone, that are read when asked for by their index."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, index: int, /) -> Item: ...
+    def __getitem__(self, index: int, /) -> ItemRead: ...
 
 
-def prefetch(recording: Recording[Item], ahead: int = 4, begin: int = 0) -> Iterator[Item]:
-    """Frames of the drive in order, read by one background thread.
+def prefetch(
+    recording: Recording[Item], ahead: int = 4, begin: int = 0, prepare: Callable[[Item], Item] | None = None
+) -> Iterator[Item]:
+    """Frames of a recording in order, read by one background thread.
 
     Args:
-        recording: the drive.
-        ahead: frames that wait in memory at most.
-        begin: index of the first one.
+        recording: what to read.
+        ahead: maximum number of frames that wait in memory.
+        begin: index of the first frame.
+        prepare: function that the thread applies to each frame after reading it, such as feature extraction; None
+            for none.
 
     Raises:
-        DataError: where the frame is reached that cannot be read; the frames before it are given.
+        DataError: a frame cannot be read; raised where that frame is reached, after all frames before it.
     """
-    # One thread: decoding and describing let go of the interpreter, and more would compete with the odometry's own.
+
+    def read(index: int) -> Item:
+        item = recording[index]
+        return item if prepare is None else prepare(item)
+
+    # One thread: decoding and extraction release the interpreter lock, and more threads would compete with those of
+    # the odometry.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="read-ahead")
     waiting: deque[Future[Item]] = deque()
     try:
         for index in range(begin, len(recording)):
-            waiting.append(executor.submit(recording.__getitem__, index))
+            waiting.append(executor.submit(read, index))
             if len(waiting) >= ahead:
                 yield waiting.popleft().result()
         while waiting:

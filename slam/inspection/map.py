@@ -7,15 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
+from slam.frame_record import FrameRecord
 from slam.inspection.finding import Finding, Inspection, MapUse, Status, bad
 from slam.map_store import schema
-from slam.map_store.rows import StoredFrame
-from slam.map_store.store import MAP_FILE, MapStore, map_file
+from slam.map_store.freezing import serialize
+from slam.map_store.store import MAP_FILE, MapDatabase, map_file
 
 Array = NDArray[np.float64]
 
 Verdict = tuple[Status, str]
-Judge = Callable[[MapStore], Verdict]
+Judge = Callable[[MapDatabase], Verdict]
 
 _EVERYTHING = tuple(MapUse)
 _HEADER, _APPLICATION_AT = b"SQLite format 3\0", 68  # of the file format, section 1.3
@@ -40,14 +41,14 @@ def inspect_map(path: Path) -> Inspection:
     """Inspect a map store, or that of the run in a folder; what keeps it from being read is a finding too."""
     file = map_file(path)
     try:
-        with MapStore.open(file) as store:
+        with MapDatabase.open(file) as store:
             findings = tuple(_judged(topic, judge, store) for topic, judge in _JUDGES.items())
     except DataError as error:
         findings = (bad("file", str(error), _EVERYTHING),)
     return Inspection(str(path), "map", findings, _EVERYTHING)
 
 
-def _judged(topic: str, judge: Judge, store: MapStore) -> Finding:
+def _judged(topic: str, judge: Judge, store: MapDatabase) -> Finding:
     forbids = (MapUse.RESUME,) if topic == "checkpoint" else _EVERYTHING
     try:
         status, text = judge(store)
@@ -56,7 +57,7 @@ def _judged(topic: str, judge: Judge, store: MapStore) -> Finding:
     return Finding(topic, status, text, forbids=forbids if status is Status.BAD else ())
 
 
-def _file(store: MapStore) -> Verdict:
+def _file(store: MapDatabase) -> Verdict:
     said = [row[0] for row in store.ask("PRAGMA integrity_check(3)")]
     if said != ["ok"]:
         return Status.BAD, f"{store.path}: expected a sound file, SQLite finds {said[0]}; copy it again or run again"
@@ -64,7 +65,7 @@ def _file(store: MapStore) -> Verdict:
     return Status.GOOD, f"sound, {size / 1e6:.1f} MB"
 
 
-def _tables(store: MapStore) -> Verdict:
+def _tables(store: MapDatabase) -> Verdict:
     lost = schema.missing_columns(store.ask)
     if lost:
         return Status.BAD, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
@@ -74,7 +75,7 @@ def _tables(store: MapStore) -> Verdict:
     return Status.GOOD, f"version {schema.VERSION}, all rows belong together"
 
 
-def _drives(store: MapStore) -> Verdict:
+def _drives(store: MapDatabase) -> Verdict:
     sessions = store.sessions()
     if not sessions:
         return Status.BAD, "expected a drive, found none; a run writes one: revisit run SOURCE --out DIR"
@@ -88,7 +89,7 @@ def _drives(store: MapStore) -> Verdict:
     return Status.GOOD, f"{len(sessions)}, all driven to their end"
 
 
-def _frames(store: MapStore) -> Verdict:
+def _frames(store: MapDatabase) -> Verdict:
     count, landmarks, numbers = store.images(), 0, set()
     for expected, frame in enumerate(store.frames()):
         if frame.image != expected:
@@ -105,7 +106,7 @@ def _frames(store: MapStore) -> Verdict:
     return Status.GOOD, f"{count}, {len(store.key_frames())} key frames, {landmarks} landmarks"
 
 
-def _fault(frame: StoredFrame) -> str:
+def _fault(frame: FrameRecord) -> str:
     """What of a frame cannot be true; empty where all can."""
     poses = [frame.T_world_odometry, frame.T_world_online, frame.motion.T_previous_current]
     poses += [] if frame.T_world_camera is None else [frame.T_world_camera]
@@ -126,19 +127,19 @@ def _is_pose(T: Array) -> bool:
     return bool(np.isfinite(T).all() and rigid)
 
 
-def _loops(store: MapStore) -> Verdict:
+def _loops(store: MapDatabase) -> Verdict:
     images = store.images()
-    for number, attempt in enumerate(store.attempts()):
-        belief = attempt.belief
+    for number, candidate in enumerate(store.candidates()):
+        belief = candidate.belief
         match = belief.query - 1 if belief.match is None else belief.match
         if not -1 <= match < belief.query < images:
             found = f"{belief.query} and {belief.match}"
-            return Status.BAD, f"attempt {number}: expected two of {images} images, found {found}; run again"
-    (row,) = store.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM attempt")
+            return Status.BAD, f"candidate {number}: expected two of {images} images, found {found}; run again"
+    (row,) = store.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
     return Status.GOOD, f"{row[0]} answers of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
 
 
-def _checkpoint(store: MapStore) -> Verdict:
+def _checkpoint(store: MapDatabase) -> Verdict:
     sessions = store.sessions()
     newest = sessions[-1].number if sessions else 0
     checkpoint = store.checkpoint(newest)
@@ -147,7 +148,8 @@ def _checkpoint(store: MapStore) -> Verdict:
     frames = store.images(newest)
     if checkpoint.frames != frames:
         return Status.BAD, f"expected it after {frames} frames, found it after {checkpoint.frames}; run again"
-    return Status.GOOD, f"after {frames} frames, {sum(array.nbytes for array in checkpoint.arrays) / 1e6:.1f} MB"
+    _, arrays = serialize(checkpoint.state)
+    return Status.GOOD, f"after {frames} frames, {sum(array.nbytes for array in arrays) / 1e6:.1f} MB"
 
 
 _JUDGES: dict[str, Judge] = {

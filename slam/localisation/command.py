@@ -17,9 +17,9 @@ from slam.config import RunConfig, from_values
 from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError
 from slam.localisation.images import open_queries
-from slam.localisation.locator import Located, Locator, NotFound
+from slam.localisation.locator import LocalizationResult, Localizer, NotLocalized
 from slam.localisation.saved_map import SavedMap
-from slam.map_store.store import MapStore, map_file
+from slam.map_store.store import MapDatabase, map_file
 from slam.progress import progress_bar
 from slam.storage.tables import write_table
 
@@ -32,11 +32,11 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class LocateOptions:
-    """What the user asks for.
+    """Options of `revisit locate`.
 
     Attributes:
-        map: a map store, or the folder of a run that holds one.
-        images: to be placed.
+        map: map database, or the folder of a run that holds one.
+        images: images to be localized.
         out: CSV file for the poses; None to write none.
     """
 
@@ -46,71 +46,68 @@ class LocateOptions:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What became of one image.
+class QueryResult:
+    """Result for one image.
 
     Attributes:
-        name: of the image.
+        name: name of the image.
         found: its pose, or why there is none.
     """
 
     name: str
-    found: Located | NotFound
+    found: LocalizationResult | NotLocalized
 
     def cells(self) -> dict[str, object]:
-        """The answer by its columns; None where it has no value."""
-        found, values = self.found, dict.fromkeys(_COLUMNS)
-        said: dict[str, object] = {
-            "image": self.name,
-            "localized": isinstance(found, Located),
-            "inliers": found.inliers,
-        }
-        if isinstance(found, NotFound):
-            return values | said | {"matched_image": found.image, "reason": found.reason}
+        """The result by its columns; None where it has no value."""
+        found = self.found
+        values: dict[str, object] = dict.fromkeys(_COLUMNS)
+        values |= {"image": self.name, "inliers": found.inliers, "matched_image": found.image}
+        if isinstance(found, NotLocalized):
+            return values | {"localized": False, "reason": found.reason}
         numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
         pose = dict(zip(_POSE, map(float, numbers), strict=True))
         sigmas = {"position_sigma_m": found.sigma_m, "rotation_sigma_deg": found.sigma_deg}
-        return values | said | pose | sigmas | {"matched_image": found.image, "map_id": found.world, "reason": ""}
+        return values | pose | sigmas | {"localized": True, "map_id": found.map_id, "reason": ""}
 
 
-def locate(options: LocateOptions, messages: Console) -> tuple[Answer, ...]:
-    """Place images in a saved map, and write the table if that was asked for.
+def locate(options: LocateOptions, messages: Console) -> tuple[QueryResult, ...]:
+    """Localize images in a saved map, and write the table if that was asked for.
 
     Raises:
         DataError: no map, no images, or they do not belong together.
         OutputError: the table cannot be written.
     """
-    with MapStore.open(map_file(options.map)) as store:
+    with MapDatabase.open(map_file(options.map)) as store:
         saved = SavedMap.open(store)
         queries = open_queries(options.images, saved.camera)
-        locator = Locator(saved, _extractor(store))
+        locator = Localizer(saved, _extractor(store))
         answers = []
         with progress_bar(messages, "Locating") as progress:
             for name, image in queries:
-                answers.append(Answer(name, locator.locate(image)))
+                answers.append(QueryResult(name, locator.locate(image)))
                 progress(len(answers), len(queries))
     if options.out is not None:
         write_table(options.out, _COLUMNS, (answer.cells().values() for answer in answers))
     return tuple(answers)
 
 
-def _extractor(store: MapStore) -> FeatureExtractor:
+def _extractor(store: MapDatabase) -> FeatureExtractor:
     """Of the features that the map is made of."""
     try:
         config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")
-        return local_features(config.places)
+        return local_features(config.place_recognition)
     except (ConfigError, ValueError) as error:
         raise DataError(
             f"{store.path}: expected the settings of its drive, found others ({error}); run again"
         ) from error
 
 
-def as_table(answers: Sequence[Answer]) -> Group:
+def as_table(answers: Sequence[QueryResult]) -> Group:
     """Poses for people, one image a line."""
     table = Table("image", "x m", "y m", "z m", "sigma m", "inliers", "matched image", "", box=None)
     for answer in answers:
         table.add_row(*_row(answer.cells()))
-    return Group(table, said(answers))
+    return Group(table, count_line(answers))
 
 
 def _row(cells: dict[str, object]) -> Iterable[str]:
@@ -122,11 +119,11 @@ def _row(cells: dict[str, object]) -> Iterable[str]:
     yield escape(f"not found: {cells['reason']}") if cells["reason"] else ""
 
 
-def said(answers: Sequence[Answer]) -> str:
-    """How many were found."""
-    return f"{sum(isinstance(answer.found, Located) for answer in answers)} of {len(answers)} images found"
+def count_line(answers: Sequence[QueryResult]) -> str:
+    """How many images were localized."""
+    return f"{sum(isinstance(answer.found, LocalizationResult) for answer in answers)} of {len(answers)} images found"
 
 
-def as_json(answers: Sequence[Answer]) -> str:
+def as_json(answers: Sequence[QueryResult]) -> str:
     """The same for scripts."""
     return json.dumps([answer.cells() for answer in answers], indent=2)

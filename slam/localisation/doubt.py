@@ -1,4 +1,4 @@
-"""Why a pose that was found for an image is not to be believed."""
+"""Acceptance tests for the pose of a single image: enough inliers, enough of the image explained, no rival place."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,36 +15,36 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DoubtConfig:
-    """What a pose must show to be believed.
+class AcceptanceConfig:
+    """When a pose is accepted.
 
     Attributes:
-        min_inliers: features of the image that agree with it.
-        min_explained: share of the image's features that have one of those close by; the rest of the picture may be
-            hidden by a bus, but where most of it is different, only a like building stands there.
-        reach: how close, as a share of the image's width.
-        max_sigma_m: standard deviation of its position, metres.
-        max_rival: a place elsewhere may explain so many features of each that the best explains.
-        elsewhere_m: how far that is, metres.
+        min_inliers: minimum number of features of the image that agree with it.
+        min_explained_fraction: minimum share of the image's features that lie near an inlier. A bus may hide the rest
+            of the image; where most of it differs, another building of the same kind stands there.
+        explained_radius: radius of "near", as a share of the image's width.
+        max_sigma_m: maximum standard deviation of the position, metres.
+        max_rival_ratio: maximum number of inliers of a pose at another place, as a share of those of the best pose.
+        min_rival_distance_m: minimum distance of another place, metres.
     """
 
     min_inliers: int = 30
-    min_explained: float = 0.35
-    reach: float = 0.05
+    min_explained_fraction: float = 0.35
+    explained_radius: float = 0.05
     max_sigma_m: float = 0.3
-    max_rival: float = 0.8
-    elsewhere_m: float = 5.0
+    max_rival_ratio: float = 0.8
+    min_rival_distance_m: float = 5.0
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An image may have been taken here.
+    """A place where an image may have been taken.
 
     Attributes:
-        place: key frame beside which, counted in key frames.
-        image: the same, by its number.
-        agreeing: features of the image that agree, by number.
-        pose: beside the key frame; None where there is none.
+        place: key frame near which it was taken, counted in key frames.
+        image: number of that key frame's image.
+        agreeing: indices of the features that agree with the pose.
+        pose: pose relative to the key frame; None where there is none.
     """
 
     place: int
@@ -56,37 +56,37 @@ class Hypothesis:
         return len(self.agreeing)
 
 
-def doubt(
-    best: Hypothesis, others: Sequence[Hypothesis], features: LocalFeatures, saved: SavedMap, config: DoubtConfig
-) -> str:
-    """Why not to believe the best hypothesis, with the numbers; empty where there is no reason."""
+def rejection_reason(
+    best: Hypothesis, others: Sequence[Hypothesis], features: LocalFeatures, saved: SavedMap, config: AcceptanceConfig
+) -> str | None:
+    """Why the best hypothesis is rejected, with the numbers; None where it is accepted."""
     if best.pose is None:
         return "no pose stands out among the matches"
     if len(best) < config.min_inliers:
         return f"{len(best)} features agree with one pose, expected at least {config.min_inliers}"
-    share = explained(features, best, config.reach * saved.camera.width)
-    if share < config.min_explained:
-        return f"{share:.1%} of the picture is explained, expected at least {config.min_explained:.0%}"
+    share = explained_fraction(features, best, config.explained_radius * saved.camera.width)
+    if share < config.min_explained_fraction:
+        return f"{share:.1%} of the picture is explained, expected at least {config.min_explained_fraction:.0%}"
     sigma = float(np.sqrt(np.trace(best.pose.covariance[3:, 3:])))
     if sigma > config.max_sigma_m:
         return f"the position is known to {sigma:.2f} m, expected {config.max_sigma_m} m"
-    rival = next((other for other in others if rivals(saved, best, other, config)), None)
+    rival = next((other for other in others if is_ambiguous(saved, best, other, config)), None)
     if rival is not None:
         return f"image {rival.image} of the map explains {len(rival)} features elsewhere, this one {len(best)}"
-    return ""
+    return None
 
 
-def explained(features: LocalFeatures, found: Hypothesis, reach_px: float) -> float:
-    """Share of an image's features that lie near one that agrees."""
+def explained_fraction(features: LocalFeatures, found: Hypothesis, reach_px: float) -> float:
+    """Share of an image's features that lie within a radius, pixels, of one that agrees."""
     nearest, _ = cKDTree(features.pixels[found.agreeing]).query(features.pixels)
     return float(np.mean(nearest < reach_px))
 
 
-def rivals(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: DoubtConfig) -> bool:
-    """Whether another place explains the image nearly as well as the best, which worlds that have not met may."""
-    if best.pose is None or other.pose is None or saved.world[best.image] != saved.world[other.image]:
+def is_ambiguous(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: AcceptanceConfig) -> bool:
+    """Whether another place explains the image nearly as well as the best; places of separate maps do not compete."""
+    if best.pose is None or other.pose is None or saved.map_id[best.image] != saved.map_id[other.image]:
         return False
     first = saved.poses[best.image] @ best.pose.T_base_camera
     second = saved.poses[other.image] @ other.pose.T_base_camera
     apart = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
-    return len(other) > config.max_rival * len(best) and apart > config.elsewhere_m
+    return len(other) > config.max_rival_ratio * len(best) and apart > config.min_rival_distance_m

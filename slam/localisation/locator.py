@@ -1,4 +1,4 @@
-"""From an image to its pose in a map: places that look like it are proposed, and geometry decides."""
+"""Localization of single images in a saved map: retrieval proposes key frames, geometric verification decides."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -8,54 +8,58 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures
 from slam.errors import DataError
-from slam.localisation.doubt import DoubtConfig, Hypothesis, doubt, rivals
+from slam.localisation.doubt import AcceptanceConfig, Hypothesis, is_ambiguous, rejection_reason
 from slam.localisation.index import IndexConfig, PlaceIndex
-from slam.localisation.pose import PoseConfig, camera_pose
+from slam.localisation.pose import PoseConfig, estimate_camera_pose
 from slam.localisation.saved_map import SavedMap
-from slam.localisation.view import ViewConfig, match_view
+from slam.localisation.view import LocalMapConfig, match_local_map
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class LocatorConfig:
-    """How an image is placed.
+class LocalizerConfig:
+    """Settings of the localization.
 
     Attributes:
-        candidates: places that are looked at.
-        apart: key frames from one of them to the next, at least.
-        glance: key frames around a candidate whose landmarks are looked for, counted in key frames.
-        look: the same for the best of them.
+        max_candidates: maximum number of key frames that are verified.
+        min_keyframe_gap: minimum distance between two candidates, key frames.
+        coarse_offsets: key frames around a candidate whose landmarks are matched first, relative to it.
+        fine_offsets: the same for the best candidates, which are verified again.
+        index: settings of the retrieval.
+        local_map: settings of the matching.
+        pose: settings of the pose estimation.
+        acceptance: when a pose is accepted.
     """
 
-    candidates: int = 6
-    apart: int = 5
-    glance: tuple[int, ...] = (-2, 0, 2)
-    look: tuple[int, ...] = (-5, -3, -2, -1, 0, 1, 2, 3, 5)
+    max_candidates: int = 6
+    min_keyframe_gap: int = 5
+    coarse_offsets: tuple[int, ...] = (-2, 0, 2)
+    fine_offsets: tuple[int, ...] = (-5, -3, -2, -1, 0, 1, 2, 3, 5)
     index: IndexConfig = field(default_factory=IndexConfig)
-    view: ViewConfig = field(default_factory=ViewConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
-    doubt: DoubtConfig = field(default_factory=DoubtConfig)
+    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
 
 
 @dataclass(frozen=True)
-class Located:
-    """Where an image was taken.
+class LocalizationResult:
+    """Pose of an image in the map.
 
     Attributes:
-        T_world_camera: (4, 4) in the map, metres, or the unit of a map that one camera has made.
-        covariance: (6, 6) of its right perturbation, rotation first, beside the matched image: the map's own errors
-            do not count.
-        image: of the map, beside which it was found.
-        world: frame of reference.
-        inliers: features that agree.
+        T_world_camera: (4, 4) pose in the map, metres, or the unit of a map that one camera has made.
+        covariance: (6, 6) of its right perturbation, rotation first, relative to the matched image: errors of the
+            map itself are not included.
+        image: number of the matched image of the map.
+        map_id: frame of reference.
+        inliers: number of features that agree with the pose.
     """
 
     T_world_camera: Array
     covariance: Array
     image: int
-    world: int
+    map_id: int
     inliers: int
 
     @property
@@ -70,13 +74,13 @@ class Located:
 
 
 @dataclass(frozen=True)
-class NotFound:
-    """An image that no place of the map explains.
+class NotLocalized:
+    """An image for which no pose was accepted.
 
     Attributes:
-        reason: in plain words, with the numbers.
-        image: of the map, that comes nearest; None where there is none.
-        inliers: features that agree with it.
+        reason: why, with the numbers.
+        image: number of the map's image with most inliers; None where there is none.
+        inliers: number of features that agree with it.
     """
 
     reason: str
@@ -84,16 +88,16 @@ class NotFound:
     inliers: int = 0
 
 
-class Locator:
-    """Places single images in a saved map; each by itself, in any order."""
+class Localizer:
+    """Localizes single images in a saved map, each by itself, in any order."""
 
-    def __init__(self, saved: SavedMap, extractor: FeatureExtractor, config: LocatorConfig | None = None) -> None:
+    def __init__(self, saved: SavedMap, extractor: FeatureExtractor, config: LocalizerConfig | None = None) -> None:
         """Index the map, which takes some milliseconds a key frame."""
-        self._saved, self._extractor, self._config = saved, extractor, config or LocatorConfig()
+        self._saved, self._extractor, self._config = saved, extractor, config or LocalizerConfig()
         self._index = PlaceIndex.build(self._descriptors, self._config.index)
 
-    def locate(self, image: Image) -> Located | NotFound:
-        """Place an image (H, W) uint8 of the map's camera.
+    def locate(self, image: Image) -> LocalizationResult | NotLocalized:
+        """Find the pose of an image (H, W) uint8 of the map's camera.
 
         Raises:
             DataError: the map is of other features.
@@ -102,39 +106,39 @@ class Locator:
         if features.descriptors.shape[1] != self._saved.numbers and len(features):
             raise DataError(
                 f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
-                f" {self._saved.numbers} numbers; let a run write it anew"
+                f" {self._saved.numbers} numbers; run again with these features"
             )
-        glances = [self._look(features, place, self._config.glance) for place in self._candidates(features)]
-        glances.sort(key=lambda glance: -len(glance))
-        if not glances or not len(glances[0]):
-            return NotFound(f"none of the {len(glances)} likeliest places agrees with it on a pose")
-        worth = [glance for glance in glances if rivals(self._saved, glances[0], glance, self._config.doubt)]
-        looks = [self._look(features, glance.place, self._config.look) for glance in (glances[0], *worth)]
-        best, *others = sorted(looks, key=lambda look: -len(look))
-        reason = doubt(best, others, features, self._saved, self._config.doubt)
-        if reason or best.pose is None:
-            return NotFound(reason, best.image, len(best))
+        coarse = [self._verify(features, place, self._config.coarse_offsets) for place in self._candidates(features)]
+        coarse.sort(key=lambda hypothesis: -len(hypothesis))
+        if not coarse or not len(coarse[0]):
+            return NotLocalized(f"none of the {len(coarse)} likeliest places agrees with it on a pose")
+        rivals = [other for other in coarse if is_ambiguous(self._saved, coarse[0], other, self._config.acceptance)]
+        fine = [self._verify(features, one.place, self._config.fine_offsets) for one in (coarse[0], *rivals)]
+        best, *others = sorted(fine, key=lambda hypothesis: -len(hypothesis))
+        reason = rejection_reason(best, others, features, self._saved, self._config.acceptance)
+        if reason is not None or best.pose is None:
+            return NotLocalized(reason or "no pose stands out among the matches", best.image, len(best))
         T_world_camera = self._saved.poses[best.image] @ best.pose.T_base_camera
-        world = int(self._saved.world[best.image])
-        return Located(T_world_camera, best.pose.covariance, best.image, world, len(best))
+        map_id = int(self._saved.map_id[best.image])
+        return LocalizationResult(T_world_camera, best.pose.covariance, best.image, map_id, len(best))
 
     def _descriptors(self) -> Iterator[NDArray[np.float32]]:
         for image in self._saved.key_frames:
             yield self._saved.landmarks(image).descriptors.astype(np.float32)
 
     def _candidates(self, features: LocalFeatures) -> Iterator[int]:
-        """The likeliest key frames that are some way from one another, best first."""
+        """The most similar key frames that are not neighbours of one another, best first."""
         likeness = self._index.likeness(features.descriptors)
-        for _ in range(self._config.candidates):
+        for _ in range(self._config.max_candidates):
             best = int(np.argmax(likeness))
             if likeness[best] <= 0:
                 return
             yield best
-            likeness[max(best - self._config.apart, 0) : best + self._config.apart + 1] = -np.inf
+            likeness[max(best - self._config.min_keyframe_gap, 0) : best + self._config.min_keyframe_gap + 1] = -np.inf
 
-    def _look(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
+    def _verify(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
         saved, base = self._saved, int(self._saved.key_frames[place])
-        matches = match_view(saved, base, saved.beside(place, offsets), features, self._config.view)
-        pose = camera_pose(saved.camera, matches, self._config.pose)
+        matches = match_local_map(saved, base, saved.beside(place, offsets), features, self._config.local_map)
+        pose = estimate_camera_pose(saved.camera, matches, self._config.pose)
         agreeing = np.empty(0, np.int64) if pose is None else np.unique(matches.features[pose.inliers])
         return Hypothesis(place, base, agreeing, pose)

@@ -81,15 +81,15 @@ class CameraPose:
     inliers: Mask
 
 
-def camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
+def estimate_camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
     """Pose of a camera by RANSAC, refined; None without consensus."""
     start = pose_from_pixels(
         camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations
     )
-    return None if start is None else refined_pose(camera, matches, start, config)
+    return None if start is None else refine_pose(camera, matches, start, config)
 
 
-def refined_pose(
+def refine_pose(
     camera: PinholeCamera, matches: MapMatches, T_base_camera: Array, config: PoseConfig
 ) -> CameraPose | None:
     """The pose near a first guess (4, 4) that most matches agree with.
@@ -98,7 +98,7 @@ def refined_pose(
     """
     if len(matches) < MIN_LANDMARKS:
         return None
-    system = _System(camera, matches, config)
+    system = _ReprojectionSystem(camera, matches, config)
     for _ in range(_ROUNDS):
         chi2 = system.linearize(T_base_camera)
         step = system.step(1.0 / (1.0 + chi2))  # Cauchy's weights
@@ -110,7 +110,7 @@ def refined_pose(
     inliers = chi2 < _LIMIT_2 * np.clip(np.median(chi2) / _MEDIAN_2, 1.0, 4.0)
     if np.sum(inliers) < MIN_LANDMARKS:
         return None
-    weights = inliers * _shared(matches.features, inliers)
+    weights = inliers * _feature_weights(matches.features, inliers)
     for _ in range(_POLISH):
         T_base_camera = T_base_camera @ se3.exp(system.step(weights))
         chi2 = system.linearize(T_base_camera)
@@ -124,13 +124,13 @@ def refined_pose(
     return CameraPose(se3.exact(T_base_camera), np.asarray(covariance, np.float64), inliers)
 
 
-def _shared(features: NDArray[np.int64], inliers: Mask) -> Array:
+def _feature_weights(features: NDArray[np.int64], inliers: Mask) -> Array:
     """One over how often each match's feature is an inlier: what was seen twice was measured once."""
     counts = np.bincount(features, inliers, int(features.max()) + 1)
     return 1.0 / np.maximum(counts[features], 1.0)
 
 
-class _System:
+class _ReprojectionSystem:
     """The linearised errors of matches, whitened."""
 
     def __init__(self, camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> None:
@@ -142,7 +142,7 @@ class _System:
         points = se3.transform(se3.inverse(T_base_camera), self._matches.points_base)
         ahead = points[:, 2] > _NEAREST
         points[~ahead] = [0.0, 0.0, _NEAREST]  # anything that can be seen: it does not count
-        pixels, J = _projected(self._camera, points)
+        pixels, J = _project(self._camera, points)
         rotated = J @ T_base_camera[:3, :3].T
         covariance = self._noise + rotated @ self._matches.noise_base @ np.swapaxes(rotated, 1, 2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -164,7 +164,7 @@ class _System:
         return np.asarray(np.linalg.lstsq(self.information(weights), right, rcond=None)[0])
 
 
-def _projected(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
+def _project(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:
     """Pixels (K, 2) of points (K, 3), and their derivative (K, 2, 3)."""
     x, y, z = points.T
     pixels = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)

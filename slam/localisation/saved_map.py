@@ -11,7 +11,7 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from slam.errors import DataError
 from slam.loop_closing import Landmarks
-from slam.map_store.store import MapStore
+from slam.map_store.store import MapDatabase
 
 Array = NDArray[np.float64]
 
@@ -27,23 +27,23 @@ class SavedMap:
         camera: of its images.
         key_frames: (F,) numbers of the images whose landmarks make the map, rising.
         poses: T_world_camera (N, 4, 4) of all images.
-        units: (N,) of length of each image, in that of the world.
+        units: (N,) of length of each image, in that of the map_id.
         session: (N,) drive of each image; its frames stand well to one another, whatever has drifted since.
-        world: (N,) frame of reference of each image.
+        map_id: (N,) frame of reference of each image.
         numbers: in a descriptor.
     """
 
-    store: MapStore
+    store: MapDatabase
     camera: StereoCamera
     key_frames: NDArray[np.int64]
     poses: Array
     units: Array
     session: NDArray[np.int64]
-    world: NDArray[np.int64]
+    map_id: NDArray[np.int64]
     numbers: int
 
     @classmethod
-    def open(cls, store: MapStore) -> Self:
+    def open(cls, store: MapDatabase) -> Self:
         """Read all but the landmarks.
 
         Raises:
@@ -60,8 +60,8 @@ class SavedMap:
         session = np.searchsorted(firsts, np.arange(len(poses)), side="right") - 1
         if not np.isfinite(poses).all() or key_frames[-1] >= len(poses):
             raise DataError(f"{store.path}: expected a finite pose of each image, found others; revisit check MAP")
-        world = np.array([one.world for one in sessions])[session]
-        return cls(store, sessions[0].camera, key_frames, poses, units, session, world, _numbers(store, key_frames))
+        map_id = np.array([one.map_id for one in sessions])[session]
+        return cls(store, sessions[0].camera, key_frames, poses, units, session, map_id, _numbers(store, key_frames))
 
     def landmarks(self, image: int) -> Landmarks:
         """What an image saw, in its camera's frame and its own unit.
@@ -79,7 +79,7 @@ class SavedMap:
         return seen
 
     def pose_between(self, base: int, other: int) -> Array:
-        """T_base_other (4, 4) of two images of one world, in its unit."""
+        """T_base_other (4, 4) of two images of one map_id, in its unit."""
         return se3.inverse(self.poses[base]) @ self.poses[other]
 
     def beside(self, place: int, offsets: Sequence[int]) -> NDArray[np.int64]:
@@ -89,7 +89,7 @@ class SavedMap:
         return images[self.session[images] == self.session[self.key_frames[place]]]
 
 
-def _numbers(store: MapStore, images: NDArray[np.int64]) -> int:
+def _numbers(store: MapDatabase, images: NDArray[np.int64]) -> int:
     for image in images.tolist():
         seen = store.landmarks(image)
         if len(seen):

@@ -1,4 +1,4 @@
-"""What several key frames around a place have seen, in the frame of one of them, and what an image shares with it."""
+"""The local map around a key frame, and 2D-3D matches of an image with it."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ViewConfig:
-    """How an image is matched with the map.
+class LocalMapConfig:
+    """Settings of the matching of an image with the landmarks of key frames.
 
     Attributes:
-        ratio: of nearest to second nearest descriptor distance.
-        sigma_px: noise of a landmark's pixel and of its disparity.
+        ratio: maximum ratio of nearest to second nearest descriptor distance.
+        sigma_px: standard deviation of a landmark's pixel and of its disparity, pixels.
     """
 
     ratio: float = 0.8
     sigma_px: float = 0.5
 
 
-def match_view(
-    saved: SavedMap, base: int, images: Iterable[int], features: LocalFeatures, config: ViewConfig
+def match_local_map(
+    saved: SavedMap, base: int, images: Iterable[int], features: LocalFeatures, config: LocalMapConfig
 ) -> MapMatches:
     """Match the features of an image with the landmarks of some key frames, in the frame of image `base`."""
     parts = [_match(saved, base, image, features, config) for image in images]
@@ -42,7 +42,7 @@ def match_view(
     )
 
 
-def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, config: ViewConfig) -> MapMatches:
+def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, config: LocalMapConfig) -> MapMatches:
     seen = saved.landmarks(image)
     pairs = mutual_matches(features.descriptors, seen.descriptors.astype(np.float32), config.ratio)
     points_there = seen.points[pairs[:, 1]].astype(np.float64)

@@ -1,6 +1,6 @@
-"""The end of a drive: its own map corrected, or the map of all drives that it has met."""
+"""The end of a session: its own trajectory is corrected, or the map of all sessions that it has loops with."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,25 +9,24 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.config import RunConfig
 from slam.loop_closing import LoopClosure
-from slam.map_store.store import Corrected, MapStore, Session, Verdict
+from slam.map_store.store import LoopOutcome, MapDatabase, OptimizedSession, Session
 from slam.robust import Optimized
-from slam.sessions import Drive, Joined, Step, join, meeting
+from slam.sessions import MergedSessions, SessionTrajectory, align_sessions, merge_sessions
 
 Array = NDArray[np.float64]
 Images = NDArray[np.int64]
-Numbered = tuple[int, LoopClosure]  # number of the attempt, and the loop with images counted through all drives
 
 
 @dataclass(frozen=True)
-class Met:
-    """What a drive has to do with the others of the map.
+class MergeResult:
+    """What became of a session in a map of other sessions.
 
     Attributes:
-        joined: it is in one frame with some of them.
-        verified: loops to their images that geometry has proved.
-        kept: those that stand in the corrected graph.
-        sessions: numbers of the drives it is joined with.
-        T_map_session: (4, 4) its first camera in their frame; the identity where it is not joined.
+        joined: whether it is in one frame of reference with some of them.
+        verified: number of loops to their images with a relative pose.
+        kept: number of those that stand in the corrected graph.
+        sessions: numbers of the sessions that it was merged with.
+        T_map_session: (4, 4) its first camera in their frame; the identity where it was not merged.
     """
 
     joined: bool = False
@@ -38,121 +37,185 @@ class Met:
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a drive has ended.
+class SessionResult:
+    """The end of a session.
 
     Attributes:
-        optimized: its trajectory in its own frame, and the verdicts on its own loops.
-        met: what it has to do with other drives; None where there are none.
+        optimized: its trajectory in its own frame, and the decisions on its own loops.
+        merge: what became of it in a map of other sessions; None where there are none.
     """
 
     optimized: Optimized
-    met: Met | None = None
+    merge: MergeResult | None = None
 
 
 @dataclass(frozen=True)
-class Conclusion:
-    """What the map is told, and what the run is told."""
+class NumberedLoop:
+    """A verified loop of a map database.
 
-    corrected: Corrected
-    ended: Ended
+    Attributes:
+        number: number of its record.
+        loop: query and match by the numbers of images in the map.
+    """
 
-
-def stopped(session: Session, optimized: Optimized) -> Conclusion:
-    """Correct a drive that was stopped before its end, by itself; it may go on and say more of its loops."""
-    images = session.first_image + np.arange(len(optimized.poses))
-    corrected = Corrected(images, optimized.poses, optimized.lengths, {}, session.number)
-    return Conclusion(corrected, Ended(optimized))
+    number: int
+    loop: LoopClosure
 
 
-def conclude(store: MapStore, session: Session, optimized: Optimized, config: RunConfig) -> Conclusion:
-    """Correct the map at the end of a drive.
+def close_session(session: Session, optimized: Optimized) -> tuple[OptimizedSession, SessionResult]:
+    """Close a session that was interrupted: its poses for the map, and its result.
+
+    No decision on a loop is kept, since the session may be resumed.
+    """
+    return _by_itself(session, optimized, []), SessionResult(optimized)
+
+
+def merge_session(
+    store: MapDatabase, session: Session, optimized: Optimized, config: RunConfig
+) -> tuple[OptimizedSession, SessionResult]:
+    """Close a session that has come to its end, merged with the sessions that its loops lead to.
 
     Args:
-        store: all frames and attempts of the drive are in it.
-        session: the drive.
-        optimized: the drive by itself.
-        config: how it was driven.
+        store: holds all frames and loops of the session.
+        session: the session.
+        optimized: the session by itself.
+        config: settings of the run.
+
+    Returns:
+        Poses and loop decisions for the map, and the result for the run.
     """
-    loops = list(_loops(store))
-    own = [loop for loop in loops if loop[1].match >= session.first_image]
-    images = session.first_image + np.arange(len(optimized.poses))
-    alone = Corrected(images, optimized.poses, optimized.lengths, _verdicts(own, optimized), session.number)
+    loops = verified_loops(store)
+    own = [numbered for numbered in loops if numbered.loop.match >= session.first_image]
+    alone = _by_itself(session, optimized, own)
     if session.first_image == 0:
-        return Conclusion(alone, Ended(optimized))
-    meetings = [loop for loop in loops if loop[1].match < session.first_image <= loop[1].query]
-    known = _known(store.sessions(), session, meetings)
-    before = np.concatenate([_images(store, one) for one in known]) if known else np.empty(0, np.int64)
-    everything = np.concatenate([before, images])
-    together, poses = set(everything.tolist()), store.poses()
-    loops = [loop for loop in loops if {loop[1].match, loop[1].query} <= together]
-    between = [_counted(loop, before, images) for _, loop in meetings if loop.match in together]
-    T_map_session = meeting(poses[before], optimized.poses, between)
+        return alone, SessionResult(optimized)
+    graph = SessionGraph(store, session, loops)
+    T_map_session = graph.align(optimized.poses)
     if T_map_session is None:
-        return Conclusion(alone, Ended(optimized, Met(verified=len(meetings))))
-    poses[images], steps = T_map_session @ optimized.poses, store.steps()
-    drives = [_drive(steps, poses, _images(store, one)) for one in (*known, session)]
-    joined = join(drives, [_counted(loop, everything, everything) for _, loop in loops], config.graph, config.robust)
-    corrected = Corrected(
-        everything, joined.poses, np.ones(len(everything)), _verdicts(loops, joined.optimized), known[0].world
-    )
-    mine = np.array([loop.match >= session.first_image for _, loop in loops], bool)
-    across = np.array([loop.match < session.first_image <= loop.query for _, loop in loops], bool)
-    met = _met(joined, known, across)
-    return Conclusion(corrected, Ended(_of_one(optimized, joined, mine), met))
+        return alone, SessionResult(optimized, MergeResult(verified=len(graph.inter_session)))
+    return graph.merge(T_map_session, optimized, config)
 
 
-def _loops(store: MapStore) -> Iterable[Numbered]:
-    for number, attempt in enumerate(store.attempts()):
-        if isinstance(attempt.geometry, LoopClosure):
-            yield number, attempt.geometry
+def verified_loops(store: MapDatabase) -> list[NumberedLoop]:
+    """All loops of a map that have a relative pose."""
+    records = enumerate(store.candidates())
+    return [NumberedLoop(n, record.geometry) for n, record in records if isinstance(record.geometry, LoopClosure)]
 
 
-def _known(sessions: Sequence[Session], session: Session, meetings: Sequence[Numbered]) -> list[Session]:
-    """The drives of the world into which most of the loops lead."""
-    earlier = [one for one in sessions if one.number < session.number]
-    firsts = [one.first_image for one in earlier]
-    worlds = [earlier[int(np.searchsorted(firsts, loop.match, side="right")) - 1].world for _, loop in meetings]
-    if not worlds:
-        return []
-    most = max(sorted(set(worlds)), key=worlds.count)
-    return [one for one in earlier if one.world == most]
+class SessionGraph:
+    """A new session and the earlier sessions of the map that most of its loops lead to; owns the numbering.
+
+    Images have numbers in the map. The graph counts the images of its sessions without gaps, in the order of `images`.
+
+    Attributes:
+        sessions: the earlier sessions, then the new one.
+        inter_session: all loops from the new session to earlier ones, of other maps too.
+    """
+
+    def __init__(self, store: MapDatabase, session: Session, loops: Sequence[NumberedLoop]) -> None:
+        self._store, self._first = store, session.first_image
+        self.inter_session = [numbered for numbered in loops if self._is_inter_session(numbered.loop)]
+        earlier = _sessions_of_map(store.sessions()[: session.number], self.inter_session)
+        self.sessions = (*earlier, session)
+        images = [_images(store, one) for one in self.sessions]
+        self._before = np.concatenate([np.empty(0, np.int64), *images[:-1]])
+        self._own = images[-1]
+        self._images = np.concatenate([self._before, self._own])
+        members = set(self._images.tolist())
+        self._loops = [numbered for numbered in loops if {numbered.loop.match, numbered.loop.query} <= members]
+
+    def align(self, poses: Array) -> Array | None:
+        """Where the new session with poses (N, 4, 4) began in the map, (4, 4); None where its loops do not agree."""
+        loops = [
+            renumber(numbered.loop, self._before, self._own)
+            for numbered in self._loops
+            if self._is_inter_session(numbered.loop)
+        ]
+        return align_sessions(self._store.poses()[self._before], poses, loops)
+
+    def merge(
+        self, T_map_session: Array, alone: Optimized, config: RunConfig
+    ) -> tuple[OptimizedSession, SessionResult]:
+        """Optimise all sessions in one graph, the new one beginning at (4, 4)."""
+        poses = self._store.poses()
+        poses[self._own] = T_map_session @ alone.poses
+        merged = merge_sessions(
+            self._trajectories(poses),
+            [renumber(numbered.loop, self._images, self._images) for numbered in self._loops],
+            config.pose_graph_for_camera(),
+            config.robust,
+        )
+        corrected = OptimizedSession(
+            images=self._images,
+            poses=merged.poses,
+            units=np.ones(len(self._images)),
+            outcomes=_outcomes(self._loops, merged.optimized),
+            map_id=self.sessions[0].map_id,
+        )
+        return corrected, SessionResult(self._own_result(alone, merged), self._merge_result(merged))
+
+    def _trajectories(self, poses: Array) -> list[SessionTrajectory]:
+        """Steps and poses of each session, of poses (N, 4, 4) of all images of the map."""
+        steps = self._store.steps()
+        images = [_images(self._store, session) for session in self.sessions]
+        return [SessionTrajectory(tuple(steps[one[0] + 1 : one[-1] + 1]), poses[one]) for one in images]
+
+    def _own_result(self, alone: Optimized, merged: MergedSessions) -> Optimized:
+        """What the merged graph says of the new session, in that session's own frame."""
+        own = np.array([numbered.loop.match >= self._first for numbered in self._loops], bool)
+        result = merged.optimized
+        return replace(
+            alone,
+            poses=se3.inverse(merged.T_map_session) @ merged.poses[-len(alone.poses) :],
+            weights=result.weights[own],
+            residuals=result.residuals[own],
+            kept=result.kept[own],
+            reasons=tuple(reason for reason, is_own in zip(result.reasons, own, strict=True) if is_own),
+            seconds=alone.seconds + result.seconds,
+        )
+
+    def _merge_result(self, merged: MergedSessions) -> MergeResult:
+        across = np.array([self._is_inter_session(numbered.loop) for numbered in self._loops], bool)
+        kept = merged.optimized.kept[across]
+        return MergeResult(
+            joined=True,
+            verified=len(kept),
+            kept=int(kept.sum()),
+            sessions=tuple(session.number for session in self.sessions[:-1]),
+            T_map_session=merged.T_map_session,
+        )
+
+    def _is_inter_session(self, loop: LoopClosure) -> bool:
+        return loop.match < self._first <= loop.query
 
 
-def _images(store: MapStore, session: Session) -> Images:
-    return session.first_image + np.arange(store.images(session.number))
-
-
-def _drive(steps: Sequence[Step], poses: Array, images: Images) -> Drive:
-    """One of the drives of which these are all steps and poses."""
-    return Drive(tuple(steps[images[0] + 1 : images[-1] + 1]), poses[images])
-
-
-def _counted(loop: LoopClosure, matches: Images, queries: Images) -> LoopClosure:
-    """A loop with its images counted within those (M,) and (N,), both rising."""
+def renumber(loop: LoopClosure, matches: Images, queries: Images) -> LoopClosure:
+    """A loop with its images counted within those of a graph, (M,) and (N,), both increasing."""
     match, query = np.searchsorted(matches, loop.match), np.searchsorted(queries, loop.query)
     return replace(loop, match=int(match), query=int(query))
 
 
-def _verdicts(loops: Sequence[Numbered], optimized: Optimized) -> dict[int, Verdict]:
-    columns = (optimized.kept, optimized.weights, optimized.residuals, optimized.reasons)
-    return {number: Verdict(*said) for (number, _), *said in zip(loops, *columns, strict=True)}
+def _sessions_of_map(earlier: Sequence[Session], loops: Sequence[NumberedLoop]) -> list[Session]:
+    """The sessions of the frame of reference into which most of the loops lead."""
+    firsts = [session.first_image for session in earlier]
+    targets = [int(np.searchsorted(firsts, numbered.loop.match, side="right")) - 1 for numbered in loops]
+    map_ids = [earlier[target].map_id for target in targets]
+    if not map_ids:
+        return []
+    most = max(sorted(set(map_ids)), key=map_ids.count)
+    return [session for session in earlier if session.map_id == most]
 
 
-def _of_one(alone: Optimized, joined: Joined, mine: NDArray[np.bool_]) -> Optimized:
-    """What the joined graph says of the last drive, in that one's own frame; mine: (L,) which loops are within it."""
-    said = joined.optimized
-    return replace(
-        alone,
-        poses=se3.inverse(joined.T_world_session) @ joined.poses[-len(alone.poses) :],
-        weights=said.weights[mine],
-        residuals=said.residuals[mine],
-        kept=said.kept[mine],
-        reasons=tuple(reason for reason, own in zip(said.reasons, mine, strict=True) if own),
-        seconds=alone.seconds + said.seconds,
-    )
+def _by_itself(session: Session, optimized: Optimized, loops: Sequence[NumberedLoop]) -> OptimizedSession:
+    images = session.first_image + np.arange(len(optimized.poses))
+    outcomes = _outcomes(loops, optimized) if loops else {}
+    return OptimizedSession(images, optimized.poses, optimized.lengths, outcomes, session.number)
 
 
-def _met(joined: Joined, known: Sequence[Session], across: NDArray[np.bool_]) -> Met:
-    kept = joined.optimized.kept[across]
-    return Met(True, len(kept), int(kept.sum()), tuple(one.number for one in known), joined.T_world_session)
+def _images(store: MapDatabase, session: Session) -> Images:
+    return session.first_image + np.arange(store.images(session.number))
+
+
+def _outcomes(loops: Sequence[NumberedLoop], optimized: Optimized) -> dict[int, LoopOutcome]:
+    columns = zip(optimized.kept, optimized.weights, optimized.residuals, optimized.reasons, strict=True)
+    return {loop.number: LoopOutcome(*decision) for loop, decision in zip(loops, columns, strict=True)}

@@ -1,7 +1,7 @@
-"""Arrays of a checkpoint in pieces that are named by what they hold: what has not changed is not written again.
+"""Content-addressed storage of a checkpoint's arrays: chunks are named by their digests and written only once.
 
-The same idea as in version control. A recogniser's map grows by a thousandth with each image, and most of it never
-changes again; to look at all of it costs a digest, to write all of it would cost the disk.
+The idea is that of version control. A recogniser's map grows by a thousandth with each image, and most of it never
+changes again; to digest all of it is cheap, to write all of it at each checkpoint is not.
 """
 
 import json
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-_PIECE = 1 << 16  # bytes
+_CHUNK = 1 << 16  # bytes
 _DIGEST = 16  # bytes: two different pieces of one digest are not to be expected before 2^64 of them
 
 
@@ -44,7 +44,7 @@ def _write(connection: sqlite3.Connection, array: NDArray[Any], known: set[bytes
     if array.dtype.hasobject:
         raise ValueError(f"expected an array of numbers, got {array.dtype}")
     flat = memoryview(array.tobytes(_layout(array)) if array.size else b"")
-    pieces = [flat[begin : begin + _PIECE] for begin in range(0, len(flat), _PIECE)]
+    pieces = [flat[begin : begin + _CHUNK] for begin in range(0, len(flat), _CHUNK)]
     digests = [digest(piece) for piece in pieces]
     fresh = {name: piece for name, piece in zip(digests, pieces, strict=True) if name not in known}
     connection.executemany("INSERT INTO piece VALUES (?, ?)", fresh.items())

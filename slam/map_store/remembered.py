@@ -1,8 +1,9 @@
-"""A drive once more, without its odometry: motions and landmarks come from the map that it has left."""
+"""Replay of a session without its odometry: motions and landmarks come from the map of an earlier run."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,70 +15,81 @@ from slam.config import RunConfig
 from slam.datasets.dataset import Frame
 from slam.datasets.source import Source
 from slam.errors import DataError
-from slam.loop_closing import Landmarks, LoopCloser, same_unit
-from slam.loop_geometry import compare_units
-from slam.map_store.resuming import Stopped
-from slam.map_store.store import MapStore, map_file
-from slam.parts import build_parts
-from slam.system import Parts
+from slam.loop_closing import Landmarks, LoopCloser
+from slam.map_store.resuming import ResumableRun
+from slam.map_store.store import MapDatabase, map_file
+from slam.parts import build_components
+from slam.system import Components
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Build = Callable[[StereoCamera, RunConfig, RowSink | None], Parts]
+Build = Callable[[StereoCamera, RunConfig, RowSink | None], Components]
 
 
-class RememberedEyes:
-    """Gives the motions of a map (Eyes); sees nothing itself."""
+class ReplayedOdometry:
+    """Replays the motions of a map (a VisualOdometry)."""
 
-    odometry = None
+    calibration = None
 
-    def __init__(self, motions: Sequence[Motion]) -> None:
-        self._motions = motions
+    def __init__(self, motions: Sequence[Motion], has_metric_scale: bool) -> None:
+        self._motions, self.has_metric_scale = motions, has_metric_scale
 
     def track(self, frame: Frame) -> Motion:
-        """Motion since the previous frame, as it was measured then."""
+        """Motion since the previous frame, as the earlier run measured it."""
         return self._motions[frame.index]
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Nothing is known of pixels."""
+        """NaN: nothing is known of pixels."""
         return np.full(len(pixels), np.nan)
 
+    def array_bytes(self) -> int:
+        """Nothing that an odometry would hold."""
+        return 0
 
-class RememberedLandmarks(LoopCloser):
-    """Closes loops by the landmarks of a map."""
+    def state(self) -> dict[str, Any]:
+        """Nothing changes."""
+        return {}
 
-    def __init__(self, landmarks: Sequence[Landmarks], camera: StereoCamera, parts: Parts, config: RunConfig) -> None:
-        compare = compare_units if config.mono else same_unit
-        super().__init__(camera, parts.features, config.loop_closing, compare=compare)
-        self._landmarks = landmarks
-
-    def remember(self, index: int, left: Image, right: Image | None) -> Landmarks:
-        """Landmarks of frame `index`, as they were found then."""
-        self.recall(index, self._landmarks[index])
-        return self._landmarks[index]
+    def restore(self, state: dict[str, Any]) -> None:
+        """Nothing changes."""
 
 
-def read_drive(path: Path) -> Stopped:
+class ReplayedLandmarks(LoopCloser):
+    """Verifies loops by the landmarks of a map."""
+
+    def __init__(
+        self, landmarks: Sequence[Landmarks], camera: StereoCamera, components: Components, config: RunConfig
+    ) -> None:
+        super().__init__(camera, components.features, components.odometry, config.loop_closing)
+        self._replayed = landmarks
+
+    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
+        """Landmarks of frame `index`, as the earlier run extracted them."""
+        self.restore_frame(index, self._replayed[index])
+        return self._replayed[index]
+
+
+def read_session(path: Path) -> ResumableRun:
     """The one drive of a map, in a file or in a run's folder.
 
     Raises:
         DataError: there is no map, it is damaged, or it holds several drives.
     """
     file = map_file(path)
-    with MapStore.open(file) as store:
+    with MapDatabase.open(file) as store:
         sessions, frames = store.sessions(), store.images()
     if len(sessions) != 1:
         raise DataError(f"{file}: expected the map of one drive, found {len(sessions)}; reprocess each drive by itself")
-    return Stopped(file, sessions[0], frames)
+    return ResumableRun(file, sessions[0], frames)
 
 
 def source_of(path: Path) -> Source:
     """The recording of which a map was made.
 
     Raises:
-        DataError: as `read_drive`, or the map does not say.
+        DataError: as `read_session`, or the map does not say.
     """
-    drive = read_drive(path)
+    drive = read_session(path)
     try:
         return Source.from_metrics(drive.session.provenance["recording"])
     except (KeyError, TypeError) as error:
@@ -86,21 +98,19 @@ def source_of(path: Path) -> Source:
         ) from error
 
 
-def remembering(path: Path) -> Build:
-    """Build parts that remember the drive of a map.
+def replay_components(path: Path) -> Build:
+    """Build components that replay the motions and landmarks of a map with one session.
 
     Raises:
         DataError: it is damaged.
     """
-    with MapStore.open(map_file(path)) as store:
+    with MapDatabase.open(map_file(path)) as store:
         frames = list(store.frames())
 
-    def build(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
-        parts = build_parts(camera, config, rows)
-        return replace(
-            parts,
-            eyes=RememberedEyes([frame.motion for frame in frames]),
-            loop_closer=RememberedLandmarks([frame.landmarks for frame in frames], camera, parts, config),
-        )
+    def build(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Components:
+        odometry = ReplayedOdometry([frame.motion for frame in frames], has_metric_scale=not config.mono)
+        components = replace(build_components(camera, config, rows), odometry=odometry)
+        landmarks = [frame.landmarks for frame in frames]
+        return replace(components, loop_closer=ReplayedLandmarks(landmarks, camera, components, config))
 
     return build

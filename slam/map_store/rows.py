@@ -1,9 +1,7 @@
-"""Frames, landmarks and loop attempts as rows of a map store, and back."""
+"""Frames, landmarks and loop candidates as rows of a map store, and back."""
 
 import json
 import sqlite3
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,57 +9,12 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from place_recognition.recognizer import Belief
+from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
 from slam.loop_geometry import Unit
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class StoredFrame:
-    """What is kept of one frame of a drive.
-
-    Attributes:
-        image: its number through all sessions.
-        timestamp: seconds.
-        motion: since the previous frame; its tracks are counted, their pixels not kept.
-        T_world_odometry: (4, 4) by odometry alone.
-        T_world_online: (4, 4) as it was when the frame was seen.
-        landmarks: what was seen with depth, in the camera's frame.
-        key_frame: whether the landmarks joined the map.
-        stage_ms: milliseconds by stage.
-        T_world_camera: (4, 4) corrected; None until the drive has ended.
-        unit: of its lengths, in that of the first frame.
-    """
-
-    image: int
-    timestamp: float
-    motion: Motion
-    T_world_odometry: Array
-    T_world_online: Array
-    landmarks: Landmarks
-    key_frame: bool
-    stage_ms: Mapping[str, float]
-    T_world_camera: Array | None = None
-    unit: float = 1.0
-
-
-@dataclass(frozen=True)
-class StoredAttempt:
-    """What became of one belief, as far as geometry.
-
-    Attributes:
-        at_image: image with which the belief came; None if it came at the end of the drive.
-        belief: of the recogniser.
-        geometry: as in `LoopAttempt`.
-    """
-
-    at_image: int | None
-    belief: Belief
-    geometry: Geometry
-
-
-def frame_row(frame: StoredFrame, session: int) -> dict[str, Any]:
+def frame_row(frame: FrameRecord, session: int) -> dict[str, Any]:
     """Columns of table `frame` but for those known at the end."""
     motion = frame.motion
     return {
@@ -82,7 +35,7 @@ def frame_row(frame: StoredFrame, session: int) -> dict[str, Any]:
     }
 
 
-def landmark_row(frame: StoredFrame) -> dict[str, Any]:
+def landmark_row(frame: FrameRecord) -> dict[str, Any]:
     """Columns of table `landmark`."""
     seen = frame.landmarks
     return {
@@ -94,14 +47,14 @@ def landmark_row(frame: StoredFrame) -> dict[str, Any]:
     }
 
 
-def attempt_row(number: int, attempt: StoredAttempt) -> dict[str, Any]:
-    """Columns of table `attempt` but for those known at the end."""
-    belief, geometry = attempt.belief, attempt.geometry
+def candidate_row(number: int, candidate: LoopRecord) -> dict[str, Any]:
+    """Columns of table `candidate` but for those known at the end."""
+    belief, geometry = candidate.belief, candidate.geometry
     closed = geometry if isinstance(geometry, LoopClosure) else None
     pixels = (np.empty((0, 2)),) * 2 if geometry is None else (geometry.pixels_query, geometry.pixels_match)
     return {
         "number": number,
-        "at_image": attempt.at_image,
+        "at_image": candidate.at_image,
         "query": belief.query,
         "match": belief.match,
         "score": float(belief.score),
@@ -118,7 +71,7 @@ def attempt_row(number: int, attempt: StoredAttempt) -> dict[str, Any]:
     }
 
 
-def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> StoredFrame:
+def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> FrameRecord:
     """A frame from its row."""
     motion = Motion(
         T_previous_current=unpack(row["T_previous_camera"], "<f8", 4, 4),
@@ -129,7 +82,7 @@ def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> StoredFrame:
         residual_px=float("nan") if row["residual_px"] is None else row["residual_px"],
     )
     corrected = row["T_world_camera"]
-    return StoredFrame(
+    return FrameRecord(
         image=row["image"],
         timestamp=row["timestamp"],
         motion=motion,
@@ -155,8 +108,8 @@ def read_landmarks(row: sqlite3.Row) -> Landmarks:
     )
 
 
-def read_attempt(row: sqlite3.Row) -> StoredAttempt:
-    """An attempt from its row."""
+def read_candidate(row: sqlite3.Row) -> LoopRecord:
+    """An candidate from its row."""
     belief = Belief(
         query=row["query"],
         match=row["match"],
@@ -166,7 +119,7 @@ def read_attempt(row: sqlite3.Row) -> StoredAttempt:
         verified=bool(row["verified"]),
         pixels=unpack(row["pixels"], "<f4", -1, 4),
     )
-    return StoredAttempt(row["at_image"], belief, _geometry(row))
+    return LoopRecord(row["at_image"], belief, _geometry(row))
 
 
 def _details(geometry: Geometry) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The tables of a map store, its version, and opening one."""
+"""The tables of a map database, its version, and opening one."""
 
 import os
 import sqlite3
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slam.errors import DataError, OutputError
 
-VERSION = 1
+VERSION = 2
 APPLICATION = 0x52565354  # "RVST": tells our files from other SQLite files
 _BUSY_S = 5.0  # another reader or writer is waited for so long
 
@@ -21,8 +21,8 @@ CREATE TABLE session (
     camera TEXT NOT NULL,                 -- JSON: intrinsics, pixels; baseline, metres
     config TEXT NOT NULL,                 -- TOML, as config.toml
     provenance TEXT NOT NULL,             -- JSON: source, recording, command, versions
-    finished INTEGER NOT NULL DEFAULT 0,  -- 1 when the drive has ended and was optimised
-    world INTEGER NOT NULL DEFAULT 0      -- sessions of one world are in one frame of reference
+    finished INTEGER NOT NULL DEFAULT 0,  -- 1 when the session has ended and was optimised
+    map_id INTEGER NOT NULL DEFAULT 0     -- sessions of one map id are in one frame of reference
 );
 CREATE TABLE frame (
     image INTEGER PRIMARY KEY,
@@ -49,7 +49,7 @@ CREATE TABLE landmark (
     grey BLOB NOT NULL,                   -- (N,) uint8
     descriptors BLOB NOT NULL             -- (N, D) float16
 );
-CREATE TABLE attempt (
+CREATE TABLE candidate (
     number INTEGER PRIMARY KEY,           -- in the order in which the recogniser answered
     at_image INTEGER,                     -- the image with which the answer came; NULL for those at the drive's end
     query INTEGER NOT NULL,
@@ -68,13 +68,14 @@ CREATE TABLE attempt (
     kept INTEGER,                         -- 1 where the loop stands in the corrected graph; NULL until the end
     weight REAL,
     residual REAL,
-    verdict TEXT                          -- in plain words
+    final_reason TEXT                     -- why it was kept or left out
 );
-CREATE INDEX attempt_at ON attempt(at_image);
+CREATE INDEX candidate_at ON candidate(at_image);
 CREATE TABLE checkpoint (
     session INTEGER PRIMARY KEY REFERENCES session(number),
     frames INTEGER NOT NULL,              -- of the session, that the parts have seen
-    structure TEXT NOT NULL               -- JSON: the recogniser with its words and places, and the odometry
+    structure TEXT NOT NULL,              -- JSON: states of recogniser, odometry, key frames and similarity matrix
+    digest BLOB NOT NULL                  -- of the structure
 );
 CREATE TABLE checkpoint_array (
     session INTEGER NOT NULL,
@@ -131,7 +132,7 @@ def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
         raise DataError(f"{path}: expected a map store, found another SQLite database; give the map.db of a run")
     if version != VERSION:
         connection.close()
-        raise DataError(f"{path}: expected a map store of version {VERSION}, found {version}; make it anew")
+        raise DataError(f"{path}: expected a map store of version {VERSION}, found version {version}; run again")
     return connection
 
 

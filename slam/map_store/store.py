@@ -1,7 +1,7 @@
-"""The map store: one SQLite file, written as the drive goes, open to any number of readers.
+"""The map database: one SQLite file, written while a run goes on, open to any number of readers.
 
-What a checkpoint says and the frames up to it are committed together, so that a store, however its writer ended, is a
-drive that stopped at its last checkpoint.
+A checkpoint and the frames up to it are committed together: however its writer ended, the database holds a session
+that stopped at its last checkpoint. Decision record: docs/decisions/map_database.md.
 """
 
 import json
@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.errors import OutputError
+from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Landmarks
 from slam.map_store import schema
-from slam.map_store.pieces import read_arrays, write_arrays
+from slam.map_store.freezing import deserialize, serialize
+from slam.map_store.pieces import digest, read_arrays, write_arrays
 from slam.map_store.rows import (
-    StoredAttempt,
-    StoredFrame,
-    attempt_row,
+    candidate_row,
     frame_row,
     landmark_row,
     pack,
-    read_attempt,
+    read_candidate,
     read_frame,
     read_landmarks,
     unpack,
@@ -38,20 +38,23 @@ Array = NDArray[np.float64]
 
 MAP_FILE = "map.db"
 
+# What reading a damaged file can raise; a state that does not fit raises the same (`PlaceRecognizer.restore`).
+_DAMAGE = (sqlite3.Error, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)
+
 
 @dataclass(frozen=True)
 class Session:
-    """One drive of a map.
+    """One session of a map: one run over a dataset.
 
     Attributes:
-        number: from 0.
-        first_image: number of its first image through all sessions.
-        name: of the drive.
-        camera: of its left images, with the pair's baseline.
-        config: TOML, as in `config.toml`.
+        number: number of the session, from 0.
+        first_image: number of its first image, counted through all sessions.
+        name: name of the dataset.
+        camera: camera of its left images, with the pair's baseline.
+        config: settings as TOML, as in `config.toml`.
         provenance: source, recording, command and versions.
-        finished: the drive has ended and was optimised.
-        world: sessions with the same number are in one frame of reference.
+        finished: True when it has ended and was optimised.
+        map_id: sessions with the same number are in one frame of reference.
     """
 
     number: int
@@ -61,26 +64,24 @@ class Session:
     config: str
     provenance: Mapping[str, Any]
     finished: bool = False
-    world: int = 0
+    map_id: int = 0
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The parts of the system after so many frames of a session.
+    """State of the components after a number of frames of a session.
 
     Attributes:
-        frames: that the parts have seen.
-        structure: what `Freezer.freeze` gave.
-        arrays: the arrays to it.
+        frames: number of frames of the session that the components have processed.
+        state: nested dicts, lists, plain values and arrays (`slam.map_store.freezing`).
     """
 
     frames: int
-    structure: Any
-    arrays: list[NDArray[Any]]
+    state: Any
 
 
-class Verdict(NamedTuple):
-    """What the final optimisation said of a loop: whether it stands, how far it is trusted, and why."""
+class LoopOutcome(NamedTuple):
+    """Result of the final optimisation for a loop: whether it was kept, its weight and residual, and why."""
 
     kept: bool
     weight: float
@@ -89,33 +90,33 @@ class Verdict(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Corrected:
-    """What the final optimisation said.
+class OptimizedSession:
+    """Result of the final optimisation.
 
     Attributes:
-        images: numbers (N,) of the images.
-        poses: T_world_camera (N, 4, 4) of them.
-        units: (N,) of length, in that of the first frame.
-        verdicts: of the closed loops, by the number of their attempts.
-        world: in which they are, by the number of its first session.
+        images: (N,) numbers of the images.
+        poses: (N, 4, 4) T_world_camera of the images.
+        units: (N,) unit of length of each image, as a multiple of that of the first frame.
+        outcomes: results for the verified loops, by the number of their candidates.
+        map_id: frame of reference of the poses, by the number of its first session.
     """
 
     images: NDArray[np.int64]
     poses: Array
     units: Array
-    verdicts: Mapping[int, Verdict]
-    world: int = 0
+    outcomes: Mapping[int, LoopOutcome]
+    map_id: int = 0
 
 
-class MapStore:
-    """Reads and writes one map store. Every method is one transaction, or part of the one that `writing` opens."""
+class MapDatabase:
+    """Reads and writes one map database. Every method is one transaction, or part of the one that `writing` opens."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool) -> None:
         self._connection, self.path, self._writable = connection, path, writable
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Make an empty store.
+        """Create an empty database.
 
         Raises:
             OutputError: the file cannot be written.
@@ -124,7 +125,7 @@ class MapStore:
 
     @classmethod
     def open(cls, path: Path, writable: bool = False) -> Self:
-        """Open a store that is there.
+        """Open an existing database.
 
         Raises:
             DataError: no such file, no map store, a damaged one, or one of another version.
@@ -132,7 +133,7 @@ class MapStore:
         return cls(schema.connect(path, "rw" if writable else "ro"), path, writable)
 
     def close(self) -> None:
-        """Leave one file, which readers need not add to: what waits in its log goes into it."""
+        """Close the database; its write-ahead log is merged into the one file."""
         if self._writable:
             with suppress(sqlite3.Error):  # somebody is reading it: then the log stays
                 self._connection.execute("PRAGMA journal_mode = DELETE")
@@ -148,7 +149,7 @@ class MapStore:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Keep together what is written in the block: all of it, or nothing if it fails.
+        """Write everything in the block in one transaction: all of it, or nothing if it fails.
 
         Raises:
             OutputError: the disk is full, or the file cannot be written for another reason.
@@ -169,14 +170,14 @@ class MapStore:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Turn what a damaged file does in the block into one line about it.
+        """Turn every error that a damaged file causes in the block into a DataError of one line.
 
         Raises:
             DataError: the file is damaged.
         """
         try:
             yield
-        except (sqlite3.Error, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        except _DAMAGE as error:
             raise schema.damaged(self.path, error) from error
 
     def add_session(self, session: Session) -> None:
@@ -189,47 +190,47 @@ class MapStore:
             "config": session.config,
             "provenance": json.dumps(session.provenance, default=str),
             "finished": session.finished,
-            "world": session.world,
+            "map_id": session.map_id,
         }
         self._insert("session", values)
 
-    def add_frame(self, frame: StoredFrame, session: int) -> None:
+    def add_frame(self, frame: FrameRecord, session: int) -> None:
         """Add a frame with its landmarks; call within `writing`."""
         self._insert("frame", frame_row(frame, session))
         self._insert("landmark", landmark_row(frame))
 
-    def add_attempt(self, number: int, attempt: StoredAttempt) -> None:
-        """Add what became of a belief; call within `writing`."""
-        self._insert("attempt", attempt_row(number, attempt))
+    def add_candidate(self, number: int, candidate: LoopRecord) -> None:
+        """Add a loop candidate; call within `writing`."""
+        self._insert("candidate", candidate_row(number, candidate))
 
     def set_checkpoint(self, session: int, checkpoint: Checkpoint) -> None:
-        """Put a checkpoint in the place of the session's last one; call within `writing`."""
-        text = json.dumps(checkpoint.structure, separators=(",", ":"), allow_nan=False)
-        self._connection.execute(
-            "INSERT OR REPLACE INTO checkpoint VALUES (?, ?, ?)", (session, checkpoint.frames, text)
-        )
-        write_arrays(self._connection, session, checkpoint.arrays)
+        """Replace the checkpoint of a session; call within `writing`."""
+        structure, arrays = serialize(checkpoint.state)
+        text = json.dumps(structure, separators=(",", ":"), allow_nan=False)
+        values = (session, checkpoint.frames, text, digest(text.encode()))
+        self._connection.execute("INSERT OR REPLACE INTO checkpoint VALUES (?, ?, ?, ?)", values)
+        write_arrays(self._connection, session, arrays)
 
-    def forget_answers(self, begin: int) -> None:
-        """Delete the attempts from a number on; call within `writing`."""
-        self._connection.execute("DELETE FROM attempt WHERE number >= ?", (begin,))
+    def delete_loops_from(self, begin: int) -> None:
+        """Delete the candidates from a number on; call within `writing`."""
+        self._connection.execute("DELETE FROM candidate WHERE number >= ?", (begin,))
 
-    def finish(self, session: int, corrected: Corrected, ended: bool) -> None:
-        """Write the final poses and verdicts; call within `writing`."""
+    def finish(self, session: int, corrected: OptimizedSession, ended: bool) -> None:
+        """Write the final poses and loop outcomes; call within `writing`."""
         poses = [
             (pack(T, "<f8"), float(unit), int(image))
             for image, T, unit in zip(corrected.images, corrected.poses, corrected.units, strict=True)
         ]
         self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
-        verdicts = [(*_plain(verdict), number) for number, verdict in corrected.verdicts.items()]
+        outcomes = [(*_plain(outcome), number) for number, outcome in corrected.outcomes.items()]
         self._connection.executemany(
-            "UPDATE attempt SET kept = ?, weight = ?, residual = ?, verdict = ? WHERE number = ?", verdicts
+            "UPDATE candidate SET kept = ?, weight = ?, residual = ?, final_reason = ? WHERE number = ?", outcomes
         )
-        world = "UPDATE session SET finished = ?, world = ? WHERE number = ?"
-        self._connection.execute(world, (ended, corrected.world, session))
+        closing_row = "UPDATE session SET finished = ?, map_id = ? WHERE number = ?"
+        self._connection.execute(closing_row, (ended, corrected.map_id, session))
 
     def sessions(self) -> tuple[Session, ...]:
-        """All drives of the map, in order.
+        """All sessions of the map, in order.
 
         Raises:
             DataError: the store is damaged; so say all methods that read.
@@ -239,10 +240,10 @@ class MapStore:
             return tuple(_session(row) for row in rows)
 
     def images(self, session: int | None = None) -> int:
-        """How many images there are, in all or of one session."""
+        """Number of images, in all or of one session."""
         return self._count("frame", session)
 
-    def frames(self, first_image: int = 0) -> Iterator[StoredFrame]:
+    def frames(self, first_image: int = 0) -> Iterator[FrameRecord]:
         """All frames from an image on with their landmarks, in order, read as they are asked for."""
         with self.reading():
             joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
@@ -276,7 +277,7 @@ class MapStore:
             return tuple(row[0] for row in found)
 
     def landmarks(self, image: int) -> Landmarks:
-        """What one image saw.
+        """Landmarks of one image.
 
         Raises:
             DataError: there is no such image.
@@ -293,23 +294,26 @@ class MapStore:
             found = self._connection.execute("SELECT T_previous_camera, covariance FROM frame ORDER BY image")
             return [(unpack(T, "<f8", 4, 4), unpack(covariance, "<f8", 6, 6)) for T, covariance in found]
 
-    def attempts(self, first_image: int = 0) -> Iterator[StoredAttempt]:
-        """What became of each belief about an image from that one on, in the order in which they came."""
+    def candidates(self, first_image: int = 0) -> Iterator[LoopRecord]:
+        """Loop candidates about images from that one on, in the order in which they came."""
         with self.reading():
-            wanted = "SELECT * FROM attempt WHERE query >= ? ORDER BY number"
+            wanted = "SELECT * FROM candidate WHERE query >= ? ORDER BY number"
             for row in self._connection.execute(wanted, (first_image,)):
-                yield read_attempt(row)
+                yield read_candidate(row)
 
     def checkpoint(self, session: int) -> Checkpoint | None:
-        """The parts of the system at the last checkpoint of a session; None before the first."""
+        """The last checkpoint of a session; None before the first."""
         with self.reading():
             found = self._connection.execute("SELECT * FROM checkpoint WHERE session = ?", (session,)).fetchone()
             if found is None:
                 return None
-            return Checkpoint(found["frames"], json.loads(found["structure"]), read_arrays(self._connection, session))
+            if digest(found["structure"].encode()) != found["digest"]:
+                raise ValueError("the structure of the checkpoint is damaged")
+            arrays = read_arrays(self._connection, session)
+            return Checkpoint(found["frames"], deserialize(json.loads(found["structure"]), arrays))
 
     def ask(self, question: str, *values: Any) -> list[sqlite3.Row]:
-        """What SQL finds, for whoever wants to know more than the other methods say."""
+        """Rows of an SQL query, for questions that the other methods do not answer."""
         with self.reading():
             return self._connection.execute(question, values).fetchall()
 
@@ -325,10 +329,10 @@ class MapStore:
         except sqlite3.Error as error:
             raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
 
-    def answers_before(self, image: int) -> int:
-        """How many attempts there are about images before one."""
+    def num_loops_before(self, image: int) -> int:
+        """Number of loop candidates about images before one."""
         with self.reading():
-            (count,) = self._connection.execute("SELECT count(*) FROM attempt WHERE query < ?", (image,)).fetchone()
+            (count,) = self._connection.execute("SELECT count(*) FROM candidate WHERE query < ?", (image,)).fetchone()
             return int(count)
 
     def count(self, table: str) -> int:
@@ -347,7 +351,7 @@ class MapStore:
 
 
 def map_file(path: Path) -> Path:
-    """The map store that a path names: itself, or that of the run in a folder."""
+    """The map database that a path names: itself, or that of the run in a folder."""
     return path / MAP_FILE if path.is_dir() else path
 
 
@@ -364,5 +368,5 @@ def _session(row: sqlite3.Row) -> Session:
         config=row["config"],
         provenance=json.loads(row["provenance"]),
         finished=bool(row["finished"]),
-        world=row["world"],
+        map_id=row["map_id"],
     )

@@ -12,18 +12,18 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.map_store import schema
-from slam.map_store.store import MapStore, Session, map_file
+from slam.map_store.store import MapDatabase, Session, map_file
 
 
 @dataclass(frozen=True)
-class Drive:
+class SessionSummary:
     """One drive of a map.
 
     Attributes:
         number: from 0.
         name: of the recording.
         source: that it was read from; empty where that is not known.
-        world: drives of one world are in one frame of reference.
+        map_id: sessions of one map id are in one frame of reference.
         first_image: number of its first image through all drives.
         frames: how many there are.
         finished: it was driven to its end, and the poses are corrected.
@@ -40,7 +40,7 @@ class Drive:
     number: int
     name: str
     source: str
-    world: int
+    map_id: int
     first_image: int
     frames: int
     finished: bool
@@ -70,7 +70,7 @@ class Summary:
     version: int
     bytes: int
     tables: Mapping[str, int]
-    drives: tuple[Drive, ...]
+    drives: tuple[SessionSummary, ...]
 
 
 def summarise(path: Path) -> Summary:
@@ -80,14 +80,14 @@ def summarise(path: Path) -> Summary:
         DataError: there is none, or it is damaged.
     """
     file = map_file(path)
-    with MapStore.open(file) as store:
+    with MapDatabase.open(file) as store:
         drives = tuple(_drive(store, session) for session in store.sessions())
         files = (file, file.with_name(f"{file.name}-wal"))
         size = sum(one.stat().st_size for one in files if one.is_file())
         return Summary(str(file), schema.VERSION, size, _bytes_by_table(store), drives)
 
 
-def _drive(store: MapStore, session: Session) -> Drive:
+def _drive(store: MapDatabase, session: Session) -> SessionSummary:
     frames = store.images(session.number)
     images = (session.first_image, session.first_image + frames)
     steps = np.diff(store.poses()[slice(*images), :3, 3], axis=0)
@@ -97,17 +97,17 @@ def _drive(store: MapStore, session: Session) -> Drive:
         session.number,
     )
     (answers,) = store.ask(
-        "SELECT count(match), total(accepted), total(outcome = 'closed'), total(kept) FROM attempt"
+        "SELECT count(match), total(accepted), total(outcome = 'closed'), total(kept) FROM candidate"
         " WHERE query >= ? AND query < ?",
         *images,
     )
     made = session.provenance
     versions = made.get("versions", {})
-    return Drive(
+    return SessionSummary(
         number=session.number,
         name=session.name,
         source=str(made.get("source", "")),
-        world=session.world,
+        map_id=session.map_id,
         first_image=session.first_image,
         frames=frames,
         finished=session.finished,
@@ -122,7 +122,7 @@ def _drive(store: MapStore, session: Session) -> Drive:
     )
 
 
-def _bytes_by_table(store: MapStore) -> dict[str, int]:
+def _bytes_by_table(store: MapDatabase) -> dict[str, int]:
     """Bytes of what the rows hold: the lengths of all values, without SQLite's own pages."""
     tables: dict[str, list[str]] = {}
     for name in schema.columns(store.ask):
@@ -149,10 +149,10 @@ def _listed(rows: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
-def _rows(drive: Drive) -> Iterator[tuple[str, str]]:
+def _rows(drive: SessionSummary) -> Iterator[tuple[str, str]]:
     if drive.source:
         yield "source", drive.source
-    yield "frames", f"{drive.frames}, from image {drive.first_image}, in world {drive.world}"
+    yield "frames", f"{drive.frames}, from image {drive.first_image}, in map {drive.map_id}"
     yield "way", f"{drive.way_m:.1f} m"
     yield "map", f"{drive.landmarks} landmarks in {drive.key_frames} key frames"
     kept = "" if drive.kept is None else f", {drive.kept} kept"

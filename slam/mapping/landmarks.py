@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.record import Cloud
+from slam.record import PointCloud
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class LandmarkMap:
         """Which frame (M,) saw each point, in the order of `cloud`."""
         return np.repeat(np.array(self._frames, np.int32), [len(points) for points in self._points])
 
-    def cloud(self, T_world_camera: Array) -> Cloud:
+    def cloud(self, T_world_camera: Array) -> PointCloud:
         """The map on a trajectory.
 
         Args:
@@ -77,9 +77,9 @@ class LandmarkMap:
             ValueError: a frame that saw points has no pose.
         """
         if not self._frames:
-            return Cloud(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))
+            return PointCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))
         if max(self._frames) >= len(T_world_camera):
             raise ValueError(f"expected poses for {max(self._frames) + 1} frames, got {len(T_world_camera)}")
         poses = T_world_camera[self.frames]
         points = np.einsum("nij,nj->ni", poses[:, :3, :3], np.concatenate(self._points)) + poses[:, :3, 3]
-        return Cloud(points, np.concatenate(self._grey))
+        return PointCloud(points, np.concatenate(self._grey))

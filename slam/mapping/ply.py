@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import DataError
-from slam.record import Cloud
+from slam.record import PointCloud
 from slam.storage.atomic import replacing
 
 _HEADER = """ply
@@ -23,7 +23,7 @@ end_header
 _VERTEX = np.dtype([("point", "<f8", 3), ("colour", "u1", 3)])
 
 
-def write_cloud(path: Path, cloud: Cloud) -> None:
+def write_cloud(path: Path, cloud: PointCloud) -> None:
     """Write points (metres, world frame) with their grey as colour.
 
     Open3D writes it. Where Open3D cannot be loaded (on a bare server its wheel misses libusb), refuses (no
@@ -37,7 +37,7 @@ def write_cloud(path: Path, cloud: Cloud) -> None:
             _write_plain(temporary, cloud)
 
 
-def read_cloud(path: Path) -> Cloud:
+def read_cloud(path: Path) -> PointCloud:
     """Read points (metres) and their brightness, the mean of red, green and blue, from a file of `write_cloud`.
 
     Open3D, which would read it too, trusts the header, and ends the process where that is damaged.
@@ -62,10 +62,10 @@ def read_cloud(path: Path) -> Cloud:
     vertices = np.frombuffer(body, _VERTEX)
     if not np.isfinite(vertices["point"]).all():
         raise DataError(f"{path}: expected finite points, found others; export the map again")
-    return Cloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
+    return PointCloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
 
 
-def _write_with_open3d(path: Path, cloud: Cloud) -> bool:
+def _write_with_open3d(path: Path, cloud: PointCloud) -> bool:
     if len(cloud.points) == 0:
         return False
     try:
@@ -80,7 +80,7 @@ def _write_with_open3d(path: Path, cloud: Cloud) -> bool:
     return bool(done) and path.stat().st_size > len(cloud.points) * _VERTEX.itemsize
 
 
-def _write_plain(path: Path, cloud: Cloud) -> None:
+def _write_plain(path: Path, cloud: PointCloud) -> None:
     vertices = np.empty(len(cloud.points), dtype=_VERTEX)
     vertices["point"], vertices["colour"] = cloud.points, cloud.grey[:, None]
     path.write_bytes(_HEADER.format(count=len(vertices)).encode() + vertices.tobytes())

@@ -96,7 +96,7 @@ def _recognised(
     bench = Bench(options.paradigm, config)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
-        done = recognise(images, bench, progress, lambda: stop.made)
+        done = recognise(images, bench, progress, lambda: stop.requested)
     if done.interrupted:
         messages.print(f"Interrupted: finishing with the {done.images} images seen so far.")
     return replace(done, beliefs=without_recent(done.beliefs, images, options.exclude))

@@ -12,7 +12,7 @@ from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures, SharedFeatures
 from place_recognition.paradigms.catalogue import ParadigmsConfig, local_features
 from place_recognition.recognizer import Belief, PlaceRecognizer, RowSink
-from slam.clock import StageClock, timed
+from slam.clock import StageTimer, timed
 from slam.datasets.prefetch import Recording, prefetch
 from slam.parts import build_recognizer
 
@@ -51,7 +51,7 @@ class Recognised:
 class ClockedExtractor:
     """Counts the time of another extractor as the stage `features` (a FeatureExtractor)."""
 
-    def __init__(self, inner: FeatureExtractor, clock: StageClock) -> None:
+    def __init__(self, inner: FeatureExtractor, clock: StageTimer) -> None:
         self._inner, self._clock = inner, clock
 
     @property
@@ -69,7 +69,7 @@ class Bench:
     """Builds recognisers of one paradigm whose features and time are accounted for."""
 
     def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
-        self.clock = StageClock()
+        self.clock = StageTimer()
         self._paradigm, self._config = paradigm, config
 
     def build(self, rows: RowSink | None = None) -> PlaceRecognizer:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from odometry.se3 import inverse
 from slam.evaluation.trajectory import Similarity, umeyama
-from slam.record import DriveRecord
+from slam.record import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -13,7 +13,7 @@ _STRAIGHT = 1e-2  # below this ratio of second to first spread a track does not 
 _LEVER = 1e-2  # of the first spread
 
 
-def anchored_truth(record: DriveRecord) -> Array | None:
+def anchored_truth(record: RunRecord) -> Array | None:
     """Ground truth (N, 4, 4), metres, moved to start at the odometry's first pose; None where unknown.
 
     In this frame (first camera) the plan view is x-z whatever frame the ground truth was recorded in.

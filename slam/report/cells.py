@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from slam.record import DriveRecord, LoopRow
+from slam.record import LoopRow, RunRecord
 from slam.report.reading import alignment, note, text, value
 from slam.report.tables import ERRORS
 
@@ -39,14 +39,14 @@ class Estimate:
     cells: list[Cell]
 
 
-def cell(record: DriveRecord, key: str, digits: int = 2, unit: str = "") -> Cell:
+def cell(record: RunRecord, key: str, digits: int = 2, unit: str = "") -> Cell:
     """Return the value of a dotted key of the metrics with its note."""
     found = value(record.metrics, key)
     missing = "" if found is not None else note(record.metrics, key) or "not computed"
     return Cell(text(found, digits, unit), missing)
 
 
-def estimate(record: DriveRecord, name: str) -> Estimate:
+def estimate(record: RunRecord, name: str) -> Estimate:
     """The errors of one estimate by its name."""
     cells = [cell(record, f"{name}.{key}") for key in ("ate_m", *ERRORS)]
     return Estimate(name, alignment(record.metrics, name), cells)
@@ -84,7 +84,7 @@ def flat(nested: Mapping[str, object], prefix: str = "") -> list[tuple[str, str]
     return rows
 
 
-def origin(record: DriveRecord) -> list[tuple[str, str]]:
+def origin(record: RunRecord) -> list[tuple[str, str]]:
     """Where the numbers come from."""
     plain = [(key, text(value(record.metrics, key))) for key in ("source", "sequence", "seed", "command")]
     versions = record.metrics.get("versions")

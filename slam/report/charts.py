@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slam.evaluation.trajectory import distances_along
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.figures import INK, new_figure, style
@@ -20,7 +20,7 @@ _WIDTH = 5.6  # inches; of this width the writing can still be read on a phone
 _BAR = 0.32  # inches of height for each stage
 
 
-def error_over_way(record: DriveRecord) -> Figure | None:
+def error_over_way(record: RunRecord) -> Figure | None:
     """Draw the distance from the ground truth after alignment over the way driven; None without truth."""
     truth = anchored_truth(record)
     if truth is None:
@@ -36,7 +36,7 @@ def error_over_way(record: DriveRecord) -> Figure | None:
     return figure
 
 
-def inliers_per_frame(record: DriveRecord) -> Figure:
+def inliers_per_frame(record: RunRecord) -> Figure:
     """Draw how many tracks agreed with the motion in each frame, and where it had to be predicted."""
     figure = new_figure(_WIDTH, 2.6)
     ax = figure.subplots()
@@ -49,7 +49,7 @@ def inliers_per_frame(record: DriveRecord) -> Figure:
     return figure
 
 
-def time_per_stage(record: DriveRecord) -> Figure | None:
+def time_per_stage(record: RunRecord) -> Figure | None:
     """Draw median and 99th percentile of each stage, first stage on top; None where nothing was timed."""
     times = stage_times(record)[::-1]
     if not times:
@@ -64,7 +64,7 @@ def time_per_stage(record: DriveRecord) -> Figure | None:
     return figure
 
 
-def _mark_loops(record: DriveRecord, way: np.ndarray, ax: Axes) -> None:
+def _mark_loops(record: RunRecord, way: np.ndarray, ax: Axes) -> None:
     queries = [row.query for row in kept(record)]
     ax.plot(way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed")
 

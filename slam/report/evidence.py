@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.record import DriveRecord, LoopEventRow, LoopRow, MatchedPixels, StageRow
+from slam.record import LoopEventRow, LoopRow, MatchedPixels, RunRecord, StageRow
 from slam.report.reading import text, value, verdict
 from slam.telling import headline, told
 
@@ -48,7 +48,7 @@ class Album:
         return row.query in self.pictures and row.match in self.pictures
 
 
-def evidence(record: DriveRecord, images: ImageSource, budget: int = BUDGET) -> dict[str, object]:
+def evidence(record: RunRecord, images: ImageSource, budget: int = BUDGET) -> dict[str, object]:
     """What the page needs to open any row of the ledger.
 
     Args:

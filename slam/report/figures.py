@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slam.errors import OutputError
 from slam.evaluation.trajectory import Similarity
-from slam.record import Cloud, DriveRecord, LoopRow
+from slam.record import LoopRow, PointCloud, RunRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, fit
 from slam.report.ellipses import confidence_ellipses
@@ -57,7 +57,7 @@ class Panel:
     ellipses: Array
 
 
-def before_after(record: DriveRecord) -> Figure:
+def before_after(record: RunRecord) -> Figure:
     """Draw the drive in plan view (x to the right, z up, metres) and its height: odometry alone, and corrected.
 
     Where there is ground truth both estimates are laid over it by the same alignment as their ATE.
@@ -130,7 +130,7 @@ def style(ax: Axes) -> None:
         spine.set_color(INK)
 
 
-def both_panels(record: DriveRecord) -> tuple[Panel, Panel]:
+def both_panels(record: RunRecord) -> tuple[Panel, Panel]:
     """By odometry alone, and corrected."""
     return (
         _panel(record, "Before: odometry alone", "odometry", record.map_before),
@@ -138,7 +138,7 @@ def both_panels(record: DriveRecord) -> tuple[Panel, Panel]:
     )
 
 
-def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> Panel:
+def _panel(record: RunRecord, heading: str, name: str, cloud: PointCloud) -> Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
     covariances = record.odometry_covariances if name == "odometry" else record.corrected_covariances
     truth = anchored_truth(record)
@@ -158,14 +158,14 @@ def _panel(record: DriveRecord, heading: str, name: str, cloud: Cloud) -> Panel:
     )
 
 
-def _ate(record: DriveRecord, name: str) -> str:
+def _ate(record: RunRecord, name: str) -> str:
     if record.ground_truth is None:
         return "no ground truth"
     ate = text(value(record.metrics, f"{name}.ate_m"), 2, " m")
     return f"ATE {ate}, {alignment(record.metrics, name)} alignment"
 
 
-def draw(ax: Axes, panel: Panel, record: DriveRecord) -> None:
+def draw(ax: Axes, panel: Panel, record: RunRecord) -> None:
     """Draw the plan view of an estimate: map, trajectory, how sure it is, loops, start."""
     style(ax)
     ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)

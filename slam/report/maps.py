@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.figures import both_panels, draw, frame_axes, new_figure, window
 from slam.report.reading import scaled
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _POINTS_PER_INCH = 72  # the unit of a drawing
 
 
-def plan_view(record: DriveRecord, name: str) -> Figure:
+def plan_view(record: RunRecord, name: str) -> Figure:
     """Draw one panel of `before_after` alone, of `odometry` or `corrected`, without legend."""
     panels = both_panels(record)
     centre, half = window(panels)
@@ -37,7 +37,7 @@ def _name_contents(figure: Figure) -> None:
         artist.set_gid(f"inside-{number}")
 
 
-def map_data(record: DriveRecord, name: str, figure: Figure) -> dict[str, object]:
+def map_data(record: RunRecord, name: str, figure: Figure) -> dict[str, object]:
     """What the page needs to know of a plan view that has been drawn.
 
     Returns:
@@ -59,7 +59,7 @@ def map_data(record: DriveRecord, name: str, figure: Figure) -> dict[str, object
     }
 
 
-def _errors(record: DriveRecord, name: str) -> Array:
+def _errors(record: RunRecord, name: str) -> Array:
     truth = anchored_truth(record)
     if truth is None:
         return np.empty(0)

@@ -7,7 +7,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from slam.errors import OutputError
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.cells import Cell, cell, estimate, flat, ledger_cells, origin
 from slam.report.evidence import ImageSource, evidence, some_pairs
 from slam.report.pictures import charts, maps, places
@@ -18,7 +18,7 @@ _TEMPLATES = Path(__file__).with_name("templates")
 
 
 def write_report(
-    record: DriveRecord,
+    record: RunRecord,
     path: Path,
     images: ImageSource | None = None,
     config: Mapping[str, object] | None = None,
@@ -55,7 +55,7 @@ def environment() -> Environment:
     return found
 
 
-def render(record: DriveRecord, images: ImageSource | None, config: Mapping[str, object]) -> str:
+def render(record: RunRecord, images: ImageSource | None, config: Mapping[str, object]) -> str:
     """Return the page as text; everything that is not ours is escaped by the template engine."""
     source = images or _no_image
     return (
@@ -89,7 +89,7 @@ _FUNNEL = ("proposed", "verified", "kept", "true", "false", "precision", "recall
 _PLACES = {"recall_at_100_precision": "R@P100", "average_precision": "average precision"}
 
 
-def _verdict(record: DriveRecord) -> str:
+def _verdict(record: RunRecord) -> str:
     closed = len(kept(record))
     loops = f"{closed} loop{'' if closed == 1 else 's'} closed" if closed else "No loop closed"
     before, after = (value(record.metrics, f"{name}.ate_m") for name in ("odometry", "corrected"))
@@ -98,7 +98,7 @@ def _verdict(record: DriveRecord) -> str:
     return f"{loops}. Position error (ATE) {text(before, 2, ' m')} before, {text(after, 2, ' m')} after."
 
 
-def _facts(record: DriveRecord) -> list[tuple[str, Cell]]:
+def _facts(record: RunRecord) -> list[tuple[str, Cell]]:
     return [
         ("frames", Cell(str(len(record.timestamps)))),
         ("way driven", cell(record, "path_length_m", 1, " m")),
@@ -109,6 +109,6 @@ def _facts(record: DriveRecord) -> list[tuple[str, Cell]]:
     ]
 
 
-def _notes(record: DriveRecord) -> list[tuple[str, str]]:
+def _notes(record: RunRecord) -> list[tuple[str, str]]:
     notes = record.metrics.get("notes")
     return [(str(key), str(why)) for key, why in notes.items()] if isinstance(notes, Mapping) else []

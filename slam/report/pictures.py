@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.cells import cell
 from slam.report.charts import error_over_way, inliers_per_frame, time_per_stage
 from slam.report.maps import map_data, plan_view
@@ -31,7 +31,7 @@ class Picture:
     data: Mapping[str, object] = field(default_factory=dict)
 
 
-def maps(record: DriveRecord) -> list[Picture]:
+def maps(record: RunRecord) -> list[Picture]:
     """Plan views by odometry alone, and corrected."""
     named = (
         ("odometry", "Before: odometry alone", "Each step adds its error, so the map of a second visit lies askew."),
@@ -40,7 +40,7 @@ def maps(record: DriveRecord) -> list[Picture]:
     return [_map(record, *words) for words in named]
 
 
-def _map(record: DriveRecord, name: str, title: str, caption: str) -> Picture:
+def _map(record: RunRecord, name: str, title: str, caption: str) -> Picture:
     ate, told = cell(record, f"{name}.ate_m", 2, " m"), ""
     if record.ground_truth is not None:
         told = f"ATE {ate.text}, {alignment(record.metrics, name)} alignment. "
@@ -49,7 +49,7 @@ def _map(record: DriveRecord, name: str, title: str, caption: str) -> Picture:
     return Picture(title, told + caption, drawn, map_data(record, name, figure))
 
 
-def charts(record: DriveRecord) -> list[Picture]:
+def charts(record: RunRecord) -> list[Picture]:
     """What changed over the drive, and where the time went."""
     drawn = (
         ("error", "Position error over the way", "Distance from the ground truth after alignment.", error_over_way),
@@ -60,7 +60,7 @@ def charts(record: DriveRecord) -> list[Picture]:
     return [_picture(name, title, caption, figure) for name, title, caption, figure in figures if figure is not None]
 
 
-def places(record: DriveRecord) -> list[Picture]:
+def places(record: RunRecord) -> list[Picture]:
     """How the recogniser ranks: its curve, where there is ground truth, and its matrices."""
     pictures = []
     if record.curve is not None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.record import DriveRecord, LoopRow
+from slam.record import LoopRow, RunRecord
 
 MISSING = "\N{EN DASH}"
 
@@ -50,12 +50,12 @@ def text(found: object | None, digits: int = 2, unit: str = "") -> str:
     return f"{found}{unit}"
 
 
-def kept(record: DriveRecord) -> list[LoopRow]:
+def kept(record: RunRecord) -> list[LoopRow]:
     """Loops that stand in the corrected graph."""
     return [row for row in record.loops if row.in_graph]
 
 
-def rejected(record: DriveRecord) -> list[LoopRow]:
+def rejected(record: RunRecord) -> list[LoopRow]:
     """Return matches that the recogniser took for revisits and geometry or the back end turned down."""
     return [row for row in record.loops if row.accepted and not row.in_graph]
 
@@ -85,7 +85,7 @@ class StageTime:
     share: float
 
 
-def stage_times(record: DriveRecord) -> list[StageTime]:
+def stage_times(record: RunRecord) -> list[StageTime]:
     """Time of each stage in the order of the chain; a stage that never ran is left out."""
     stages = {name: ms[np.isfinite(ms) & (ms > 0)] for name, ms in record.stage_ms.items() if name != "total"}
     whole = sum(float(ms.sum()) for ms in stages.values()) or 1.0

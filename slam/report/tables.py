@@ -3,7 +3,7 @@
 from rich.markup import escape
 from rich.table import Table
 
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.reading import MISSING, alignment, stage_times, text, value
 
 ESTIMATES = ("odometry", "online", "corrected")
@@ -15,7 +15,7 @@ ERRORS = {
 }
 
 
-def summary(record: DriveRecord) -> Table:
+def summary(record: RunRecord) -> Table:
     """Sum up a run: errors of the three estimates, loops, speed. What is not known is a dash."""
     table = Table(title=escape(record.name), caption=_caption(record), caption_justify="left")
     table.add_column("")
@@ -28,7 +28,7 @@ def summary(record: DriveRecord) -> Table:
     return table
 
 
-def _caption(record: DriveRecord) -> str:
+def _caption(record: RunRecord) -> str:
     get = record.metrics
     aligned = {alignment(get, name) for name in ESTIMATES if value(get, f"{name}.ate_m") is not None}
     loops = ", ".join(f"{text(value(get, f'loops.{key}'))} {key}" for key in ("proposed", "verified", "kept"))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.record import Cloud
+from slam.record import PointCloud
 from slam.storage.atomic import atomic_writer
 from slam.storage.landmarks import Sightings
 
@@ -39,7 +39,7 @@ class Model:
     """
 
     T_world_camera: Array
-    cloud: Cloud
+    cloud: PointCloud
     sightings: Sightings
 
     def pixels(self) -> Array:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.storage.atomic import atomic_writer
 
 
-def write_covariances(path: Path, record: DriveRecord) -> None:
+def write_covariances(path: Path, record: RunRecord) -> None:
     """Write covariances.npz; an estimate whose covariances are not known is left out.
 
     Raises:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
 from place_recognition.evaluation.matrix import Matrix
-from slam.record import DriveRecord, LoopRow
+from slam.record import LoopRow, RunRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
 from slam.report.reading import kept, rejected, scaled
@@ -119,7 +119,7 @@ class RerunViewer:
         if len(matrix.values):
             self._recording.log("places/matrix", shapes.matrix(matrix))
 
-    def finish(self, record: DriveRecord) -> None:
+    def finish(self, record: RunRecord) -> None:
         """Show the final trajectories, loops and maps, and the errors over the whole drive."""
         if not len(record.timestamps):
             return
@@ -220,7 +220,7 @@ class RerunViewer:
             self._recording.log(path, shapes.jpeg(np.ascontiguousarray(image[::2, ::2])))
             self._recording.log(f"{path}/inliers", shapes.matches(pixels / 2))
 
-    def _log_errors(self, record: DriveRecord) -> None:
+    def _log_errors(self, record: RunRecord) -> None:
         truth = anchored_truth(record)
         if truth is None:
             return

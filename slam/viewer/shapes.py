@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.matrix import Matrix
 from slam.mapping.fusion import Surface
-from slam.record import Cloud
+from slam.record import PointCloud
 from slam.report import colours
 from slam.viewer.viewer import Step
 
@@ -92,7 +92,7 @@ def loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> tuple[
     return arrows, rr.Points3D(ends[:, 0] - _LIFT, colors=colours.rgb(colour), radii=rr.Radius.ui_points(4.0))
 
 
-def cloud(points: Cloud, colour: str) -> rr.Points3D:
+def cloud(points: PointCloud, colour: str) -> rr.Points3D:
     """Draw a map: a colour, as bright as the points were in the images."""
     shown = slice(None, None, len(points.points) // _MAP_POINTS + 1)
     brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.matrix import Matrix
-from slam.record import DriveRecord
+from slam.record import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class Viewer(Protocol):
         """Show what the recogniser thinks of all pairs of images so far."""
         ...
 
-    def finish(self, record: DriveRecord) -> None:
+    def finish(self, record: RunRecord) -> None:
         """Show the end of the drive: final trajectories, maps and errors."""
         ...
 
@@ -121,7 +121,7 @@ class NullViewer:
     def matrix(self, matrix: Matrix) -> None:
         """Do nothing."""
 
-    def finish(self, record: DriveRecord) -> None:
+    def finish(self, record: RunRecord) -> None:
         """Do nothing."""
 
     def close(self) -> None:

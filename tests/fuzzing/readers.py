@@ -21,7 +21,7 @@ from slam.errors import DataError
 from slam.evaluation.truth import read_revisit_truth
 from slam.filter_training import read_similarities
 from slam.mapping.ply import read_cloud
-from slam.parts import read_checked
+from slam.parts import read_checked_config
 from slam.simulation.routes import read_plan
 from slam.storage.calibration import read_calibration
 from slam.storage.g2o import Graph, read_g2o
@@ -118,7 +118,7 @@ def _graph(root: Path) -> None:
 
 
 def _configuration(root: Path) -> None:
-    read_checked(root / "a.toml")
+    read_checked_config(root / "a.toml")
 
 
 def _vocabulary(root: Path) -> None:

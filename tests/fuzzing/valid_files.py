@@ -14,7 +14,7 @@ from odometry.camera import StereoCamera
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from slam.config import RunConfig, to_toml
 from slam.mapping.ply import write_cloud
-from slam.record import Cloud
+from slam.record import PointCloud
 from slam.storage.calibration import write_calibration
 from slam.storage.landmarks import write_sightings
 from slam.storage.tables import FrameTable, write_events, write_frames, write_loops, write_stages
@@ -214,7 +214,7 @@ def array_files(*values: np.ndarray) -> list[bytes]:
 
 
 def clouds() -> list[bytes]:
-    cloud = Cloud(np.array([[0.0, 1, 2], [3, 4, 5]]), np.array([10, 200], np.uint8))
+    cloud = PointCloud(np.array([[0.0, 1, 2], [3, 4, 5]]), np.array([10, 200], np.uint8))
     text = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
     return [written("a.ply", lambda path: write_cloud(path, cloud)), text]
 

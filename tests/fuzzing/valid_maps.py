@@ -12,10 +12,9 @@ from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
+from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Landmarks, LoopClosure, Rejection
-from slam.map_store.freezing import Freezer, Thawer
-from slam.map_store.rows import StoredAttempt, StoredFrame
-from slam.map_store.store import Checkpoint, Corrected, MapStore, Session, Verdict
+from slam.map_store.store import Checkpoint, LoopOutcome, MapDatabase, OptimizedSession, Session
 
 FRAMES = 3
 
@@ -25,53 +24,51 @@ def map_stores() -> list[bytes]:
     """A drive of three frames that has ended, with its checkpoint."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "map.db"
-        with MapStore.create(path) as store, store.writing():
+        with MapDatabase.create(path) as store, store.writing():
             camera = StereoCamera(700.0, 700.0, 100.0, 50.0, 0.5, 200, 100)
             store.add_session(Session(0, 0, "drive", camera, to_toml(RunConfig()), {"recording": {"path": "drive"}}))
             for image in range(FRAMES):
                 store.add_frame(_frame(image), 0)
-            for number, attempt in enumerate(_attempts()):
-                store.add_attempt(number, attempt)
-            freezer = Freezer()
-            structure = freezer.freeze({"rows": _rows()})
-            store.set_checkpoint(0, Checkpoint(FRAMES, structure, freezer.arrays))
+            for number, candidate in enumerate(_candidates()):
+                store.add_candidate(number, candidate)
+            store.set_checkpoint(0, Checkpoint(FRAMES, {"similarity_matrix": _rows().state()}))
             poses = np.tile(np.eye(4), (FRAMES, 1, 1))
-            verdicts = {1: Verdict(True, 1.0, 0.5, "kept")}
-            store.finish(0, Corrected(np.arange(FRAMES), poses, np.ones(FRAMES), verdicts), ended=True)
+            outcomes = {1: LoopOutcome(True, 1.0, 0.5, "kept")}
+            store.finish(0, OptimizedSession(np.arange(FRAMES), poses, np.ones(FRAMES), outcomes), ended=True)
         return [path.read_bytes()]
 
 
 def read_map(path: Path) -> None:
     """Read everything that a map holds, and put its parts together."""
-    with MapStore.open(path) as store:
+    with MapDatabase.open(path) as store:
         for session in store.sessions():
             checkpoint = store.checkpoint(session.number)
             if checkpoint is not None:
                 with store.reading():
-                    Thawer(checkpoint.arrays).thaw(checkpoint.structure, {"rows": MatrixRows()})
+                    MatrixRows().restore(checkpoint.state["similarity_matrix"])
         for frame in store.frames():
             if frame.landmarks.points.shape != (len(frame.landmarks), 3):
                 raise DataError("landmarks without a place")
-        list(store.attempts())
+        list(store.candidates())
         store.poses(), store.steps(), store.key_frames()
 
 
-def _frame(image: int) -> StoredFrame:
+def _frame(image: int) -> FrameRecord:
     rng = np.random.default_rng(image)
     landmarks = Landmarks(
         rng.random((4, 2)).astype(np.float32), rng.random((4, 3)).astype(np.float32),
         rng.integers(0, 255, 4).astype(np.uint8), rng.random((4, 8)).astype(np.float16),
     )  # fmt: skip
     motion = Motion(np.eye(4), 1e-4 * np.eye(6), False, "", inliers=np.ones(5, bool), residual_px=0.3)
-    return StoredFrame(image, 0.1 * image, motion, np.eye(4), np.eye(4), landmarks, True, {"odometry": 1.0})
+    return FrameRecord(image, 0.1 * image, motion, np.eye(4), np.eye(4), landmarks, True, {"odometry": 1.0})
 
 
-def _attempts() -> list[StoredAttempt]:
+def _candidates() -> list[LoopRecord]:
     closure = LoopClosure(2, 0, np.eye(4), 1e-4 * np.eye(6), 30, 40)
     return [
-        StoredAttempt(1, Belief(1, None, 0.0, accepted=False), None),
-        StoredAttempt(2, Belief(2, 0, 9.0, accepted=True, inliers=20), closure),
-        StoredAttempt(None, Belief(2, 1, 8.0, accepted=True), Rejection("3 landmarks match", 3)),
+        LoopRecord(1, Belief(1, None, 0.0, accepted=False), None),
+        LoopRecord(2, Belief(2, 0, 9.0, accepted=True, inliers=20), closure),
+        LoopRecord(None, Belief(2, 1, 8.0, accepted=True), Rejection("3 landmarks match", 3)),
     ]
 
 

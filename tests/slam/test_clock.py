@@ -6,12 +6,12 @@ import time
 
 import pytest
 
-from slam.clock import StageClock
+from slam.clock import StageTimer
 from slam.stopping import stop_on_interrupt
 
 
 def test_a_stage_entered_twice_counts_both_times():
-    clock = StageClock()
+    clock = StageTimer()
     for _ in range(2):
         with clock.stage("sleep"):
             time.sleep(0.002)
@@ -19,7 +19,7 @@ def test_a_stage_entered_twice_counts_both_times():
 
 
 def test_a_lap_starts_from_nothing():
-    clock = StageClock()
+    clock = StageTimer()
     with clock.stage("first"):
         pass
     clock.lap()
@@ -27,7 +27,7 @@ def test_a_lap_starts_from_nothing():
 
 
 def test_time_counts_even_when_the_stage_fails():
-    clock = StageClock()
+    clock = StageTimer()
     with pytest.raises(ValueError, match="inside"), clock.stage("failing"):
         raise ValueError("inside")
     assert "failing" in clock.lap()

@@ -16,7 +16,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path):
-    config = replace(RunConfig(), seed=7, robust="none", record=False)
+    config = replace(RunConfig(), seed=7, robust="none", save_recording=False)
     assert read_config(written(tmp_path, to_toml(config))) == config
 
 
@@ -52,8 +52,8 @@ def test_a_missing_file_is_named(tmp_path: Path):
 
 def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     config = replace(RunConfig(), mono=True)
-    odometry = replace(config.one_camera.odometry, height_m=1.65)
-    config = replace(config, one_camera=replace(config.one_camera, odometry=odometry))
+    odometry = replace(config.mono_odometry.odometry, height_m=1.65)
+    config = replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
-    assert config.graph.unit_drift > 0
-    assert RunConfig().graph == RunConfig().pose_graph
+    assert config.pose_graph_for_camera().unit_drift > 0
+    assert RunConfig().pose_graph_for_camera() == RunConfig().pose_graph

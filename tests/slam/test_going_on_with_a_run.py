@@ -14,9 +14,9 @@ from rich.console import Console
 
 from slam.errors import ConfigError, DataError, OutputError
 from slam.map_store.remembered import source_of
-from slam.map_store.resuming import find_stopped
-from slam.map_store.store import MapStore
-from slam.run import RunOptions, run_recorded
+from slam.map_store.resuming import find_resumable_run
+from slam.map_store.store import MapDatabase
+from slam.run import RunOptions, run_pipeline
 from slam.storage.run_folder import unfinished
 
 QUIET = Console(quiet=True)
@@ -32,7 +32,7 @@ TIMES = {
     "memory_mb",
 }
 FRAMES = 150
-WITHOUT_RECORDING = {"record": False}
+WITHOUT_RECORDING = {"save_recording": False}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def drive(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(source: Path, out: Path, resume: bool = False, **settings: object) -> bool:
-    return run_recorded(RunOptions(source, None, out, resume=resume), WITHOUT_RECORDING | settings, QUIET, QUIET)
+    return run_pipeline(RunOptions(source=source, out=out, resume=resume), WITHOUT_RECORDING | settings, QUIET, QUIET)
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +71,8 @@ def results(out: Path) -> dict[str, object]:
 
 
 def map_of(out: Path) -> list[bytes]:
-    with MapStore.open(out / "map.db") as store:
-        tables = ("frame", "landmark", "attempt", "checkpoint_array")
+    with MapDatabase.open(out / "map.db") as store:
+        tables = ("frame", "landmark", "candidate", "checkpoint_array")
         columns = "image, T_previous_camera, T_world_camera, covariance", "*", "*", "*"
         return [repr([tuple(row) for row in store._connection.execute(f"SELECT {some} FROM {table}")]).encode()
                 for table, some in zip(tables, columns, strict=True)]  # fmt: skip
@@ -113,7 +113,7 @@ def test_a_killed_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path):
 
 def _frames(out: Path) -> int:
     try:
-        stopped = find_stopped(out)
+        stopped = find_resumable_run(out)
     except DataError:  # it is just being made
         return 0
     return stopped.frames if stopped else 0
@@ -135,12 +135,12 @@ def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed:
 
 
 def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    out, show = tmp_path / "out", "slam.watching.Watcher.show"
-    from slam.watching import Watcher
+    out, show = tmp_path / "out", "slam.watching.RunVisualizer.show"
+    from slam.watching import RunVisualizer
 
-    original = Watcher.show
+    original = RunVisualizer.show
 
-    def interrupt(self: Watcher, processed: object) -> object:
+    def interrupt(self: RunVisualizer, processed: object) -> object:
         if processed.frame.index == 60:
             signal.raise_signal(signal.SIGINT)
         return original(self, processed)
@@ -175,14 +175,14 @@ def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive:
 
 
 def test_without_a_map_nothing_is_kept(drive: Path, tmp_path: Path):
-    run(drive, tmp_path / "out", keep_map=False)
+    run(drive, tmp_path / "out", save_map=False)
     assert not (tmp_path / "out" / "map.db").exists()
 
 
 def test_the_same_loops_are_found_again_without_odometry(undisturbed: Path, tmp_path: Path):
     again = source_of(undisturbed)
-    options = RunOptions(again.path, again.sequence, tmp_path / "again", again=undisturbed)
-    run_recorded(options, WITHOUT_RECORDING, QUIET, QUIET)
+    options = RunOptions(source=again.path, sequence=again.sequence, out=tmp_path / "again", reuse_map=undisturbed)
+    run_pipeline(options, WITHOUT_RECORDING, QUIET, QUIET)
     found, expected = results(tmp_path / "again"), results(undisturbed)
     expected.pop("calibration.toml")  # nothing new was learned of it
     assert [name for name in expected if found[name] != expected[name]] == []
@@ -190,12 +190,12 @@ def test_the_same_loops_are_found_again_without_odometry(undisturbed: Path, tmp_
 
 def test_other_loops_are_found_with_another_paradigm(undisturbed: Path, circle_drive: Path, tmp_path: Path):
     again = source_of(undisturbed)
-    options = RunOptions(again.path, again.sequence, tmp_path / "other", again=undisturbed)
-    run_recorded(options, WITHOUT_RECORDING | {"paradigm": "global-descriptor"}, QUIET, QUIET)
+    options = RunOptions(source=again.path, sequence=again.sequence, out=tmp_path / "other", reuse_map=undisturbed)
+    run_pipeline(options, WITHOUT_RECORDING | {"paradigm": "global-descriptor"}, QUIET, QUIET)
     metrics = json.loads((tmp_path / "other" / "metrics.json").read_text())
     assert metrics["places"]["paradigm"] == "global-descriptor"
     name = "trajectory_odometry.txt"
     assert (tmp_path / "other" / name).read_bytes() == (undisturbed / name).read_bytes()
-    elsewhere = RunOptions(circle_drive, None, tmp_path / "never", again=undisturbed)
+    elsewhere = RunOptions(source=circle_drive, out=tmp_path / "never", reuse_map=undisturbed)
     with pytest.raises(DataError, match="expected the drive that it was made of"):
-        run_recorded(elsewhere, WITHOUT_RECORDING, QUIET, QUIET)
+        run_pipeline(elsewhere, WITHOUT_RECORDING, QUIET, QUIET)

@@ -3,12 +3,12 @@
 import numpy as np
 
 from place_recognition.recognizer import Belief
-from slam.ledger import event_rows, matched_pixels, stage_rows, write_ledger
+from slam.ledger import event_rows, loop_rows, matched_pixels, stage_rows
 from slam.loop_closing import LoopClosure, Rejection
 from slam.loop_trust import Admission, Change
 from slam.record import LoopEventRow, LoopRow
 from slam.robust import LoopGate, Optimized
-from slam.system import LoopAttempt
+from slam.system import LoopCandidate
 
 GATE = LoopGate(True, 0.5, "drift explains it")
 PASSED = Admission(True, True, 0.5, "drift explains it")
@@ -24,31 +24,31 @@ def optimized(*kept: bool) -> Optimized:
     return Optimized(np.eye(4)[None], verdicts * 1.0, np.full(len(kept), 1.5), verdicts, reasons, 2.0, 1.0, 0.1)
 
 
-def ledger(*attempts: LoopAttempt, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
-    return write_ledger(attempts, optimized(*kept), lambda query, match, closure: None)
+def ledger(*candidates: LoopCandidate, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
+    return loop_rows(candidates, optimized(*kept), lambda query, match, closure: None)
 
 
 def test_a_belief_without_a_match_has_no_row():
-    assert ledger(LoopAttempt(Belief(3, None, 0.0, False), None, None)) == ()
+    assert ledger(LoopCandidate(Belief(3, None, 0.0, False), None, None)) == ()
 
 
 def test_a_belief_that_was_not_accepted_says_why():
-    (low,) = ledger(LoopAttempt(Belief(9, 1, 2.5, False), None, None))
-    (unproved,) = ledger(LoopAttempt(Belief(9, 1, 20.0, False, inliers=5, verified=False), None, None))
+    (low,) = ledger(LoopCandidate(Belief(9, 1, 2.5, False), None, None))
+    (unproved,) = ledger(LoopCandidate(Belief(9, 1, 20.0, False, inliers=5, verified=False), None, None))
     assert low.reason == "not accepted: score 2.5 is below the recogniser's threshold"
     assert unproved.reason == "not accepted: 5 matches agree with one epipolar geometry, too few"
 
 
 def test_a_rejection_hands_on_its_numbers_and_its_reason():
-    (row,) = ledger(LoopAttempt(Belief(9, 1, 20.0, True), Rejection("too far", 12, 7), None))
+    (row,) = ledger(LoopCandidate(Belief(9, 1, 20.0, True), Rejection("too far", 12, 7), None))
     assert (row.matches, row.inliers, row.verified, row.reason) == (12, 7, False, "too far")
 
 
 def test_each_closure_gets_its_own_verdict_though_others_failed_in_between():
     rows = ledger(
-        LoopAttempt(Belief(8, 1, 20.0, True), closure(8, 1), PASSED),
-        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
-        LoopAttempt(Belief(10, 3, 20.0, True), closure(10, 3), PASSED),
+        LoopCandidate(Belief(8, 1, 20.0, True), closure(8, 1), PASSED),
+        LoopCandidate(Belief(9, 2, 20.0, True), Rejection("no"), None),
+        LoopCandidate(Belief(10, 3, 20.0, True), closure(10, 3), PASSED),
         kept=(False, True),
     )
     assert [row.in_graph for row in rows] == [False, False, True]
@@ -58,26 +58,26 @@ def test_each_closure_gets_its_own_verdict_though_others_failed_in_between():
 
 def test_rows_are_in_the_order_of_the_queries_however_late_the_answer_came():
     late, early = Belief(4, 0, 1.0, False), Belief(9, 1, 1.0, False)
-    assert [row.query for row in ledger(LoopAttempt(early, None, None), LoopAttempt(late, None, None))] == [4, 9]
+    assert [row.query for row in ledger(LoopCandidate(early, None, None), LoopCandidate(late, None, None))] == [4, 9]
 
 
 def test_the_judge_sees_the_measured_pose_of_a_closure():
     seen = []
-    attempt = LoopAttempt(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
-    write_ledger([attempt], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
-    assert attempt.geometry in seen
+    candidate = LoopCandidate(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
+    loop_rows([candidate], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
+    assert candidate.geometry in seen
 
 
-def attempts() -> list[LoopAttempt]:
+def candidates() -> list[LoopCandidate]:
     return [
-        LoopAttempt(Belief(8, 1, 20.0, True, inliers=30), closure(8, 1), PASSED),
-        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
-        LoopAttempt(Belief(7, 3, 20.0, True), closure(7, 3), PASSED),
+        LoopCandidate(Belief(8, 1, 20.0, True, inliers=30), closure(8, 1), PASSED),
+        LoopCandidate(Belief(9, 2, 20.0, True), Rejection("no"), None),
+        LoopCandidate(Belief(7, 3, 20.0, True), closure(7, 3), PASSED),
     ]
 
 
 def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
-    late, first, refused = stage_rows(attempts(), [GATE, GATE])
+    late, first, refused = stage_rows(candidates(), [GATE, GATE])
     assert [row.query for row in (late, first, refused)] == [7, 8, 9]
     assert first.epipolar_inliers == 30
     assert (first.gate_passed, first.gate_sigma, first.position_sigma_m, first.rotation_deg) == (True, 0.5, 1.0, 0.0)
@@ -87,30 +87,30 @@ def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
 
 def test_events_name_their_loop_and_keep_their_order():
     history = [Change(8, 0, False, "waits"), Change(9, 1, True, "joined"), Change(9, 0, True, "joined")]
-    assert event_rows(attempts(), history) == (
+    assert event_rows(candidates(), history) == (
         LoopEventRow(7, 3, 9, True, "joined"),
         LoopEventRow(8, 1, 8, False, "waits"),
         LoopEventRow(8, 1, 9, True, "joined"),
     )
-    assert event_rows(attempts(), []) == ()
+    assert event_rows(candidates(), []) == ()
 
 
 def test_a_belief_without_a_match_has_no_stages():
-    assert stage_rows([LoopAttempt(Belief(3, None, 0.0, False), None, None)], []) == ()
+    assert stage_rows([LoopCandidate(Belief(3, None, 0.0, False), None, None)], []) == ()
 
 
 def test_matches_are_handed_on_of_closures_and_rejections_alike():
     here, there = np.float32([[1, 2], [3, 4]]), np.float32([[5, 6], [7, 8]])
     proved = LoopClosure(8, 1, np.eye(4), np.eye(6), 2, 60, here, there)
-    attempts = [
-        LoopAttempt(Belief(6, None, 0.0, False), None, None),
-        LoopAttempt(Belief(7, 0, 1.0, False), None, None),
-        LoopAttempt(Belief(8, 1, 20.0, True, pixels=np.hstack([there, here])), proved, PASSED),
-        LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no", 30, 2, there, here), None),
+    candidates = [
+        LoopCandidate(Belief(6, None, 0.0, False), None, None),
+        LoopCandidate(Belief(7, 0, 1.0, False), None, None),
+        LoopCandidate(Belief(8, 1, 20.0, True, pixels=np.hstack([there, here])), proved, PASSED),
+        LoopCandidate(Belief(9, 2, 20.0, True), Rejection("no", 30, 2, there, here), None),
     ]
     for geometry in (None, Rejection("no pose", 30)):  # then what the recogniser saw is shown
-        attempts.append(LoopAttempt(Belief(10, 3, 1.0, False, pixels=np.hstack([here, there])), geometry, None))
-    first, second, *others = matched_pixels(attempts)
+        candidates.append(LoopCandidate(Belief(10, 3, 1.0, False, pixels=np.hstack([here, there])), geometry, None))
+    first, second, *others = matched_pixels(candidates)
     assert (first.query, first.match, second.query, second.match) == (8, 1, 9, 2)
     assert first.pixels_query is second.pixels_match is here
     assert first.pixels_match is second.pixels_query is there

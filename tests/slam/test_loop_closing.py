@@ -1,5 +1,6 @@
 """Relative poses from landmarks: right, honest about their error, and refused where there is none."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,7 @@ class World:
     descriptors: np.ndarray
     rng: np.random.Generator
     noise: float = 0.5
+    has_metric_scale: bool = True
 
     def __post_init__(self) -> None:
         self.views: list[tuple[LocalFeatures, np.ndarray]] = []
@@ -62,6 +64,14 @@ class World:
         return self.views[left[0, 0]][1][: len(pixels)]
 
 
+@dataclass
+class Depth:
+    """Disparities by a function, as a visual odometry gives them."""
+
+    disparity: Callable[..., np.ndarray]
+    has_metric_scale: bool = True
+
+
 def world(seed: int = 0, count: int = 600) -> World:
     rng = np.random.default_rng(seed)
     points = rng.uniform([-15, -4, 4], [15, 2, 40], (count, 3))
@@ -69,15 +79,15 @@ def world(seed: int = 0, count: int = 600) -> World:
 
 
 def closer_over(scene: World, poses: list[np.ndarray], config: LoopCloserConfig | None = None) -> LoopCloser:
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), config, scene.disparity)
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), scene, config)
     for index, pose in enumerate(poses):
         image = scene.look(pose)
-        closer.remember(index, image, image)
+        closer.add_frame(index, image, image)
     return closer
 
 
 def test_a_loop_is_closed_with_the_right_pose() -> None:
-    answer = closer_over(world(), [np.eye(4), MOTION]).close(1, 0)
+    answer = closer_over(world(), [np.eye(4), MOTION]).verify(1, 0)
     assert isinstance(answer, LoopClosure)
     error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
     assert np.abs(error[:3]).max() < 1e-3
@@ -90,7 +100,7 @@ def test_the_covariance_is_honest() -> None:
     nees = []
     for seed in range(25):
         config = LoopCloserConfig(geometry=UNBIASED)
-        answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).close(1, 0)
+        answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).verify(1, 0)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
         nees.append(error @ np.linalg.solve(answer.covariance, error))
@@ -101,7 +111,7 @@ def test_more_noise_makes_a_larger_covariance() -> None:
     quiet, loud = world(), world()
     loud.noise = 1.0
     config = LoopCloserConfig(geometry=UNBIASED)
-    one, two = (closer_over(w, [np.eye(4), MOTION], config).close(1, 0) for w in (quiet, loud))
+    one, two = (closer_over(w, [np.eye(4), MOTION], config).verify(1, 0) for w in (quiet, loud))
     assert isinstance(one, LoopClosure)
     assert isinstance(two, LoopClosure)
     assert np.trace(two.covariance[3:, 3:]) > 2.0 * np.trace(one.covariance[3:, 3:])
@@ -109,11 +119,11 @@ def test_more_noise_makes_a_larger_covariance() -> None:
 
 def test_a_disparity_bias_stays_within_the_covariance() -> None:
     scene = world()
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, lambda *view: scene.disparity(*view) + 0.4)
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(lambda *view: scene.disparity(*view) + 0.4))
     for index, pose in enumerate([np.eye(4), MOTION]):
         image = scene.look(pose)
-        closer.remember(index, image, image)
-    answer = closer.close(1, 0)
+        closer.add_frame(index, image, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, LoopClosure)
     error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
     assert error @ np.linalg.solve(answer.covariance, error) < 12.0
@@ -156,8 +166,8 @@ def test_images_of_different_places_are_rejected() -> None:
     image = there.look(np.eye(4))
     closer = closer_over(here, [np.eye(4)])
     here.views.append(there.views[0])
-    closer.remember(1, image + 1, image)
-    answer = closer.close(1, 0)
+    closer.add_frame(1, image + 1, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert "landmarks match, expected at least 20" in answer.reason
 
@@ -167,8 +177,8 @@ def test_matches_without_a_common_motion_are_rejected() -> None:
     closer = closer_over(scene, [np.eye(4)])
     scene.points = np.random.default_rng(9).permutation(scene.points)
     image = scene.look(np.eye(4))
-    closer.remember(1, image, image)
-    answer = closer.close(1, 0)
+    closer.add_frame(1, image, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert answer.matches > 100
     assert "relative pose" in answer.reason
@@ -179,7 +189,7 @@ def test_landmarks_in_one_corner_are_rejected() -> None:
     pixels = CAMERA.project(scene.points)
     corner = (pixels[:, 0] < 250) & (pixels[:, 2] < 150)
     scene.points, scene.descriptors = scene.points[corner], scene.descriptors[corner]
-    answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).close(1, 0)
+    answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).verify(1, 0)
     assert isinstance(answer, Rejection)
     assert "cells" in answer.reason
     assert len(answer.pixels_query) == len(answer.pixels_match) == answer.inliers > 0
@@ -190,7 +200,7 @@ def test_landmarks_come_back_in_the_camera_frame() -> None:
     scene = world()
     scene.noise = 0.0
     image = scene.look(MOTION)
-    landmarks = LoopCloser(CAMERA, SharedFeatures(scene), None, scene.disparity).remember(7, image, image)
+    landmarks = LoopCloser(CAMERA, SharedFeatures(scene), scene).add_frame(7, image, image)
     seen = CAMERA.project(landmarks.points.astype(np.float64))
     np.testing.assert_allclose(seen[:, [0, 2]], landmarks.pixels, atol=1e-2)
     assert landmarks.points.dtype == landmarks.pixels.dtype == np.float32
@@ -205,14 +215,14 @@ def test_features_without_disparity_are_no_landmarks() -> None:
     def every_other(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         return np.where(np.arange(len(pixels)) % 2, np.nan, scene.disparity(left, right, pixels))
 
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, every_other)
-    assert len(closer.remember(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(every_other))
+    assert len(closer.add_frame(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
 
 
 def test_an_image_without_features_is_rejected_not_an_error() -> None:
     scene = world()
     scene.points = np.zeros((0, 3))
-    answer = closer_over(scene, [np.eye(4), np.eye(4)]).close(1, 0)
+    answer = closer_over(scene, [np.eye(4), np.eye(4)]).verify(1, 0)
     assert isinstance(answer, Rejection)
     assert answer.reason == "0 landmarks match, expected at least 20"
 
@@ -220,7 +230,7 @@ def test_an_image_without_features_is_rejected_not_an_error() -> None:
 def test_the_same_images_give_the_same_bits() -> None:
     one, two = (closer_over(world(), [np.eye(4), MOTION]) for _ in range(2))
     cv2.setRNGSeed(99)
-    first, second = one.close(1, 0), two.close(1, 0)
+    first, second = one.verify(1, 0), two.verify(1, 0)
     assert isinstance(first, LoopClosure)
     assert isinstance(second, LoopClosure)
     assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
@@ -229,7 +239,7 @@ def test_the_same_images_give_the_same_bits() -> None:
 
 def test_a_frame_that_was_not_remembered_is_named() -> None:
     with pytest.raises(ValueError, match="expected a frame that was remembered, got 4"):
-        closer_over(world(), [np.eye(4)]).close(4, 0)
+        closer_over(world(), [np.eye(4)]).verify(4, 0)
 
 
 def test_matches_are_mutual_and_distinct() -> None:
@@ -278,12 +288,12 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
     ]
     height, width = images[0][0].shape
     camera = StereoCamera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline, width, height)
-    closer = LoopCloser(camera, SharedFeatures(Sift()), None, tracked_disparity)
+    closer = LoopCloser(camera, SharedFeatures(Sift()), Depth(tracked_disparity))
     for k, (left, right) in zip((0, 3, 20, 23), images, strict=True):
-        closer.remember(k, left, right)
+        closer.add_frame(k, left, right)
     poses = [se3.pose(row[:, :3], row[:, 3]) for row in rows]
     for match, query in ((0, 3), (20, 23)):
-        answer = closer.close(query, match)
+        answer = closer.verify(query, match)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(answer.T_match_query) @ se3.inverse(poses[match]) @ poses[query])
         assert np.abs(error[:3]).max() < 5e-3
@@ -299,10 +309,10 @@ def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
         return scene.disparity(left, left, pixels) * (unit if left[0, 0] == 1 else 1.0)
 
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, depths_in_own_unit, compare_units)
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(depths_in_own_unit, has_metric_scale=False))
     for index, pose in enumerate([np.eye(4), MOTION]):
-        closer.remember(index, scene.look(pose), None)
-    loop = closer.close(1, 0)
+        closer.add_frame(index, scene.look(pose), None)
+    loop = closer.verify(1, 0)
     assert isinstance(loop, LoopClosure)
     np.testing.assert_allclose(se3.log(se3.inverse(MOTION) @ loop.T_match_query), 0, atol=0.05)
     assert abs(loop.unit.log - np.log(unit)) < 4 * loop.unit.sigma

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from slam.config import read_config
 from slam.errors import ConfigError, DataError
-from slam.run import RunOptions, run_recorded
+from slam.run import RunOptions, run_pipeline
 from slam.storage.g2o import read_g2o
 from slam.storage.tables import read_loops
 from slam.storage.trajectory import read_kitti
@@ -29,7 +29,7 @@ def left_only(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture(scope="module")
 def run(left_only: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("mono") / "run"
-    run_recorded(RunOptions(left_only, None, out), {"mono": True, "record": False}, QUIET, QUIET)
+    run_pipeline(RunOptions(source=left_only, out=out), {"mono": True, "save_recording": False}, QUIET, QUIET)
     return out
 
 
@@ -40,7 +40,7 @@ def metrics(run: Path) -> dict:
 
 def test_without_mono_the_remedy_is_named(left_only: Path, tmp_path: Path):
     with pytest.raises(DataError, match=r"expected left and right images, found left ones only.*--mono"):
-        run_recorded(RunOptions(left_only, None, tmp_path / "out"), {}, QUIET, QUIET)
+        run_pipeline(RunOptions(source=left_only, out=tmp_path / "out"), {}, QUIET, QUIET)
 
 
 def test_errors_are_those_after_alignment_with_scale(metrics: dict):
@@ -82,4 +82,4 @@ def test_the_settings_written_say_mono(run: Path):
 
 def test_a_height_without_mono_is_refused(left_only: Path, tmp_path: Path):
     with pytest.raises(ConfigError, match=r"--camera-height.*add --mono"):
-        run_recorded(RunOptions(left_only, None, tmp_path / "out"), {"camera_height": 1.65}, QUIET, QUIET)
+        run_pipeline(RunOptions(source=left_only, out=tmp_path / "out"), {"camera_height": 1.65}, QUIET, QUIET)

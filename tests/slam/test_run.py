@@ -12,7 +12,7 @@ from markupsafe import escape
 from rich.console import Console
 
 from slam.errors import DataError, OutputError
-from slam.run import RunOptions, run_recorded
+from slam.run import RunOptions, run_pipeline
 
 QUIET = Console(quiet=True)
 HOSTILE = 'o\'drive <i id=x> "[bold]" &amp; улица 街道'
@@ -40,7 +40,7 @@ FILES = {
 
 
 def run(source: Path, out: Path, sequence: str | None = None, **settings: object) -> dict:
-    run_recorded(RunOptions(source, sequence, out), settings, QUIET, QUIET)
+    run_pipeline(RunOptions(source=source, sequence=sequence, out=out), settings, QUIET, QUIET)
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -79,7 +79,7 @@ def test_a_real_clip_drifts_less_than_two_percent(clip05: Path):
 
 
 def test_another_real_clip_drifts_less_than_two_percent(test_data: Path, tmp_path: Path):
-    metrics = run(test_data / "kitti_clips", tmp_path / "06", "06", record=False)
+    metrics = run(test_data / "kitti_clips", tmp_path / "06", "06", save_recording=False)
     assert metrics["odometry"]["end_error_percent"] < 2.0
 
 
@@ -104,7 +104,7 @@ def test_a_real_drive_home_closes_true_loops_and_ends_nearer_to_the_truth(
     test_data: Path, tmp_path: Path, sequence: str
 ):
     source = out_and_back(test_data / "kitti_clips", sequence, tmp_path / "drive")
-    metrics = run(source, tmp_path / "out", record=False)
+    metrics = run(source, tmp_path / "out", save_recording=False)
     assert metrics["loops"]["kept"] >= 5
     assert metrics["loops"]["false"] == 0
     assert metrics["corrected"]["end_error_m"] < metrics["odometry"]["end_error_m"]
@@ -139,9 +139,13 @@ def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path,
 
 def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):
     (tmp_path / "x.vocabulary").write_bytes(b"no words")
-    settings = {"paradigm": "sequence-histograms", "vocabulary": str(tmp_path / "x.vocabulary"), "record": False}
+    settings = {
+        "paradigm": "sequence-histograms",
+        "vocabulary": str(tmp_path / "x.vocabulary"),
+        "save_recording": False,
+    }
     with pytest.raises(DataError, match=r"x\.vocabulary"):
-        run_recorded(RunOptions(test_data / "kitti_clips", "06", tmp_path / "out"), settings, QUIET, QUIET)
+        run(test_data / "kitti_clips", tmp_path / "out", "06", **settings)
     assert not (tmp_path / "out").exists()
 
 
@@ -150,7 +154,7 @@ def test_the_same_drive_gives_the_same_bits_with_any_number_of_threads(test_data
     threads = cv2.getNumThreads()
     for count in (1, 2):
         cv2.setNumThreads(count)
-        run(source, tmp_path / f"out{count}", record=False)
+        run(source, tmp_path / f"out{count}", save_recording=False)
     cv2.setNumThreads(threads)
     for name in sorted(FILES - {"metrics.json", "frames.csv", "recording.rrd", "report.html", "run.log", "map.db"}):
         assert (tmp_path / "out1" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes(), name
@@ -176,5 +180,10 @@ def test_a_damaged_image_midway_leaves_an_earlier_run_untouched(clip05: Path, te
     damaged.write_bytes(b"not a picture")
     before = {path.name: path.read_bytes() for path in clip05.iterdir()}
     with pytest.raises(DataError, match=r"000007\.png"):
-        run_recorded(RunOptions(source, "06", clip05, overwrite=True), {"record": False}, QUIET, QUIET)
+        run_pipeline(
+            RunOptions(source=source, sequence="06", out=clip05, overwrite=True),
+            {"save_recording": False},
+            QUIET,
+            QUIET,
+        )
     assert {path.name: path.read_bytes() for path in clip05.iterdir()} == before

@@ -13,9 +13,9 @@ from odometry import se3
 from slam.errors import ConfigError, DataError
 from slam.evaluation.trajectory import path_length, trajectory_errors
 from slam.loop_closing import LoopClosure
-from slam.map_store.store import MapStore
-from slam.run import RunOptions, run_recorded
-from slam.sessions import meeting
+from slam.map_store.store import MapDatabase
+from slam.run import RunOptions, run_pipeline
+from slam.sessions import align_sessions
 from slam.storage.trajectory import read_kitti
 
 QUIET = Console(quiet=True)
@@ -41,8 +41,8 @@ def part_of(circle_drive: Path, root: Path, begin: int, end: int, mirrored: bool
 
 
 def run(source: Path, out: Path, known: Path | None = None, **settings: object) -> dict:
-    options = RunOptions(source, None, out, map_file=known)
-    run_recorded(options, {"record": False} | settings, QUIET, QUIET)
+    options = RunOptions(source=source, out=out, map_file=known)
+    run_pipeline(options, {"save_recording": False} | settings, QUIET, QUIET)
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -61,7 +61,7 @@ def test_a_second_lap_ends_in_the_frame_of_the_first(circle_drive: Path, first: 
     assert metrics["map"]["kept"] > 20
     truth = read_kitti(circle_drive / "poses" / "00.txt")
     truth = np.concatenate([truth[0:160:2], truth[170:320:2]])
-    with MapStore.open(tmp_path / "run" / "map.db") as store:
+    with MapDatabase.open(tmp_path / "run" / "map.db") as store:
         poses, sessions = store.poses(), store.sessions()
     assert [session.world for session in sessions] == [0, 0]
     assert all(session.finished for session in sessions)
@@ -80,7 +80,7 @@ def test_drives_that_never_meet_stay_apart(circle_drive: Path, first: Path, tmp_
     assert not metrics["map"]["joined"]
     assert metrics["map"]["kept"] == 0
     assert not (tmp_path / "run" / "trajectory_map.txt").exists()
-    with MapStore.open(tmp_path / "run" / "map.db") as store, MapStore.open(first / "map.db") as known:
+    with MapDatabase.open(tmp_path / "run" / "map.db") as store, MapDatabase.open(first / "map.db") as known:
         assert [session.world for session in store.sessions()] == [0, 1]
         np.testing.assert_array_equal(store.poses()[:80], known.poses())
     assert metrics["odometry"] == alone["odometry"]
@@ -116,10 +116,10 @@ def test_where_drives_meet_is_what_most_loops_say():
     false = se3.exp(np.array([0.0, -0.6, 0.1, -80.0, 0.0, 40.0]))
     right = loops(true, known, own, [(k, 59 - k) for k in range(10, 40)])
     wrong = loops(false, known, own, [(k, k) for k in range(40, 55)])
-    np.testing.assert_allclose(meeting(known, own, wrong[:10] + right + wrong[10:]), true, atol=1e-9)
+    np.testing.assert_allclose(align_sessions(known, own, wrong[:10] + right + wrong[10:]), true, atol=1e-9)
     scattered = [
         loops(se3.exp(np.array([0, 0, 0, 30.0 * k, 0, 0])), known, own, [(k, 5)])[0] for k in range(20)
     ]  # each says something else
-    assert meeting(known, own, scattered) is None
-    assert meeting(known, own, right[:4]) is None
-    assert meeting(known, own, loops(true, known, own, [(10, k) for k in range(10)])) is None  # one image alone
+    assert align_sessions(known, own, scattered) is None
+    assert align_sessions(known, own, right[:4]) is None
+    assert align_sessions(known, own, loops(true, known, own, [(10, k) for k in range(10)])) is None  # one image alone

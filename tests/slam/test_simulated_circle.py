@@ -17,7 +17,7 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.trajectory import umeyama
 from slam.mapping.dense_map import DenseMapper, choose_frames
 from slam.mapping.submaps import SubmapStore
-from slam.run import RunOptions, run_recorded
+from slam.run import RunOptions, run_pipeline
 from slam.simulation import DriveSpec
 from slam.simulation.drive import MANIFEST
 from slam.simulation.surfaces import true_surfaces
@@ -34,7 +34,7 @@ QUIET = Console(quiet=True)
 def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run over two laps of 160 m, images at half of KITTI's size."""
     out = tmp_path_factory.mktemp("circle") / "run"
-    run_recorded(RunOptions(circle_drive, None, out), {"record": False}, QUIET, QUIET)
+    run_pipeline(RunOptions(source=circle_drive, out=out), {"save_recording": False}, QUIET, QUIET)
     return out
 
 

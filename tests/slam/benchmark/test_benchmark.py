@@ -137,14 +137,14 @@ def test_a_bug_in_a_run_keeps_its_traceback(tmp_path: Path, monkeypatch: pytest.
     def breaks(*_: object) -> bool:
         raise ZeroDivisionError("no wheels")
 
-    monkeypatch.setattr("slam.benchmark.job.run_recorded", breaks)
+    monkeypatch.setattr("slam.benchmark.job.run_pipeline", breaks)
     (job,) = some_jobs(tmp_path, 1)
     assert "ZeroDivisionError: no wheels" in run_job(job).error
     assert "in breaks" in job.error_file.read_text()
 
 
 def test_a_run_that_is_stopped_leaves_nothing_and_stops_the_benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("slam.benchmark.job.run_recorded", lambda *_: True)
+    monkeypatch.setattr("slam.benchmark.job.run_pipeline", lambda *_: True)
     with pytest.raises(KeyboardInterrupt):
         run_job(some_jobs(tmp_path, 1)[0])
     assert list(tmp_path.iterdir()) == []

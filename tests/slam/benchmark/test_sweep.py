@@ -37,7 +37,7 @@ def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
 
 def test_what_is_not_named_is_as_in_a_single_run(tmp_path: Path):
     (job,) = make_jobs(read_sweep(written(tmp_path, SOURCE)), tmp_path)
-    assert job.config == RunConfig(record=False, keep_map=False)
+    assert job.config == RunConfig(save_recording=False, save_map=False)
 
 
 def test_the_settings_file_lies_beside_the_benchmark(tmp_path: Path):

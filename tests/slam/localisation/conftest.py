@@ -10,11 +10,11 @@ import pytest
 from place_recognition.evaluation.matrix import MatrixRows
 from slam.config import RunConfig, to_toml
 from slam.datasets.open import open_drive
-from slam.drive_log import DriveLog
+from slam.drive_log import RunLog
 from slam.localisation.saved_map import SavedMap
-from slam.map_store.keeping import MapKeeper
-from slam.map_store.store import MapStore, Session
-from slam.parts import build_parts
+from slam.map_store.keeping import MapSessionRecorder
+from slam.map_store.store import MapDatabase, Session
+from slam.parts import build_components
 from slam.system import Slam
 
 MAPPED = range(0, 90, 2)  # frames of the drive that are in the map
@@ -24,29 +24,29 @@ MAPPED = range(0, 90, 2)  # frames of the drive that are in the map
 def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the map lies; whoever changes the file takes a copy."""
     path = tmp_path_factory.mktemp("map") / "map.db"
-    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRows(500), DriveLog()
-    slam = Slam(build_parts(drive.camera, config, rows))
+    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRows(500), RunLog()
+    slam = Slam(build_components(drive.camera, config, rows))
     source = {"source": str(circle_drive), "versions": {"revisit-slam": "0"}}
     session = Session(0, 0, "circle", drive.camera, to_toml(config), source)
-    with MapStore.create(path) as store:
+    with MapDatabase.create(path) as store:
         with store.writing():
             store.add_session(session)
-        keeper = MapKeeper(store, session, config)
-        keeper.recall(slam, rows, log)
+        recorder = MapSessionRecorder(store, session, config)
+        recorder.restore(slam, rows, log)
         for number, frame in enumerate(MAPPED):
-            processed = slam.process(replace(drive[frame], index=number))
-            log.add(processed, {})
-            keeper.add(processed, processed.stage_ms)
-        keeper.pause()
+            result = slam.process(replace(drive[frame], index=number))
+            log.add(result, {})
+            recorder.add(result, result.stage_ms)
+        recorder.write_checkpoint()
         late, optimized = slam.finish(config.robust)
-        keeper.finish(late, optimized, True)
+        recorder.finish(late, optimized, True)
     return path
 
 
 @pytest.fixture(scope="session")
 def saved(map_path: Path) -> Iterator[SavedMap]:
     """The map, open."""
-    with MapStore.open(map_path) as store:
+    with MapDatabase.open(map_path) as store:
         yield SavedMap.open(store)
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from odometry import se3
 from place_recognition.image_processing.features import LocalFeatures
-from slam.localisation.doubt import DoubtConfig, Hypothesis, doubt, explained
+from slam.localisation.doubt import AcceptanceConfig, Hypothesis, explained_fraction, rejection_reason
 from slam.localisation.pose import CameraPose
 from slam.localisation.saved_map import SavedMap
 
-CONFIG = DoubtConfig()
+CONFIG = AcceptanceConfig()
 
 
 @pytest.fixture
@@ -30,11 +30,11 @@ def hypothesis(image: int, agreeing: range, sigma_m: float = 0.05, aside_m: floa
 
 
 def test_what_agrees_everywhere_is_believed(saved: SavedMap, features: LocalFeatures) -> None:
-    assert doubt(hypothesis(3, range(100)), [], features, saved, CONFIG) == ""
+    assert rejection_reason(hypothesis(3, range(100)), [], features, saved, CONFIG) is None
 
 
 @pytest.mark.parametrize(
-    ("found", "words"),
+    ("localized", "words"),
     [
         (hypothesis(3, range(0, 100, 5)), "20 features agree"),
         (hypothesis(3, range(0, 30)), "% of the picture is explained"),
@@ -45,7 +45,7 @@ def test_what_agrees_everywhere_is_believed(saved: SavedMap, features: LocalFeat
 def test_what_speaks_against_a_pose_is_said(
     saved: SavedMap, features: LocalFeatures, found: Hypothesis, words: str
 ) -> None:
-    assert words in doubt(found, [], features, saved, CONFIG)
+    assert words in rejection_reason(found, [], features, saved, CONFIG)
 
 
 def test_another_place_counts_where_it_is_elsewhere_and_explains_as_much(
@@ -53,17 +53,17 @@ def test_another_place_counts_where_it_is_elsewhere_and_explains_as_much(
 ) -> None:
     best = hypothesis(3, range(100))
     beside, weak, strong = hypothesis(4, range(95)), hypothesis(30, range(40)), hypothesis(30, range(95))
-    assert doubt(best, [beside, weak], features, saved, CONFIG) == ""
-    assert "image 30 of the map explains 95 features elsewhere" in doubt(
+    assert rejection_reason(best, [beside, weak], features, saved, CONFIG) is None
+    assert "image 30 of the map explains 95 features elsewhere" in rejection_reason(
         best, [beside, strong], features, saved, CONFIG
     )
-    worlds = np.arange(len(saved.world)) // 20  # two drives that have never met may show one street
-    assert doubt(best, [strong], features, replace(saved, world=worlds), CONFIG) == ""
-    moved = hypothesis(3, range(95), aside_m=2 * CONFIG.elsewhere_m)
-    assert "elsewhere" in doubt(best, [moved], features, saved, CONFIG)
+    worlds = np.arange(len(saved.map_id)) // 20  # two drives that have never met may show one street
+    assert rejection_reason(best, [strong], features, replace(saved, map_id=worlds), CONFIG) is None
+    moved = hypothesis(3, range(95), aside_m=2 * CONFIG.min_rival_distance_m)
+    assert "elsewhere" in rejection_reason(best, [moved], features, saved, CONFIG)
 
 
 def test_the_share_explained_is_what_lies_near(features: LocalFeatures) -> None:
     spacing = float(features.pixels[1, 0] - features.pixels[0, 0])
-    assert explained(features, hypothesis(0, range(10, 11)), 2.5 * spacing) == pytest.approx(0.05)
-    assert explained(features, hypothesis(0, range(0, 100, 5)), 2.5 * spacing) == pytest.approx(0.98)
+    assert explained_fraction(features, hypothesis(0, range(10, 11)), 2.5 * spacing) == pytest.approx(0.05)
+    assert explained_fraction(features, hypothesis(0, range(0, 100, 5)), 2.5 * spacing) == pytest.approx(0.98)

@@ -11,7 +11,7 @@ from place_recognition.image_processing.surf import Surf
 from slam.datasets.open import open_drive
 from slam.errors import DataError
 from slam.evaluation.trajectory import umeyama
-from slam.localisation.locator import Located, Locator, NotFound
+from slam.localisation.locator import LocalizationResult, Localizer, NotLocalized
 from slam.localisation.saved_map import SavedMap
 
 from .conftest import MAPPED
@@ -20,8 +20,8 @@ LAP = 160  # frames; a metre each
 
 
 @pytest.fixture(scope="module")
-def locator(saved: SavedMap) -> Locator:
-    return Locator(saved, Surf())
+def locator(saved: SavedMap) -> Localizer:
+    return Localizer(saved, Surf())
 
 
 def image(drive: Path, frame: int) -> np.ndarray:
@@ -29,12 +29,12 @@ def image(drive: Path, frame: int) -> np.ndarray:
 
 
 def test_images_of_the_next_lap_are_placed_where_they_were_taken(
-    locator: Locator, saved: SavedMap, circle_drive: Path, truth: np.ndarray
+    locator: Localizer, saved: SavedMap, circle_drive: Path, truth: np.ndarray
 ) -> None:
     fit = umeyama(saved.poses[:, :3, 3], truth[list(MAPPED), :3, 3])
     for frame in range(LAP + 5, LAP + 85, 11):
         found = locator.locate(image(circle_drive, frame))
-        assert isinstance(found, Located), (frame, found)
+        assert isinstance(found, LocalizationResult), (frame, found)
         T_camera_found = se3.inverse(truth[frame]) @ fit.apply_poses(found.T_world_camera[None])[0]
         assert np.linalg.norm(T_camera_found[:3, 3]) < 1.0  # as far as the map has drifted
         T_beside_found = se3.inverse(saved.poses[found.image]) @ found.T_world_camera
@@ -44,35 +44,35 @@ def test_images_of_the_next_lap_are_placed_where_they_were_taken(
         assert np.degrees(np.linalg.norm(error[:3])) < 0.3
 
 
-def test_an_image_of_the_map_is_found_where_it_stands(locator: Locator, saved: SavedMap, circle_drive: Path) -> None:
+def test_an_image_of_the_map_is_found_where_it_stands(locator: Localizer, saved: SavedMap, circle_drive: Path) -> None:
     found = locator.locate(image(circle_drive, MAPPED[20]))
-    assert isinstance(found, Located)
+    assert isinstance(found, LocalizationResult)
     T_there_found = se3.inverse(saved.poses[20]) @ found.T_world_camera
     assert np.linalg.norm(se3.log(T_there_found)) < 0.02
 
 
-def test_what_the_map_does_not_show_is_not_found(locator: Locator, circle_drive: Path) -> None:
+def test_what_the_map_does_not_show_is_not_found(locator: Localizer, circle_drive: Path) -> None:
     shape = image(circle_drive, 0).shape
     noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
     strangers = [noise, np.zeros(shape, np.uint8), image(circle_drive, LAP + 5)[:, ::-1].copy()]
     strangers += [image(circle_drive, frame) for frame in (110, 120, 130)]
     for stranger in strangers:
         found = locator.locate(stranger)
-        assert isinstance(found, NotFound)
+        assert isinstance(found, NotLocalized)
         assert found.reason
 
 
 def test_features_of_another_kind_are_refused(saved: SavedMap, circle_drive: Path) -> None:
     with pytest.raises(DataError, match="expected landmarks of sift"):
-        Locator(saved, Sift()).locate(image(circle_drive, 0))
+        Localizer(saved, Sift()).locate(image(circle_drive, 0))
 
 
 def test_an_answer_does_not_depend_on_what_was_asked_before(
-    locator: Locator, saved: SavedMap, circle_drive: Path
+    locator: Localizer, saved: SavedMap, circle_drive: Path
 ) -> None:
     asked = [locator.locate(image(circle_drive, frame)) for frame in (LAP + 20, LAP + 60)]
-    anew = Locator(saved, Surf()).locate(image(circle_drive, LAP + 60))
-    assert isinstance(anew, Located)
-    assert isinstance(asked[1], Located)
+    anew = Localizer(saved, Surf()).locate(image(circle_drive, LAP + 60))
+    assert isinstance(anew, LocalizationResult)
+    assert isinstance(asked[1], LocalizationResult)
     assert np.array_equal(anew.T_world_camera, asked[1].T_world_camera)
     assert np.array_equal(anew.covariance, asked[1].covariance)

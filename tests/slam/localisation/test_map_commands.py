@@ -14,7 +14,7 @@ from slam.errors import DataError
 from slam.inspection.finding import MapUse, Status
 from slam.inspection.map import inspect_map, is_map
 from slam.localisation.saved_map import SavedMap
-from slam.map_store.store import MapStore
+from slam.map_store.store import MapDatabase
 from slam.map_store.summary import as_json, summarise
 
 
@@ -24,7 +24,7 @@ def faults(path: Path) -> dict[str, str]:
 
 
 def read_all(path: Path) -> None:
-    with MapStore.open(path) as store:
+    with MapDatabase.open(path) as store:
         SavedMap.open(store)
         list(store.frames())
 
@@ -36,13 +36,13 @@ def change(path: Path, statement: str, *values: object) -> None:
 
 def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
     summary = summarise(map_path)
-    with MapStore.open(map_path) as store:
-        frames, attempts = list(store.frames()), list(store.attempts())
+    with MapDatabase.open(map_path) as store:
+        frames, candidates = list(store.frames()), list(store.candidates())
     (drive,) = summary.drives
     keys = [frame for frame in frames if frame.key_frame]
     assert (drive.frames, drive.key_frames) == (len(frames), len(keys))
     assert drive.landmarks == sum(len(frame.landmarks) for frame in keys)
-    assert drive.answers == sum(attempt.belief.match is not None for attempt in attempts)
+    assert drive.answers == sum(candidate.belief.match is not None for candidate in candidates)
     assert drive.way_m == pytest.approx(2.0 * (len(frames) - 1), rel=0.05)  # every second metre of the drive
     assert drive.finished
     assert summary.bytes == map_path.stat().st_size
@@ -102,11 +102,15 @@ UNTRUE: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "session",
     ),
     "an answer about nothing": (
-        lambda path: change(path, "UPDATE attempt SET query = 999 WHERE number = 0"),
+        lambda path: change(path, "UPDATE candidate SET query = 999 WHERE number = 0"),
         "loops",
         "found 999",
     ),
-    "a lost column": (lambda path: change(path, "ALTER TABLE attempt DROP COLUMN weight"), "tables", "attempt.weight"),
+    "a lost column": (
+        lambda path: change(path, "ALTER TABLE candidate DROP COLUMN weight"),
+        "tables",
+        "candidate.weight",
+    ),
     "settings of another kind": (lambda path: change(path, "UPDATE session SET camera = '[1]'"), "drives", "damaged"),
     "no drive": (lambda path: change(path, "DELETE FROM session"), "drives", "expected a drive, found none"),
 }
@@ -168,7 +172,7 @@ def test_flipped_bytes_never_end_in_a_traceback(damaged: Path) -> None:
 
 
 def test_a_map_is_read_while_it_is_written(damaged: Path) -> None:
-    with MapStore.open(damaged, writable=True) as writer, writer.writing():
+    with MapDatabase.open(damaged, writable=True) as writer, writer.writing():
         writer.forget_answers(0)
         assert faults(damaged) == {}
         assert summarise(damaged).drives[0].frames == 45
@@ -176,16 +180,16 @@ def test_a_map_is_read_while_it_is_written(damaged: Path) -> None:
 
 def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: False)
-    with MapStore.open(damaged) as store:
+    with MapDatabase.open(damaged) as store:
         assert store.images() == 45
         assert [item.name for item in damaged.parent.iterdir()] == ["map.db"]  # no log beside it, as SQLite would make
     monkeypatch.undo()
-    with MapStore.open(damaged, writable=True) as writer:
+    with MapDatabase.open(damaged, writable=True) as writer:
         with writer.writing():
             writer.forget_answers(0)
         monkeypatch.setattr("os.access", lambda path, mode: False)
-        with MapStore.open(damaged) as store:
-            assert store.count("attempt") == 0  # what still waits in the log is read
+        with MapDatabase.open(damaged) as store:
+            assert store.count("candidate") == 0  # what still waits in the log is read
 
 
 def test_commands_print_a_table_or_json(

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.localisation.pose import MapMatches, PoseConfig, camera_pose, refined_pose
+from slam.localisation.pose import MapMatches, PoseConfig, estimate_camera_pose, refine_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.5, width=1200, height=360)
 EXACT = PoseConfig(systematic_rad=0.0, systematic_m=0.0)
@@ -31,7 +31,7 @@ def error(T: np.ndarray, expected: np.ndarray) -> np.ndarray:
 @settings(max_examples=30, deadline=None)
 def test_the_pose_of_exact_matches_is_exact(seed: int) -> None:
     T_base_camera, matches = scene(seed)
-    found = camera_pose(CAMERA, matches, EXACT)
+    found = estimate_camera_pose(CAMERA, matches, EXACT)
     assert found is not None
     assert np.abs(error(found.T_base_camera, T_base_camera)).max() < 1e-6
     assert found.inliers.all()
@@ -42,7 +42,7 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     rng = np.random.default_rng(2)
     wrong = np.arange(120) % 2 == 0
     matches.pixels[wrong] = rng.uniform([0, 0], [CAMERA.width, CAMERA.height], (60, 2))
-    found = camera_pose(CAMERA, matches, EXACT)
+    found = estimate_camera_pose(CAMERA, matches, EXACT)
     assert found is not None
     assert np.abs(error(found.T_base_camera, T_base_camera)).max() < 1e-3
     assert found.inliers[~wrong].all()
@@ -53,7 +53,7 @@ def test_the_covariance_tells_how_wrong_poses_are() -> None:
     scores = []
     for seed in range(150):
         T_base_camera, matches = scene(seed, noise_px=EXACT.sigma_px)
-        found = refined_pose(CAMERA, matches, T_base_camera, EXACT)
+        found = refine_pose(CAMERA, matches, T_base_camera, EXACT)
         assert found is not None
         off = error(found.T_base_camera, T_base_camera)
         scores.append(off @ np.linalg.solve(found.covariance, off))
@@ -64,8 +64,8 @@ def test_a_feature_found_twice_is_measured_once() -> None:
     T_base_camera, once = scene(3, noise_px=0.7)
     indices = np.tile(np.arange(len(once)), 2)
     twice = MapMatches(once.pixels[indices], once.points_base[indices], once.noise_base[indices], indices)
-    first = refined_pose(CAMERA, once, T_base_camera, EXACT)
-    second = refined_pose(CAMERA, twice, T_base_camera, EXACT)
+    first = refine_pose(CAMERA, once, T_base_camera, EXACT)
+    second = refine_pose(CAMERA, twice, T_base_camera, EXACT)
     assert first is not None
     assert second is not None
     np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-6)
@@ -81,7 +81,7 @@ def test_points_that_cannot_be_seen_do_not_count() -> None:
         np.zeros((len(matches) + 3, 3, 3)),
         np.arange(len(matches) + 3),
     )
-    found = refined_pose(CAMERA, more, T_base_camera, EXACT)
+    found = refine_pose(CAMERA, more, T_base_camera, EXACT)
     assert found is not None
     assert not found.inliers[-3:].any()
     assert np.abs(error(found.T_base_camera, T_base_camera)).max() < 1e-6
@@ -89,7 +89,7 @@ def test_points_that_cannot_be_seen_do_not_count() -> None:
 
 def test_too_few_or_contradicting_matches_give_no_pose() -> None:
     _, matches = scene(5)
-    assert camera_pose(CAMERA, matches.only(np.arange(len(matches)) < 5), EXACT) is None
+    assert estimate_camera_pose(CAMERA, matches.only(np.arange(len(matches)) < 5), EXACT) is None
     matches.pixels[:] = np.random.default_rng(6).uniform([0, 0], [CAMERA.width, CAMERA.height], matches.pixels.shape)
-    found = camera_pose(CAMERA, matches, EXACT)
+    found = estimate_camera_pose(CAMERA, matches, EXACT)
     assert found is None or found.inliers.sum() < 15

@@ -14,12 +14,12 @@ from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.open import open_source
 from slam.datasets.source import Source
-from slam.drive_log import DriveLog
+from slam.drive_log import RunLog
 from slam.errors import DataError, OutputError
-from slam.map_store.keeping import Keeper, MapKeeper, NullKeeper
-from slam.map_store.rows import StoredFrame
-from slam.map_store.store import MapStore, Session
-from slam.parts import build_parts
+from slam.frame_record import FrameRecord
+from slam.map_store.keeping import MapSessionRecorder, NullSessionRecorder, SessionRecorder
+from slam.map_store.store import MapDatabase, Session
+from slam.parts import build_components
 from slam.robust import Optimized
 from slam.system import Slam
 
@@ -47,53 +47,53 @@ def drive(circle_drive: Path) -> Every:
 class End:
     slam: Slam
     rows: MatrixRows
-    log: DriveLog
+    log: RunLog
     optimized: Optimized
 
 
-def drive_on(drive: Every, config: RunConfig, keeper: Keeper, stop: int | None = None) -> End | None:
-    """Drive from where the keeper stopped to the end, or stop after so many frames."""
-    rows, log = MatrixRows(1000), DriveLog()
-    slam = Slam(build_parts(drive.drive.camera, config, rows))
-    for index in range(keeper.recall(slam, rows, log), len(drive)):
-        processed = slam.process(drive[index])
-        log.add(processed, {})
-        keeper.add(processed, processed.stage_ms)
+def drive_on(drive: Every, config: RunConfig, recorder: SessionRecorder, stop: int | None = None) -> End | None:
+    """Drive from where the recorder stopped to the end, or stop after so many frames."""
+    rows, log = MatrixRows(1000), RunLog()
+    slam = Slam(build_components(drive.drive.camera, config, rows))
+    for index in range(recorder.restore(slam, rows, log), len(drive)):
+        result = slam.process(drive[index])
+        log.add(result, {})
+        recorder.add(result, result.stage_ms)
         if index + 1 == stop:
-            keeper.pause()
+            recorder.write_checkpoint()
             return None
-    keeper.pause()
+    recorder.write_checkpoint()
     late, optimized = slam.finish(config.robust)
-    log.conclude(late)
-    keeper.finish(late, optimized, ended=True)
+    log.add_loops(late)
+    recorder.finish(late, optimized, ended=True)
     return End(slam, rows, log, optimized)
 
 
 @contextlib.contextmanager
-def kept(path: Path, drive: Every, config: RunConfig) -> Iterator[tuple[MapStore, MapKeeper]]:
+def kept(path: Path, drive: Every, config: RunConfig) -> Iterator[tuple[MapDatabase, MapSessionRecorder]]:
     session = Session(0, 0, "test", drive.drive.camera, to_toml(config), {"source": "a test"})
     fresh = not path.exists()
-    with MapStore.create(path) if fresh else MapStore.open(path, writable=True) as store:
+    with MapDatabase.create(path) if fresh else MapDatabase.open(path, writable=True) as store:
         if fresh:
             with store.writing():
                 store.add_session(session)
-        yield store, MapKeeper(store, session, config)
+        yield store, MapSessionRecorder(store, session, config)
 
 
-def said(log: DriveLog) -> list[tuple[object, ...]]:
-    return [(a.belief.query, a.belief.match, a.belief.score, a.belief.accepted, a.reason) for a in log.attempts]
+def said(log: RunLog) -> list[tuple[object, ...]]:
+    return [(a.belief.query, a.belief.match, a.belief.score, a.belief.accepted, a.reason) for a in log.candidates]
 
 
 @pytest.mark.parametrize("paradigm", PARADIGMS)
 def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_path: Path, paradigm: str):
     config = RunConfig(paradigm=paradigm)
-    whole = drive_on(drive, config, NullKeeper())
+    whole = drive_on(drive, config, NullSessionRecorder())
     for stop in (45, 110):
-        with kept(tmp_path / "map.db", drive, config) as (store, keeper):
-            drive_on(drive, config, keeper, stop)
+        with kept(tmp_path / "map.db", drive, config) as (store, recorder):
+            drive_on(drive, config, recorder, stop)
             assert store.images() == stop
-    with kept(tmp_path / "map.db", drive, config) as (store, keeper):
-        parts = drive_on(drive, config, keeper)
+    with kept(tmp_path / "map.db", drive, config) as (store, recorder):
+        parts = drive_on(drive, config, recorder)
         np.testing.assert_array_equal(store.poses(), parts.optimized.poses)
         assert store.sessions()[0].finished
     assert len(whole.optimized.kept) > 10  # there was something to lose
@@ -110,11 +110,11 @@ def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_pa
 def test_one_camera_goes_on_with_the_same_bits(circle_drive: Path, tmp_path: Path):
     drive, config = Every(open_source(Source(circle_drive)), 1), RunConfig(mono=True)
     first = Every(replace_length(drive.drive, 70), 1)
-    whole = drive_on(first, config, NullKeeper())
-    with kept(tmp_path / "map.db", drive, config) as (_, keeper):
-        drive_on(first, config, keeper, 40)
-    with kept(tmp_path / "map.db", drive, config) as (_, keeper):
-        parts = drive_on(first, config, keeper)
+    whole = drive_on(first, config, NullSessionRecorder())
+    with kept(tmp_path / "map.db", drive, config) as (_, recorder):
+        drive_on(first, config, recorder, 40)
+    with kept(tmp_path / "map.db", drive, config) as (_, recorder):
+        parts = drive_on(first, config, recorder)
     np.testing.assert_array_equal(parts.log.odometry, whole.log.odometry)
     assert np.linalg.norm(whole.log.odometry[-1][:3, 3]) > 1.0
 
@@ -135,10 +135,10 @@ def replace_length(drive: Dataset, frames: int) -> Dataset:
 def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
     config, seen = RunConfig(), []
 
-    class Spy(MapKeeper):
-        def pause(self) -> None:
+    class Spy(MapSessionRecorder):
+        def write_checkpoint(self) -> None:
             seen.extend(self._waiting)
-            super().pause()
+            super().write_checkpoint()
 
     with kept(tmp_path / "map.db", drive, config) as (store, _):
         drive_on(drive, config, Spy(store, store.sessions()[0], config), 30)
@@ -148,7 +148,7 @@ def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
         assert_same(one, other)
 
 
-def assert_same(one: StoredFrame, other: StoredFrame) -> None:
+def assert_same(one: FrameRecord, other: FrameRecord) -> None:
     assert (one.image, one.timestamp, one.key_frame, one.motion.reason) == (
         other.image, other.timestamp, other.key_frame, other.motion.reason,
     )  # fmt: skip
@@ -162,14 +162,14 @@ def assert_same(one: StoredFrame, other: StoredFrame) -> None:
 
 def test_a_transaction_that_fails_leaves_nothing(drive: Every, tmp_path: Path):
     config = RunConfig()
-    with kept(tmp_path / "map.db", drive, config) as (store, keeper):
-        drive_on(drive, config, keeper, 20)
-        answers = store.count("attempt")
+    with kept(tmp_path / "map.db", drive, config) as (store, recorder):
+        drive_on(drive, config, recorder, 20)
+        answers = store.count("candidate")
         with contextlib.suppress(RuntimeError), store.writing():
-            store.forget_answers(0)
-            assert store.count("attempt") == 0
+            store.delete_loops_from(0)
+            assert store.count("candidate") == 0
             raise RuntimeError
-        assert store.count("attempt") == answers > 0
+        assert store.count("candidate") == answers > 0
         with pytest.raises(OutputError, match="cannot be written"), store.writing():
             store.add_frame(next(store.frames()), 0)  # there is one of this number
         assert store.images() == 20
@@ -177,12 +177,15 @@ def test_a_transaction_that_fails_leaves_nothing(drive: Every, tmp_path: Path):
 
 def test_a_damaged_piece_is_told_in_one_line(drive: Every, tmp_path: Path):
     config, path = RunConfig(paradigm="global-descriptor"), tmp_path / "map.db"
-    with kept(path, drive, config) as (store, keeper):
-        drive_on(drive, config, keeper, 20)
+    with kept(path, drive, config) as (store, recorder):
+        drive_on(drive, config, recorder, 20)
         with store.writing():
             store._connection.execute("UPDATE piece SET bytes = zeroblob(length(bytes))")
-    with kept(path, drive, config) as (_, keeper), pytest.raises(DataError, match="a piece of the checkpoint") as told:
-        drive_on(drive, config, keeper)
+    with (
+        kept(path, drive, config) as (_, recorder),
+        pytest.raises(DataError, match="a piece of the checkpoint") as told,
+    ):
+        drive_on(drive, config, recorder)
     assert str(path) in str(told.value)
     assert "\n" not in str(told.value)
 
@@ -190,8 +193,8 @@ def test_a_damaged_piece_is_told_in_one_line(drive: Every, tmp_path: Path):
 @pytest.mark.parametrize(("table", "column"), [("frame", "reason"), ("session", "camera"), ("landmark", "grey")])
 def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
     config, path = RunConfig(paradigm="global-descriptor"), tmp_path / "map.db"
-    with kept(path, drive, config) as (store, keeper):
-        drive_on(drive, config, keeper, 3)
+    with kept(path, drive, config) as (store, recorder):
+        drive_on(drive, config, recorder, 3)
         store._connection.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO damaged")
-    with MapStore.open(path) as store, pytest.raises(DataError, match="expected a map store, found a damaged one"):
+    with MapDatabase.open(path) as store, pytest.raises(DataError, match="expected a map store, found a damaged one"):
         _ = store.sessions(), list(store.frames())

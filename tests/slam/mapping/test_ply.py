@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from slam.errors import DataError, OutputError
 from slam.mapping.ply import read_cloud, write_cloud
-from slam.record import Cloud
+from slam.record import PointCloud
 
 
-def cloud_of(seed: int, count: int) -> Cloud:
+def cloud_of(seed: int, count: int) -> PointCloud:
     rng = np.random.default_rng(seed)
-    return Cloud(rng.normal(scale=100.0, size=(count, 3)), rng.integers(0, 256, count, dtype=np.uint8))
+    return PointCloud(rng.normal(scale=100.0, size=(count, 3)), rng.integers(0, 256, count, dtype=np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_a_cloud_comes_back_to_the_bit(file: Path, seed: int, count: int) -> Non
 
 def test_every_brightness_comes_back(file: Path) -> None:
     grey = np.arange(256).astype(np.uint8)
-    write_cloud(file, Cloud(np.zeros((256, 3)), grey))
+    write_cloud(file, PointCloud(np.zeros((256, 3)), grey))
     np.testing.assert_array_equal(read_cloud(file).grey, grey)
 
 

@@ -14,7 +14,7 @@ from place_recognition.recognizer import Belief
 from slam.mapping.fusion import Surface
 from slam.mapping.occupancy import Grid
 from slam.mapping.top_view import TopView, Window, seen_from_above
-from slam.record import Cloud, DriveRecord, LoopEventRow, LoopRow, MatchedPixels, StageRow
+from slam.record import LoopEventRow, LoopRow, MatchedPixels, PointCloud, RunRecord, StageRow
 from slam.report.dense_section import Overview, show_dense_map
 
 RADIUS = 40.0
@@ -42,7 +42,7 @@ def drifting(poses, rng, turn, step):
 def cloud(poses, rng):
     points = [se3.transform(T, rng.uniform([-12, -4, 4], [12, 1.5, 25], size=(30, 3))) for T in poses]
     points = np.concatenate([np.concatenate(points), [[5000.0, 0.0, 0.0]]])  # one outlier, as maps have
-    return Cloud(points, rng.integers(0, 255, len(points)).astype(np.uint8))
+    return PointCloud(points, rng.integers(0, 255, len(points)).astype(np.uint8))
 
 
 def ledger(frames):
@@ -90,7 +90,7 @@ def record(frames=200, seed=3):
     stages = ("read", "odometry", "recognise", "verify", "optimise")
     times = {name: rng.gamma(4.0, 2.0 + 2 * k, frames) for k, name in enumerate(stages)}
     times["optimise"][::2] = np.nan
-    return DriveRecord(
+    return RunRecord(
         "fabricated circle", np.arange(frames) / 10, odometry, online, corrected, truth,
         np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), ledger(frames), times,
         cloud(odometry, rng), cloud(corrected, rng), metrics(frames),
@@ -109,7 +109,7 @@ def without_loops(whole):
 def straight(frames=60):
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, 2, 3] = np.arange(frames)
-    empty = Cloud(np.empty((0, 3)), np.empty(0, np.uint8))
+    empty = PointCloud(np.empty((0, 3)), np.empty(0, np.uint8))
     whole = record(frames)
     return replace(whole, odometry=poses, online=poses, corrected=poses, ground_truth=poses, loops=(),
                    map_before=empty, map_after=empty)  # fmt: skip

@@ -6,7 +6,7 @@ from matplotlib import image
 from matplotlib.figure import Figure
 
 from slam.errors import OutputError
-from slam.record import Cloud
+from slam.record import PointCloud
 from slam.report.charts import error_over_way, inliers_per_frame, time_per_stage
 from slam.report.figures import before_after, png, save_png
 from slam.report.maps import plan_view
@@ -21,7 +21,7 @@ DEGENERATE = {
     "standing": fabricate.standing(),
     "two frames": fabricate.record(2),
     "hostile name": replace(WHOLE, name=r"$\frac{<b>日本"),
-    "no landmarks": replace(WHOLE, map_after=Cloud(np.empty((0, 3)), np.empty(0, np.uint8))),
+    "no landmarks": replace(WHOLE, map_after=PointCloud(np.empty((0, 3)), np.empty(0, np.uint8))),
 }
 
 

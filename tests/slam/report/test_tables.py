@@ -5,20 +5,20 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from slam.record import DriveRecord
+from slam.record import RunRecord
 from slam.report.page import render
 from slam.report.tables import summary
 
 from .fabricate import record
 
 
-def judged() -> DriveRecord:
+def judged() -> RunRecord:
     whole = record()
     places = {"recall_at_100_precision": 0.875, "average_precision": 0.9375}
     return replace(whole, metrics=whole.metrics | {"places": places})
 
 
-def shown(drive: DriveRecord) -> str:
+def shown(drive: RunRecord) -> str:
     page = io.StringIO()
     Console(width=200, file=page).print(summary(drive))
     return page.getvalue()
