@@ -1,7 +1,8 @@
-"""Is this machine ready? Checks Python, the wheels and the system libraries, and says what to type.
+"""Check of the installation: Python, the installed packages and the system libraries, each with its remedy.
 
-Standard library only, so that it also runs where an installation is broken. `python -m slam.doctor --install`
-installs missing system libraries where it may, and `--install-browser` the browser in which the tests open reports.
+Uses the standard library only, so that it also runs in a broken installation. `python -m slam.doctor --install`
+installs missing system libraries if it has the rights, and `--install-browser` the browser that the tests of the report
+need.
 """
 
 import ctypes
@@ -15,7 +16,7 @@ from importlib import metadata
 
 MINIMUM_PYTHON = (3, 11)
 
-# What Open3D's shared object asks the system for (`ldd libOpen3D.so`), and Debian's packages that have it.
+# System libraries that Open3D's shared object needs (`ldd libOpen3D.so`), and the Debian packages that contain them.
 SYSTEM_LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libGL.so.1": "libgl1",
@@ -26,19 +27,19 @@ SYSTEM_LIBRARIES = {
     "libstdc++.so.6": "libstdc++6",
 }
 
-# Programs that only the tests need, which are skipped without them, and Debian's packages that have them.
+# Programs that only tests need, and the Debian packages that contain them. Without them these tests are skipped.
 BROWSER = {"chromium": "chromium", "chromedriver": "chromium-driver"}
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at.
+    """Result of one check.
 
     Attributes:
-        name: what was looked at.
-        found: what was there; empty if nothing.
-        problem: what is wrong; empty if nothing.
-        remedy: what to type.
+        name: name of the component.
+        found: version or state that was found; empty if it is missing.
+        problem: description of the problem; empty if there is none.
+        remedy: command that solves the problem.
     """
 
     name: str
@@ -48,7 +49,7 @@ class Check:
 
 
 def check_machine() -> list[Check]:
-    """Look at everything the product needs, in the order in which it would be mended."""
+    """Check everything that the product needs, in the order in which problems should be solved."""
     return [_check_python(), *_check_wheels(), *_check_libraries()]
 
 
@@ -89,31 +90,31 @@ def _apt_line(packages: list[str]) -> str:
 
 
 def missing_packages() -> list[str]:
-    """Debian packages that hold the system libraries which cannot be loaded."""
+    """List the Debian packages of the system libraries that cannot be loaded."""
     return [SYSTEM_LIBRARIES[check.name] for check in _check_libraries() if check.problem]
 
 
 def missing_browser() -> list[str]:
-    """Debian packages of the browser that are not installed."""
+    """List the Debian packages of the browser that are not installed."""
     return [package for program, package in BROWSER.items() if shutil.which(program) is None]
 
 
 def install_libraries() -> int:
-    """Install missing system libraries where we may; otherwise say the exact line. Returns an exit code."""
-    return _install(missing_packages, "Open3D needs system libraries that are missing here")
+    """Install missing system libraries, or print the command for it if rights are missing. Returns an exit code."""
+    return _install(missing_packages, "Open3D needs system libraries that are not installed")
 
 
 def install_browser() -> int:
-    """Install the browser of the tests where we may; otherwise say the exact line. Returns an exit code."""
-    return _install(missing_browser, "The tests open reports in a browser that is missing here, and skip that")
+    """Install the browser of the tests, or print the command for it if rights are missing. Returns an exit code."""
+    return _install(missing_browser, "Some tests need a browser that is not installed, and are skipped")
 
 
-def _install(missing: Callable[[], list[str]], complaint: str) -> int:
+def _install(missing: Callable[[], list[str]], message: str) -> int:
     packages = missing()
     if not packages:
         return 0
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
-        print(f"{complaint}. Type:\n  {_apt_line(packages)}", file=sys.stderr)
+        print(f"{message}. Type:\n  {_apt_line(packages)}", file=sys.stderr)
         return 1
     subprocess.run(["apt-get", "update", "-qq"], check=False)
     quiet = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}

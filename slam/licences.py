@@ -1,4 +1,4 @@
-"""Under which licences everything stands that Revisit is installed with, as the packages themselves declare."""
+"""Licences of all installed packages that Revisit depends on, as the packages declare them."""
 
 import re
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ DISTRIBUTION = "revisit-slam"
 
 @dataclass(frozen=True)
 class Licence:
-    """One installed package.
+    """Licence of one installed package.
 
     Attributes:
-        package: its name.
-        version: the installed one.
-        licence: an SPDX expression where the package gives one, else the name it uses; "unknown" without either.
-        direct: Revisit names it itself, and no other package does it for Revisit.
+        package: name of the package.
+        version: installed version.
+        licence: SPDX expression if the package gives one, else the name that it uses; "unknown" without either.
+        direct: whether Revisit itself requires the package.
     """
 
     package: str
@@ -25,25 +25,25 @@ class Licence:
 
 
 def licences(distribution: str = DISTRIBUTION) -> list[Licence]:
-    """All packages that a distribution needs, and those that these need, by name; extras are left out.
+    """List the packages that a distribution requires, directly or indirectly, by name; without extras.
 
     Raises:
         importlib.metadata.PackageNotFoundError: the distribution is not installed.
     """
-    direct = _needed(distribution)
+    direct = _requirements(distribution)
     found: dict[str, Licence] = {}
     waiting = sorted(direct)
     while waiting:
         name = waiting.pop()
-        if name in found or not _installed(name):
+        if name in found or not _is_installed(name):
             continue
-        found[name] = Licence(name, metadata.version(name), declared(metadata.metadata(name)), name in direct)
-        waiting += sorted(_needed(name))
+        found[name] = Licence(name, metadata.version(name), declared_licence(metadata.metadata(name)), name in direct)
+        waiting += sorted(_requirements(name))
     return [found[name] for name in sorted(found)]
 
 
-def declared(about: metadata.PackageMetadata) -> str:
-    """The licence that the metadata of a package declare: as an expression, a classifier or a first line of text."""
+def declared_licence(about: metadata.PackageMetadata) -> str:
+    """Read the licence from the metadata of a package: from its expression, its classifiers or its first line of text."""
     fields = about.get_all("Classifier") or []
     classified = [field.split(" :: ")[-1] for field in fields if field.startswith("License :: OSI Approved ::")]
     text = (about.get_all("License") or [""])[0].strip()
@@ -52,16 +52,16 @@ def declared(about: metadata.PackageMetadata) -> str:
     return next((candidate for candidate in candidates if candidate), "unknown")
 
 
-def _needed(distribution: str) -> set[str]:
-    """Names of the packages that a distribution needs without any extra."""
+def _requirements(distribution: str) -> set[str]:
+    """Names of the packages that a distribution requires without extras."""
     required = metadata.requires(distribution) or []
     names = (re.match(r"[\w.-]+", line) for line in required if "extra ==" not in line)
     return {re.sub(r"[-_.]+", "-", name.group()).lower() for name in names if name}
 
 
-def _installed(name: str) -> bool:
+def _is_installed(name: str) -> bool:
     try:
         metadata.version(name)
-    except metadata.PackageNotFoundError:  # needed on another system or version of Python only
+    except metadata.PackageNotFoundError:  # required only on another system or Python version
         return False
     return True

@@ -4,7 +4,7 @@ import tomllib
 from email.message import Message
 from pathlib import Path
 
-from slam.licences import declared, licences
+from slam.licences import declared_licence, licences
 
 ROOT = Path(__file__).parents[2]
 FREE = (
@@ -43,7 +43,7 @@ def about(**fields: str) -> Message:
 
 def test_an_expression_goes_before_a_classifier_and_that_before_text() -> None:
     classifier = "License :: OSI Approved :: MIT License"
-    assert declared(about(License_Expression="0BSD", Classifier=classifier, License="long text")) == "0BSD"
-    assert declared(about(Classifier=classifier, License="long text")) == "MIT License"
-    assert declared(about(Classifier="License :: OSI Approved", License="Free\nas in air")) == "Free"
-    assert declared(about(Classifier="Topic :: Games")) == "unknown"
+    assert declared_licence(about(License_Expression="0BSD", Classifier=classifier, License="long text")) == "0BSD"
+    assert declared_licence(about(Classifier=classifier, License="long text")) == "MIT License"
+    assert declared_licence(about(Classifier="License :: OSI Approved", License="Free\nas in air")) == "Free"
+    assert declared_licence(about(Classifier="Topic :: Games")) == "unknown"
