@@ -39,7 +39,7 @@ def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
     with MapDatabase.open(map_path) as store:
         frames, candidates = list(store.frames()), list(store.candidates())
     (drive,) = summary.sessions
-    keys = [frame for frame in frames if frame.key_frame]
+    keys = [frame for frame in frames if frame.is_key_frame]
     assert (drive.frames, drive.key_frames) == (len(frames), len(keys))
     assert drive.landmarks == sum(len(frame.landmarks) for frame in keys)
     assert drive.candidates == sum(candidate.belief.match is not None for candidate in candidates)

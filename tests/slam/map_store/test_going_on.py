@@ -149,8 +149,8 @@ def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
 
 
 def assert_same(one: FrameRecord, other: FrameRecord) -> None:
-    assert (one.image, one.timestamp, one.key_frame, one.motion.reason) == (
-        other.image, other.timestamp, other.key_frame, other.motion.reason,
+    assert (one.image, one.timestamp, one.is_key_frame, one.motion.reason) == (
+        other.image, other.timestamp, other.is_key_frame, other.motion.reason,
     )  # fmt: skip
     for name in ("pixels", "points", "grey", "descriptors"):
         np.testing.assert_array_equal(getattr(one.landmarks, name), getattr(other.landmarks, name))
