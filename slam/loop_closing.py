@@ -11,7 +11,7 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from odometry.stereo_matching import match_rows
 from place_recognition.belief.matching import mutual_matches
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, relative_pose
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class LoopCloser:
     def __init__(
         self,
         camera: StereoCamera,
-        features: SharedFeatures,
+        features: FeatureCache,
         config: LoopCloserConfig | None = None,
         disparity: Disparity = match_rows,
         compare: Compare = same_unit,
@@ -125,7 +125,7 @@ class LoopCloser:
 
     def remember(self, index: int, left: Image, right: Image | None) -> Landmarks:
         """Find and keep the landmarks of frame `index` from its rectified grey images (H, W)."""
-        found = self._features.of(index, left)
+        found = self._features.get(index, left)
         pixels = np.asarray(found.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
         points = self._camera.triangulate(pixels, self._disparity(left, right, pixels))
         seen = np.isfinite(points).all(axis=1)

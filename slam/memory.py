@@ -1,6 +1,6 @@
 """Where the memory goes: what each part of the system holds on to when the drive ends."""
 
-from place_recognition.evaluation.map_size import array_bytes, map_size
+from place_recognition.evaluation.map_size import count_array_bytes, map_size
 from slam.system import Parts
 
 UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json
@@ -9,10 +9,10 @@ UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # no
 def held_mb(parts: Parts) -> dict[str, float | None]:
     """Megabytes of the arrays that each stage has gathered, by its name; `map` are the landmarks drawn."""
     held = {
-        "odometry": array_bytes(parts.eyes.odometry),
-        "features": array_bytes(parts.features),
-        "landmarks": array_bytes(parts.loop_closer),
+        "odometry": count_array_bytes(parts.eyes.odometry),
+        "features": count_array_bytes(parts.features),
+        "landmarks": count_array_bytes(parts.loop_closer),
         "place recognition": map_size(parts.recognizer).bytes,
-        "map": array_bytes(parts.landmarks),
+        "map": count_array_bytes(parts.landmarks),
     }
     return {stage: size / 1e6 for stage, size in held.items()} | {"pose graph": None}

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.stereo import StereoOdometry
 from place_recognition.evaluation.map_size import map_size
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
@@ -69,7 +69,7 @@ class Finished:
     config: RunConfig
     slam: Slam
     drive_log: DriveLog
-    rows: MatrixRows
+    rows: MatrixRecorder
     optimized: Optimized
     interrupted: bool
     wall_seconds: float

@@ -10,7 +10,7 @@ from uuid import uuid4
 
 from rich.console import Console
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.clock import timed
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset
@@ -225,7 +225,7 @@ def drive_through(
 
     warm_up(drive, config, build)
     cv2.setRNGSeed(config.seed)
-    rows = MatrixRows(_MATRIX_ROWS)
+    rows = MatrixRecorder(_MATRIX_ROWS)
     keeper = keeper or NullKeeper()
     slam = Slam(build(drive.camera, config, rows), keeper.beginning)
     watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()

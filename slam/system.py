@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.clock import StageClock
 from slam.datasets.dataset import Frame
@@ -28,7 +28,7 @@ class Parts:
     """The interchangeable parts of the system."""
 
     eyes: Eyes
-    features: SharedFeatures
+    features: FeatureCache
     recognizer: PlaceRecognizer
     loop_closer: LoopCloser
     graph: PoseGraph
@@ -181,9 +181,9 @@ class Slam:
     def _look(self, frame: Frame, features: LocalFeatures | None) -> Landmarks:
         image = self._first + frame.index
         if features is not None:
-            self.parts.features.give(image, features)
+            self.parts.features.put(image, features)
         with self.clock.stage("features"):
-            self.parts.features.of(image, frame.left)
+            self.parts.features.get(image, frame.left)
         with self.clock.stage("landmarks"):
             return self.parts.loop_closer.remember(image, frame.left, frame.right)
 

@@ -44,7 +44,7 @@ class FeatureExtractor(Protocol):
         ...
 
 
-class SharedFeatures:
+class FeatureCache:
     """Features computed once an image, however many stages of the chain ask for them.
 
     Holds the latest images only: stages that need features for longer keep what they need.
@@ -64,18 +64,18 @@ class SharedFeatures:
         """What describes the images; it keeps nothing of them, so that another thread may use it ahead."""
         return self._extractor
 
-    def give(self, image_id: int, features: LocalFeatures) -> None:
+    def put(self, image_id: int, features: LocalFeatures) -> None:
         """Take over what the extractor said of the image of this id, asked by somebody else."""
         self._latest = (image_id, features)
 
-    def of(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
+    def get(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of image (H, W) uint8, which is known by image_id."""
         if self._latest is None or self._latest[0] != image_id:
             self._latest = (image_id, self._extractor.extract(image))
         return self._latest[1]
 
 
-def check_grey(image: NDArray[np.uint8]) -> None:
+def check_gray(image: NDArray[np.uint8]) -> None:
     """Raise ValueError unless image is (H, W) uint8."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(f"expected a grey image (H, W) uint8, got {image.shape} {image.dtype}")

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.colour_histogram import ColourHistogram
+from place_recognition.image_processing.colour_histogram import ColorHistogram
 from place_recognition.image_processing.hog import Hog
 from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
 from place_recognition.image_processing.thumbnail import Thumbnail
@@ -35,7 +35,7 @@ class GlobalDescriptor(Protocol):
 GLOBAL_DESCRIPTORS: dict[str, Callable[[], GlobalDescriptor]] = {
     "hog": Hog,
     "thumbnail": Thumbnail,
-    "colour-histogram": ColourHistogram,
+    "colour-histogram": ColorHistogram,
 }
 
 

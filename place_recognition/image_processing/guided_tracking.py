@@ -21,18 +21,18 @@ class GuidedTrackingConfig:
     """When a feature continues a track.
 
     Attributes:
-        pixel_distance: from where the flow points to the detected feature, less than so many pixels.
-        descriptor_distance: between the track's last descriptor and the feature's, less than this.
+        max_distance_px: from where the flow points to the detected feature, less than so many pixels.
+        max_descriptor_distance: between the track's last descriptor and the feature's, less than this.
         window: side of the flow's window, pixels of the halved images.
         levels: times the halved image is halved again for the flow; each doubles the motion that can be followed.
-        round_trip: error of the flow there and back, at most, pixels.
+        max_round_trip_px: error of the flow there and back, at most, pixels.
     """
 
-    pixel_distance: float = 5.0
-    descriptor_distance: float = 0.6
-    window: int = 13
-    levels: int = 2
-    round_trip: float = 3.0
+    max_distance_px: float = 5.0
+    max_descriptor_distance: float = 0.6
+    window_px: int = 13
+    pyramid_levels: int = 2
+    max_round_trip_px: float = 3.0
 
 
 def optical_flow(
@@ -46,14 +46,16 @@ def optical_flow(
         return np.full_like(pixels, np.nan)
     # A detected feature settles the position afterwards, so halved images are close enough, in a third of the time.
     before, after, points = cv2.pyrDown(previous), cv2.pyrDown(image), pixels / 2
-    size = (config.window, config.window)
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(before, after, points, None, winSize=size, maxLevel=config.levels)
+    size = (config.window_px, config.window_px)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, points, None, winSize=size, maxLevel=config.pyramid_levels
+    )
     # The way back starts from the answer, so two levels do; a full pyramid costs five times as much.
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(
         after, before, moved, points.copy(), winSize=size, maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )
     error = 2 * np.linalg.norm(back - points, axis=1)
-    kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (error <= config.round_trip)
+    kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (error <= config.max_round_trip_px)
     moved[~kept] = np.nan
     return np.asarray(2 * moved, np.float32)
 
@@ -69,7 +71,7 @@ def select_guided(
         features: those of the new image.
         config: the limits.
     """
-    limits = (config.pixel_distance, config.descriptor_distance)
+    limits = (config.max_distance_px, config.max_descriptor_distance)
     return _select(positions, descriptors, features.pixels, features.descriptors, limits)
 
 

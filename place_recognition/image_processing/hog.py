@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 
 CLIP = 0.2  # no gradient may outweigh all others of its block (L2-Hys, section 6.4)
 BLOCK = 2  # cells along each side of a block
@@ -59,10 +59,10 @@ class Hog:
 
     def describe(self, image: NDArray[np.uint8]) -> Floats:
         """Blocks one after another, each of 2 x 2 cells, of a grey image (H, W) uint8; zeros of an even one."""
-        check_grey(image)
+        check_gray(image)
         small = cv2.resize(image, (self.config.width, self.config.height), interpolation=cv2.INTER_AREA)
         cells = cell_histograms(small.astype(np.float32), self.config.cell, self.config.orientations)
-        return normalise_blocks(cells, self.config.noise).ravel()
+        return normalize_blocks(cells, self.config.noise).ravel()
 
 
 def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
@@ -86,7 +86,7 @@ def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
     return histograms.reshape(rows, columns, orientations).astype(np.float32)
 
 
-def normalise_blocks(cells: Floats, noise: float) -> Floats:
+def normalize_blocks(cells: Floats, noise: float) -> Floats:
     """Blocks (rows - 1, columns - 1, 4 orientations) of cells (rows, columns, orientations), each of unit length.
 
     noise: is added to the lengths in squares, so that blocks with less than this stay short.

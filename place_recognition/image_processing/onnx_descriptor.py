@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class OnnxDescriptor:
         Raises:
             ValueError: the network fails, or its first output holds anything but finite numbers.
         """
-        check_grey(image)
+        check_gray(image)
         try:
             answer = self._session.run(None, {self._input: self._prepare(image)})[0]
         except Exception as error:  # the library has no base class for its errors

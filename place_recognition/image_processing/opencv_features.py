@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
+from place_recognition.image_processing.spread import SpreadConfig, select_strongest
 
 Floats = NDArray[np.float32]
 
 
-def from_key_points(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_per_size: float) -> LocalFeatures:
+def convert_keypoints(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_per_size: float) -> LocalFeatures:
     """Key points with their descriptors (N, D) of unit length.
 
     Args:
@@ -26,9 +26,9 @@ def from_key_points(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_
     return LocalFeatures(pixels, np.float32(sigmas_per_size) * sizes, responses, descriptors)
 
 
-def spread_out(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
+def select_spread(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
     """The strongest features of an image (H, W), evenly spread, strongest first, at most so many."""
-    kept = strongest_spread(features.pixels, features.responses, (shape[0], shape[1]), count, config)
+    kept = select_strongest(features.pixels, features.responses, (shape[0], shape[1]), count, config)
     return LocalFeatures(
         features.pixels[kept], features.scales[kept], features.responses[kept], features.descriptors[kept]
     )

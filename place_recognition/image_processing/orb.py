@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures, check_grey
-from place_recognition.image_processing.opencv_features import from_key_points, spread_out
+from place_recognition.image_processing.features import LocalFeatures, check_gray
+from place_recognition.image_processing.opencv_features import convert_keypoints, select_spread
 from place_recognition.image_processing.spread import SpreadConfig
 
 BITS = 256
@@ -56,12 +56,12 @@ class Orb:
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of a grey image (H, W) uint8, strongest first; none of a blank or tiny one."""
-        check_grey(image)
+        check_gray(image)
         points, described = self._orb.detectAndCompute(image, None) if min(image.shape) > PATCH else ((), None)
         descriptors = unpack_bits(np.empty((0, BITS // 8), np.uint8) if described is None else described)
         # the circle of comparisons ends at about three sigmas of the smoothing that a blob of its size would need
-        found = from_key_points(points, descriptors, sigmas_per_size=1 / 6)
-        return spread_out(found, image.shape, self.config.features, self.config.spread)
+        found = convert_keypoints(points, descriptors, sigmas_per_size=1 / 6)
+        return select_spread(found, image.shape, self.config.features, self.config.spread)
 
 
 def unpack_bits(packed: NDArray[np.uint8]) -> Floats:

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures, check_grey
-from place_recognition.image_processing.opencv_features import from_key_points, spread_out
+from place_recognition.image_processing.features import LocalFeatures, check_gray
+from place_recognition.image_processing.opencv_features import convert_keypoints, select_spread
 from place_recognition.image_processing.spread import SpreadConfig
 
 CANDIDATES = 2  # times the wanted features that are described, to choose evenly spread ones from
@@ -50,15 +50,15 @@ class Sift:
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of a grey image (H, W) uint8, strongest first; none of a blank or tiny one."""
-        check_grey(image)
+        check_gray(image)
         size = [max(round(side / self.config.shrink), 1) for side in image.shape[::-1]]
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         points, described = self._sift.detectAndCompute(small, None)
         if len(points) == 0:
             described = np.empty((0, 128), np.float32)
         lengths = np.linalg.norm(described, axis=1, keepdims=True)
-        found = from_key_points(points, described / np.maximum(lengths, 1e-12), sigmas_per_size=0.5)
-        return spread_out(
+        found = convert_keypoints(points, described / np.maximum(lengths, 1e-12), sigmas_per_size=0.5)
+        return select_spread(
             _enlarged(found, small.shape, image.shape), image.shape, self.config.features, self.config.spread
         )
 

@@ -15,14 +15,14 @@ class SpreadConfig:
 
     Attributes:
         bucket: side of the squares among which they are spread, pixels.
-        crowding: a square may hold so many times its even share before the others have had theirs.
+        max_crowding: a square may hold so many times its even share before the others have had theirs.
     """
 
-    bucket: int = 80
-    crowding: float = 4.0
+    bucket_px: int = 80
+    max_crowding: float = 4.0
 
 
-def strongest_spread(
+def select_strongest(
     pixels: NDArray[np.generic],
     responses: NDArray[np.float32],
     shape: tuple[int, int],
@@ -44,11 +44,11 @@ def strongest_spread(
     order = np.argsort(-responses, kind="stable")
     if len(order) <= count:
         return order
-    squares = (pixels[order] // config.bucket).astype(np.int64)
-    rows, columns = (side // config.bucket + 1 for side in shape)
+    squares = (pixels[order] // config.bucket_px).astype(np.int64)
+    rows, columns = (side // config.bucket_px + 1 for side in shape)
     rank = _rank_in_square(squares[:, 1] * columns + squares[:, 0], rows * columns)
-    even_share = count / np.prod(np.ceil(np.array(shape) / config.bucket))
-    crowded = rank >= config.crowding * even_share
+    even_share = count / np.prod(np.ceil(np.array(shape) / config.bucket_px))
+    crowded = rank >= config.max_crowding * even_share
     return order[np.sort(np.argsort(crowded, kind="stable")[:count])]
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.image_processing.features import check_grey as check_grey
-from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
+from place_recognition.image_processing.features import check_gray as check_gray
+from place_recognition.image_processing.spread import SpreadConfig, select_strongest
 from place_recognition.image_processing.surf_blobs import find_blobs
 from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
-from place_recognition.image_processing.surf_hessian import take_apart
+from place_recognition.image_processing.surf_hessian import deinterleave
 from place_recognition.image_processing.surf_orientation import describe_oriented
 
 SIGMA_PER_SIZE = 1.2 / 9  # a box filter of side 9 stands for a Gaussian of sigma 1.2
@@ -62,7 +62,7 @@ class Surf:
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
         """Features of a grey image (H, W) uint8, strongest first; none of a blank or tiny one."""
-        check_grey(image)
+        check_gray(image)
         integral = cv2.integral(image)
         blobs = self._find_blobs(integral)
         descriptors = self._describe(integral, blobs[:, :3], self._weights)
@@ -74,12 +74,12 @@ class Surf:
         """The strongest blobs, strongest first: (N, 4) x, y and scale in pixels, determinant."""
         shape = (integral.shape[0] - 1, integral.shape[1] - 1)
         found = np.concatenate([self._search(integral, octave) for octave in range(self.config.octaves)])
-        return found[strongest_spread(found[:, :2], found[:, 3], shape, self.config.features, self.config.spread)]
+        return found[select_strongest(found[:, :2], found[:, 3], shape, self.config.features, self.config.spread)]
 
     def _search(self, integral: Ints, octave: int) -> Floats:
         """All blobs of one octave (N, 4): x, y, scale, determinant."""
         sizes, step = layer_sizes(octave), 2**octave
-        found = find_blobs(take_apart(integral, step), sizes, self.config.threshold)
+        found = find_blobs(deinterleave(integral, step), sizes, self.config.threshold)
         found[:, :2] *= step
         found[:, 2] = SIGMA_PER_SIZE * (sizes[0] + found[:, 2] * (sizes[1] - sizes[0]))
         return found

@@ -44,7 +44,7 @@ def _take_cube(ring: Floats, level: int, place: tuple[int, int], cube: NDArray[n
 
 
 @njit(cache=True, nogil=True)
-def top_of_parabola(cube: NDArray[np.float64]) -> tuple[float, float, float]:
+def fit_peak(cube: NDArray[np.float64]) -> tuple[float, float, float]:
     """Offset in x, y and level from the middle of a cube (3, 3, 3) of level, row and column; 0 where it is flat."""
     centre = 2 * cube[1, 1, 1]
     gx, gy, gs = cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1], cube[2, 1, 1] - cube[0, 1, 1]
@@ -75,7 +75,7 @@ def _blobs_of_row(ring: Floats, place: tuple[int, int], marks: NDArray[np.uint8]
     for i in range(len(marks)):
         # most places are turned down by their mark
         if marks[i] and _take_cube(ring, level, (y, i + 1), cube):
-            dx, dy, ds = top_of_parabola(cube)
+            dx, dy, ds = fit_peak(cube)
             # a step further than one means that the parabola does not describe this peak
             if max(abs(dx), abs(dy), abs(ds)) <= 1:
                 found[count] = (i + 1 + dx, y + dy, level + ds, cube[1, 1, 1])
@@ -90,7 +90,7 @@ def find_blobs(planes: Ints, sizes: Ints, threshold: float) -> Floats:
     Layers are not kept: three rows of each, made as they are needed, stay in the processor's cache.
 
     Args:
-        planes: (step, H + 1, any) int32 of `take_apart`.
+        planes: (step, H + 1, any) int32 of `deinterleave`.
         sizes: (L,) int32, increasing sides of the filters, pixels; the first and last are only compared with.
         threshold: least determinant of a peak.
 

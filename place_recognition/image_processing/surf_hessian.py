@@ -15,7 +15,7 @@ CROSS_WEIGHT = 0.912  # makes up for the boxes' poor fit to the mixed Gaussian d
 
 
 @njit(cache=True, nogil=True)
-def take_apart(integral: Ints, step: int) -> Ints:
+def deinterleave(integral: Ints, step: int) -> Ints:
     """Columns 0, step, 2 step, ... of an integral image, then columns 1, 1 + step, ...: (step, H + 1, any) int32.
 
     What a filter needs at every step-th pixel then lies side by side in memory, so that loops over it become SIMD.
@@ -96,7 +96,7 @@ def determinant_row(planes: Ints, y: int, size: int, work: Ints, out: Floats) ->
     """Determinants of the Hessian by box filters of one size along a row, step pixels apart, into out; 0 at the rim.
 
     Args:
-        planes: (step, H + 1, any) int32 of `take_apart`.
+        planes: (step, H + 1, any) int32 of `deinterleave`.
         y: row of the image, pixels.
         size: side of the filter, odd and divisible by 3, pixels; it acts like a Gaussian of sigma 1.2 size / 9.
         work: (4, W') int32, its values are lost.

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 
 MIDDLE = 128  # grey level of what is as bright as its patch
 DEVIATION = 42  # grey levels of one standard deviation: three fit into a byte on either side
@@ -24,14 +24,14 @@ class ThumbnailConfig:
         width: pixels, a multiple of patch.
         height: pixels, a multiple of patch.
         patch: side of the squares that are normalised, pixels.
-        least_contrast: standard deviation at which a patch counts as structured, grey levels; the noise of a wall or
+        min_contrast: standard deviation at which a patch counts as structured, grey levels; the noise of a wall or
             of the sky is not blown up beyond this.
     """
 
     width: int = 64
     height: int = 32
     patch: int = 8
-    least_contrast: float = 2.0
+    min_contrast: float = 2.0
 
     def __post_init__(self) -> None:
         """Check that patches fill the picture."""
@@ -43,13 +43,13 @@ class ThumbnailConfig:
 
 def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray[np.uint8]:
     """Small picture (height, width) uint8 of a grey image (H, W) uint8; an even one is all MIDDLE."""
-    check_grey(image)
+    check_gray(image)
     small = cv2.resize(image, (config.width, config.height), interpolation=cv2.INTER_AREA).astype(np.float32)
     side = config.patch
     patches = small.reshape(config.height // side, side, config.width // side, side)
     centred = patches - patches.mean(axis=(1, 3), keepdims=True)
     contrast = np.sqrt((centred * centred).mean(axis=(1, 3), keepdims=True))
-    normalised = MIDDLE + DEVIATION * centred / np.maximum(contrast, config.least_contrast)
+    normalised = MIDDLE + DEVIATION * centred / np.maximum(contrast, config.min_contrast)
     return np.clip(np.round(normalised), 0, 255).astype(np.uint8).reshape(small.shape)
 
 

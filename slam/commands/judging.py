@@ -90,11 +90,11 @@ def evaluate_loops(
 
     Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
     """
-    from place_recognition.evaluation.ground_truth import SamePlace
+    from place_recognition.evaluation.ground_truth import RevisitRule
     from slam.evaluation.loops_command import LoopsOptions
     from slam.evaluation.loops_command import evaluate_loops as judge
 
-    rule = SamePlace(radius, heading, gap, way, one_to_one)
+    rule = RevisitRule(radius, heading, gap, way, one_to_one)
     text = judge(LoopsOptions(matches, truth, tolerance, rule, fps, out, overwrite), json)
     Console().print(text, markup=False, highlight=False, soft_wrap=True)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.evaluation.ground_truth import SamePlace
+from place_recognition.evaluation.ground_truth import RevisitRule
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
@@ -42,7 +42,7 @@ class LoopsOptions:
     matches: Path
     truth: Path
     tolerance: int | None = None
-    rule: SamePlace = field(default_factory=SamePlace)
+    rule: RevisitRule = field(default_factory=RevisitRule)
     fps: float | None = None
     out: Path | None = None
     overwrite: bool = False
@@ -78,7 +78,12 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
 
 def _check(options: LoopsOptions) -> None:
     rule = options.rule
-    numbers = {"--radius": rule.radius, "--heading": rule.heading, "--gap": rule.gap, "--way": rule.way}
+    numbers = {
+        "--radius": rule.max_distance_m,
+        "--heading": rule.max_angle_deg,
+        "--gap": rule.min_time_gap_s,
+        "--way": rule.min_path_length_m,
+    }
     for name, value in numbers.items():
         if not 0 <= value < np.inf:
             raise ConfigError(f"{name}: expected a number from 0, found {value}")

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from odometry.camera import StereoCamera
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.config import RunConfig, to_toml
 from slam.drive_log import DriveLog
 from slam.errors import RevisitError
@@ -56,7 +56,7 @@ class Keeper(Protocol):
         """Where the drive begins behind the others of the map."""
         ...
 
-    def recall(self, slam: Slam, rows: MatrixRows, log: DriveLog) -> int:
+    def recall(self, slam: Slam, rows: MatrixRecorder, log: DriveLog) -> int:
         """Bring a newly built system to where the drive stopped; how many frames it has behind it."""
         ...
 
@@ -78,7 +78,7 @@ class NullKeeper:
 
     beginning = Beginning()
 
-    def recall(self, slam: Slam, rows: MatrixRows, log: DriveLog) -> int:
+    def recall(self, slam: Slam, rows: MatrixRecorder, log: DriveLog) -> int:
         """Begin at the beginning."""
         return 0
 
@@ -118,7 +118,7 @@ class MapKeeper:
         way = sum(float(np.linalg.norm(T[:3, 3])) for T, _ in before)
         return Beginning(self._session.first_image, way + _APART_M * self._session.number)
 
-    def recall(self, slam: Slam, rows: MatrixRows, log: DriveLog) -> int:
+    def recall(self, slam: Slam, rows: MatrixRecorder, log: DriveLog) -> int:
         """Bring a newly built system to where the drive stopped; how many frames it has behind it."""
         first = self._session.first_image
         self._parts = moving_parts(slam, rows)
@@ -134,7 +134,7 @@ class MapKeeper:
         self.frames = self._thaw(rows)
         return self.frames
 
-    def _thaw(self, rows: MatrixRows) -> int:
+    def _thaw(self, rows: MatrixRecorder) -> int:
         """Thaw what is known of this drive, else of the one before; how many frames of this one that has seen."""
         own = self._store.checkpoint(self._session.number)
         checkpoint = own or self._store.checkpoint(self._session.number - 1)
@@ -144,7 +144,7 @@ class MapKeeper:
         with self._store.reading():
             Thawer(checkpoint.arrays).thaw(checkpoint.structure, parts)
         if own is None:
-            rows.begin_anew(self._session.first_image)
+            rows.restart(self._session.first_image)
         return own.frames if own else 0
 
     def _of_another_drive(self) -> dict[str, object]:
@@ -264,7 +264,7 @@ class Answers:
         return given
 
 
-def moving_parts(slam: Slam, rows: MatrixRows) -> dict[str, object]:
+def moving_parts(slam: Slam, rows: MatrixRecorder) -> dict[str, object]:
     """What of a system changes with each image and cannot be had from frames and attempts."""
     parts = slam.parts
     return {

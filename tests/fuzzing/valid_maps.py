@@ -8,7 +8,7 @@ import numpy as np
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
@@ -48,7 +48,7 @@ def read_map(path: Path) -> None:
             checkpoint = store.checkpoint(session.number)
             if checkpoint is not None:
                 with store.reading():
-                    Thawer(checkpoint.arrays).thaw(checkpoint.structure, {"rows": MatrixRows()})
+                    Thawer(checkpoint.arrays).thaw(checkpoint.structure, {"rows": MatrixRecorder()})
         for frame in store.frames():
             if frame.landmarks.points.shape != (len(frame.landmarks), 3):
                 raise DataError("landmarks without a place")
@@ -75,7 +75,7 @@ def _attempts() -> list[StoredAttempt]:
     ]
 
 
-def _rows() -> MatrixRows:
-    rows = MatrixRows()
+def _rows() -> MatrixRecorder:
+    rows = MatrixRecorder()
     rows.add(2, np.array([0, 1]), np.array([0.5, 0.25]))
     return rows

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.map.growing import GrowingArray
-from place_recognition.map.image_store import ImageStore
+from place_recognition.map.image_store import FeatureStore
 from slam.map_store import freezing
 from slam.map_store.freezing import Freezer, Thawer
 
@@ -153,7 +153,7 @@ def test_what_was_never_frozen_is_refused(damaged: Any):
 
 def test_growing_arrays_and_stored_images_come_back():
     rows: GrowingArray[np.float64] = GrowingArray(np.float64)
-    images, new = ImageStore(5, in_memory=3), ImageStore(5, in_memory=3)
+    images, new = FeatureStore(5, in_memory=3), FeatureStore(5, in_memory=3)
     rng = np.random.default_rng(0)
     for _ in range(7):  # more than stay in memory
         rows.extend(rng.random((2, 4)))
