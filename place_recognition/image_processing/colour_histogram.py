@@ -1,4 +1,4 @@
-"""The whole image as a histogram of its colours: how much of each there is, wherever it is."""
+"""Global descriptor: the joint colour histogram of an image, or the histogram of a gray one."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class ColorHistogramConfig:
-    """How finely colours are told apart.
+    """Resolution of the histogram.
 
     Attributes:
-        bins: of each channel of an image in colour, up to 256; the histogram is joint.
-        gray_bins: of an image without colours, up to 256.
+        bins: number of bins of each colour channel, up to 256.
+        gray_bins: number of bins of a gray image, up to 256.
     """
 
     bins: int = 8
@@ -28,7 +28,7 @@ class ColorHistogram:
         self.config = config or ColorHistogramConfig()
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Share (bins,) of the pixels of each colour or intensity; they sum to 1.
+        """Compute the share (bins,) of the pixels of each colour or intensity; they sum to 1.
 
         Args:
             image: (H, W) uint8 grey, or (H, W, 3) uint8.

@@ -1,4 +1,4 @@
-"""The strongest features of an image, evenly spread: what a whole image is recognised by must not sit in one corner."""
+"""Selection of the strongest features of an image, spread evenly so that no corner of it dominates."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,12 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SpreadConfig:
-    """How features are spread.
+    """Distribution of the features over an image.
 
     Attributes:
-        bucket: side of the squares among which they are spread, pixels.
-        max_crowding: a square may hold so many times its even share before the others have had theirs.
+        bucket_px: side of the squares into which the image is divided.
+        max_crowding: maximum number of features of a square, in multiples of its even share, before the other squares
+            have had theirs.
     """
 
     bucket_px: int = 80
@@ -29,17 +30,19 @@ def select_strongest(
     count: int,
     config: SpreadConfig,
 ) -> Indices:
-    """Indices of the strongest features, strongest first, at most so many; of equal ones the first.
+    """Select the strongest features, evenly spread.
 
-    No square is crowded before the others have had their share: what exceeds it is taken only where the features of
-    all other squares do not make up the number.
+    Features beyond the share of their square are taken only where those of all other squares are too few.
 
     Args:
-        pixels: (N, 2), x right and y down.
-        responses: (N,), larger is stronger.
+        pixels: (N, 2) positions, x right and y down.
+        responses: (N,) strengths.
         shape: (H, W) of the image.
-        count: features wanted.
-        config: how they are spread.
+        count: maximum number of features.
+        config: size of the squares and their share.
+
+    Returns:
+        Indices of the features, strongest first; the first of equal ones.
     """
     order = np.argsort(-responses, kind="stable")
     if len(order) <= count:
@@ -54,7 +57,7 @@ def select_strongest(
 
 @njit(cache=True, nogil=True)
 def _rank_in_square(squares: Indices, count: int) -> Indices:
-    """How many of the squares (N,), each below count, are the same as this one and come before it."""
+    """Count for each of squares (N,), numbers below count, the equal ones before it."""
     seen, rank = np.zeros(count, np.int64), np.empty(len(squares), np.int64)
     for k in range(len(squares)):
         rank[k] = seen[squares[k]]

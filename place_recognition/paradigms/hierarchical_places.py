@@ -31,8 +31,7 @@ from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.verdicts import Verdicts
-from place_recognition.image_processing.features import FeatureCache
-from place_recognition.image_processing.surf import check_gray
+from place_recognition.image_processing.features import FeatureCache, check_gray
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
 from place_recognition.map.places import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
 from place_recognition.map.route import ImageHistory, ImageHistoryConfig

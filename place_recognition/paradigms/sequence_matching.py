@@ -22,8 +22,7 @@ from place_recognition.belief.matrix_filter import CausalFilter, FilterConfig, n
 from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.verdicts import Verdicts
-from place_recognition.image_processing.features import FeatureCache
-from place_recognition.image_processing.surf import check_gray
+from place_recognition.image_processing.features import FeatureCache, check_gray
 from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.sequence_map import SequenceMap
 from place_recognition.map.sequences import Segmentation
