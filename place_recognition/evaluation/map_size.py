@@ -25,24 +25,24 @@ def map_size(recognizer: object) -> MapSize:
     return MapSize(words, count_array_bytes(recognizer) if size is None else size)
 
 
-def count_array_bytes(thing: object) -> int:
+def count_array_bytes(holder: object) -> int:
     """Count the bytes of all NumPy arrays that an object holds, each once however many references it has.
 
     Searches containers, and objects of the same package: those of other packages may lead anywhere. The `memory_bytes`
     of an object that has them are taken without a search.
     """
-    package = _package(thing)
+    package = _package(holder)
     seen: set[int] = set()
     buffers: dict[int, int] = {}
     known = 0
-    waiting = [thing]
+    waiting = [holder]
     while waiting:
         item = waiting.pop()
         if id(item) in seen:
             continue
         seen.add(id(item))
         if isinstance(item, np.ndarray):
-            owner = _owner(item)
+            owner = _memory_owner(item)
             buffers[id(owner)] = owner.nbytes
         elif isinstance(item, dict):
             waiting += [*item.keys(), *item.values()]
@@ -55,11 +55,11 @@ def count_array_bytes(thing: object) -> int:
     return known + sum(buffers.values())
 
 
-def _package(thing: object) -> str:
-    return type(thing).__module__.split(".")[0]
+def _package(holder: object) -> str:
+    return type(holder).__module__.split(".")[0]
 
 
-def _owner(array: np.ndarray) -> np.ndarray:
+def _memory_owner(array: np.ndarray) -> np.ndarray:
     """Return the array that owns the memory of a view."""
     while isinstance(array.base, np.ndarray):
         array = array.base

@@ -117,7 +117,7 @@ class WordVariance:
         return float(self._changes[0] / max(self._changes[1], 1))
 
     def _update_usual(self, distinct: Indices) -> None:
-        # An image without words says nothing about change, and is no image to compare the next one with.
+        # An image without words measures no change, and is no image to compare the next one with.
         if len(distinct) and len(self._latest):
             self._changes += [1.0 - float(np.mean(np.isin(distinct, self._latest, assume_unique=True))), 1]
         if len(distinct):
