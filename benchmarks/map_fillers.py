@@ -6,11 +6,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
-from place_recognition.map.route import Route
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
+from place_recognition.map.route import ImageHistory
 from place_recognition.map.tracked_words import Words
 from place_recognition.map.vocabulary import default_vocabulary
-from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.map.word_vectors import word_vector
 from place_recognition.paradigms.dynamic_sequences import DynamicSequences
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
@@ -72,7 +72,7 @@ class RecalledFeatures:
         return self._features[(self._next - 1) % len(self._features)]
 
 
-class AuditedIndex(GrowingWordIndex):
+class AuditedIndex(HybridWordIndex):
     """A word index that also knows what an exhaustive search finds for a few descriptors."""
 
     def __init__(self, queries: Floats) -> None:
@@ -96,7 +96,7 @@ class AuditedIndex(GrowingWordIndex):
         return float(np.mean(self.nearest(self._queries) == self._nearest))
 
 
-def fill_route(route: Route, material: Material, size: int) -> int:
+def fill_route(route: ImageHistory, material: Material, size: int) -> int:
     """Add real images until the route has so many, without looking where their views begin; returns how many it had."""
     before = len(route)
     follow, route._follow_view = route._follow_view, lambda: None  # type: ignore[method-assign]
@@ -116,7 +116,7 @@ class Filler(Protocol):
     """
 
     recognizer: Any
-    route: Route
+    route: ImageHistory
 
     def fill(self, size: int) -> None:
         """Bring the map to so many images."""
@@ -132,18 +132,18 @@ class TrackedWordsFiller:
 
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
-        self.recognizer = TrackedWords(SharedFeatures(features), index=lambda: self._index)
+        self.recognizer = TrackedWords(FeatureCache(features), index=lambda: self._index)
         self.route = self.recognizer._route
 
     def fill(self, size: int) -> None:
         """Let tracks have ended at all images up to a size."""
         words = self.recognizer._words
-        words.pass_until(size)
+        words.activate_until(size)
         for begin in range(fill_route(self.route, self._material, size), size, BLOCK):
             last = np.repeat(np.arange(begin, min(begin + BLOCK, size)), TRACKED_WORDS)
             first = np.maximum(last - self._material.rng.integers(4, 2 * TRACK_LENGTH - 4, len(last)), 0)
             words.add(Words(self._material.descriptors(len(last)), first, last))
-            words.pass_until(int(last[-1]))
+            words.activate_until(int(last[-1]))
         self.recognizer._tracks._location = size - 1
 
     def recall(self) -> float:
@@ -156,7 +156,7 @@ class PlacesFiller:
 
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
-        self.recognizer = HierarchicalPlaces(SharedFeatures(features), index=lambda: self._index)
+        self.recognizer = HierarchicalPlaces(FeatureCache(features), index=lambda: self._index)
         self.route = self.recognizer._route
 
     def fill(self, size: int) -> None:
@@ -166,7 +166,7 @@ class PlacesFiller:
         before = fill_route(self.route, self._material, size)
         for last in range(before + PLACE_LENGTH - 1, size, PLACE_LENGTH):
             places.add(self._material.descriptors(PLACE_WORDS), last)
-            places.until(last)
+            places.activate_until(last)
 
     def recall(self) -> float:
         """Share of nearest words found."""
@@ -183,7 +183,7 @@ class SequencesFiller:
         material: Material,
     ) -> None:
         self._vocabulary, self._material = default_vocabulary(), material
-        self.recognizer = make(SharedFeatures(features), self._vocabulary)
+        self.recognizer = make(FeatureCache(features), self._vocabulary)
         self._matching = self.recognizer._matching
         self.route = self._matching._route
         shown = self._matching.config.features

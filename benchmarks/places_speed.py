@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
 
 from place_recognition.belief.judge import Judge
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map import tracked_words as tracking
 from place_recognition.map.inverted_index import InvertedIndex
-from place_recognition.map.places import PlaceFormation
-from place_recognition.map.route import Route
-from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.places import PlaceSegmentation
+from place_recognition.map.route import ImageHistory
+from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.paradigms import hierarchical_places
 from place_recognition.paradigms.catalogue import PARADIGMS, build
 
@@ -36,13 +36,13 @@ SIZE = (1241, 376)
 STEP = 1.0  # metres from image to image
 # stage: where its function is looked up when the recogniser runs
 STAGES: dict[str, tuple[Any, str]] = {
-    "features": (SharedFeatures, "of"),
-    "route and present view": (Route, "add"),
+    "features": (FeatureCache, "get"),
+    "route and present view": (ImageHistory, "add"),
     "optical flow": (tracking, "optical_flow"),
     "guided selection": (tracking, "select_guided"),
-    "nearest words": (GrowingWordIndex, "nearest"),
-    "words added": (GrowingWordIndex, "add"),
-    "place formation": (PlaceFormation, "add"),
+    "nearest words": (HybridWordIndex, "nearest"),
+    "words added": (HybridWordIndex, "add"),
+    "place formation": (PlaceSegmentation, "add"),
     "words of a place": (hierarchical_places, "grow_gas"),
     "inverted index": (InvertedIndex, "cosines"),
     "judge": (Judge, "judge"),
@@ -128,7 +128,7 @@ def measure(
     watch.running = False
     for stage, (owner, function) in STAGES.items():
         watch.watch(stage, owner, function)
-    recognizer = build(name, SharedFeatures(features))
+    recognizer = build(name, FeatureCache(features))
     observe = watch.timed("all", recognizer.observe)
     features.begin()
     for k, image in enumerate(drive(images, sizes[0])):

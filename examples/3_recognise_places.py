@@ -9,9 +9,9 @@ Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures
 import numpy as np
 from street import arguments, street
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.catalogue import PARADIGMS, build
 from slam.datasets.open import open_drive
@@ -24,8 +24,8 @@ parser.add_argument("--paradigm", choices=PARADIGMS, default="tracked-words", he
 given = parser.parse_args()
 drive = open_drive(street(given))
 
-rows = MatrixRows()  # keeps what the recogniser compared, for the picture only
-recogniser = build(given.paradigm, SharedFeatures(Surf()), rows=rows)
+rows = MatrixRecorder()  # keeps what the recogniser compared, for the picture only
+recogniser = build(given.paradigm, FeatureCache(Surf()), rows=rows)
 beliefs = []
 for frame in drive:
     # An answer may come late: a recogniser of sequences waits until the sequence ends. NaN: nobody measures the way.

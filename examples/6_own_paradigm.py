@@ -10,7 +10,7 @@ import numpy as np
 from street import arguments, street
 
 from place_recognition.evaluation.precision_recall import precision_recall
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.catalogue import build
 from place_recognition.recognizer import Belief
@@ -60,7 +60,7 @@ truth = loop_truth(drive.ground_truth).astype(bool)
 
 recognisers = {
     "brightness-pattern": BrightnessPattern(),
-    "tracked-words": build("tracked-words", SharedFeatures(Surf())),
+    "tracked-words": build("tracked-words", FeatureCache(Surf())),
 }
 curves = {}
 for name, recogniser in recognisers.items():

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from street import arguments, street
 
-from place_recognition.evaluation.matrix import MatrixRows
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.evaluation.matrix import MatrixRecorder
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.hog import cell_histograms
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.sequences import FixedWay, WordVariance
+from place_recognition.map.sequences import FixedDistanceSegmentation, WordVariance
 from place_recognition.map.vocabulary import default_vocabulary, word_histogram
 from place_recognition.paradigms.catalogue import build
 from slam.datasets.open import open_drive
@@ -40,8 +40,8 @@ axes[0, 0].plot([x - dx, x + dx], [y - dy, y + dy], color=colours.ODOMETRY, lw=1
 axes[0, 0].set_title("HOG: directions of edges, cell by cell (Figure 4.3)")
 
 # 4.4 and 4.11: how often each visual word is seen in an image, and in its sequence
-vocabulary, features = default_vocabulary(), SharedFeatures(Surf())
-counts = np.array([word_histogram(features.of(k, image), vocabulary) for k, image in enumerate(images)])
+vocabulary, features = default_vocabulary(), FeatureCache(Surf())
+counts = np.array([word_histogram(features.get(k, image), vocabulary) for k, image in enumerate(images)])
 sequence = counts[:5].sum(axis=0)
 common = np.argsort(-sequence, kind="stable")[:80]
 axes[0, 1].bar(range(80), sequence[common], color=colours.ODOMETRY, label="five images")
@@ -51,9 +51,9 @@ axes[0, 1].legend(frameon=False)
 
 # 4.13: sequences of 5 m, and such as end where the view changes
 way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
-segmentations = {"after 5 m": FixedWay(), "where the words change": WordVariance(len(vocabulary))}
+segmentations = {"after 5 m": FixedDistanceSegmentation(), "where the words change": WordVariance(len(vocabulary))}
 for ax, (name, segmentation) in zip(axes[1], segmentations.items(), strict=True):
-    begins = [segmentation.begins(np.flatnonzero(seen), w) for seen, w in zip(counts, way, strict=True)]
+    begins = [segmentation.starts_sequence(np.flatnonzero(seen), w) for seen, w in zip(counts, way, strict=True)]
     plan = poses[:, [0, 2], 3] - poses[:, [0, 2], 3].mean(axis=0)
     plan[len(images) // 2 :] *= 0.9  # the second lap is drawn inside the first
     ax.scatter(*plan.T, c=np.cumsum(begins) % 10, cmap="tab10", s=9)
@@ -62,7 +62,7 @@ for ax, (name, segmentation) in zip(axes[1], segmentations.items(), strict=True)
 # 4.14 and 4.15: what the images before a revisit get votes for
 numbers = {"hierarchical-places": "4.14", "tracked-words": "4.15"}
 for ax, (paradigm, number) in zip(axes[2], numbers.items(), strict=True):
-    rows = MatrixRows()
+    rows = MatrixRecorder()
     recogniser = build(paradigm, features, rows=rows)
     for k in range(query + 1):
         recogniser.observe(k, images[k], way[k])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, compare_units, relative_pose
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ class LoopCloser:
     def __init__(
         self,
         camera: StereoCamera,
-        features: SharedFeatures,
+        features: FeatureCache,
         depth: DepthSource,
         config: LoopCloserConfig | None = None,
     ) -> None:
@@ -136,7 +136,7 @@ class LoopCloser:
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
         """Find and keep the landmarks of frame `index` from its rectified grey images (H, W)."""
-        found = self._features.of(index, left)
+        found = self._features.get(index, left)
         pixels = np.asarray(found.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
         points = self._camera.triangulate(pixels, self._depth.disparity(left, right, pixels))
         seen = np.isfinite(points).all(axis=1)

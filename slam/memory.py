@@ -1,6 +1,6 @@
 """Memory of the system: what each component holds when the run ends."""
 
-from place_recognition.evaluation.map_size import array_bytes, map_size
+from place_recognition.evaluation.map_size import count_array_bytes, map_size
 from slam.system import Components
 
 UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json

@@ -6,7 +6,7 @@ from odometry.camera import StereoCamera
 from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, local_features
 from place_recognition.recognizer import PlaceRecognizer, RowSink
 from slam.config import RunConfig, read_config
@@ -58,7 +58,7 @@ def read_checked_config(path: Path) -> RunConfig:
 
 
 def build_recognizer(
-    name: str, features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None = None
+    name: str, features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None = None
 ) -> PlaceRecognizer:
     """Build the recogniser of a paradigm whose name has been checked.
 
@@ -76,7 +76,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: RowSink | No
 
     The rows of the recogniser's similarity matrix go to `rows`, where there is one.
     """
-    features = SharedFeatures(local_features(config.place_recognition))
+    features = FeatureCache(local_features(config.place_recognition))
     odometry = build_odometry(camera, config)
     return Components(
         odometry=odometry,

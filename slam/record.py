@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 
 Array = NDArray[np.float64]
@@ -166,6 +166,6 @@ class RunRecord:
     events: tuple[LoopEventRow, ...] = ()
     matched: tuple[MatchedPixels, ...] = ()
     curve: PrecisionRecall | None = None
-    matrices: Mapping[str, Matrix] = field(default_factory=dict)
+    matrices: Mapping[str, SimilarityMatrix] = field(default_factory=dict)
     odometry_covariances: Array | None = None
     corrected_covariances: Array | None = None

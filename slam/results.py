@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.map_size import map_size
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.clock import timing_ms
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
@@ -68,7 +68,7 @@ class PipelineResult:
     config: RunConfig
     components: Components
     run_log: RunLog
-    matrix: MatrixRows
+    matrix: MatrixRecorder
     optimized: Optimized
     interrupted: bool
     wall_seconds: float

@@ -9,7 +9,7 @@ from uuid import uuid4
 
 from rich.console import Console
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.clock import timed
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset
@@ -298,7 +298,7 @@ def process_dataset(
 
     warm_up(dataset, config, build)
     cv2.setRNGSeed(config.seed)
-    recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRows(_MATRIX_ROWS), RunLog()
+    recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRecorder(_MATRIX_ROWS), RunLog()
     components = build(dataset.camera, config, matrix)
     slam = Slam(recorder.components_in_session(components))
     visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()

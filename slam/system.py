@@ -46,7 +46,7 @@ class Components:
     """The interchangeable components of the system."""
 
     odometry: VisualOdometry
-    features: SharedFeatures
+    features: FeatureCache
     recognizer: PlaceRecognizer
     loop_closer: LoopVerifier
     graph: PoseGraph

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.datasets.dataset import Dataset, Frame
 from slam.drive_log import RunLog
 from slam.loop_closing import LoopClosure
@@ -23,7 +23,7 @@ _NO_PIXELS = np.empty((0, 2))
 class RunVisualizer:
     """Shows each frame, what became of the loops proposed with it, and the matrix of the recogniser, in a viewer."""
 
-    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRows) -> None:
+    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRecorder) -> None:
         self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
         self._last_pair = -_PAIR_EVERY
 

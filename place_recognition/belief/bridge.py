@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from place_recognition.map.route import Route
+from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief, no_pixels
 
 
@@ -35,7 +35,7 @@ class Bridge:
     They are never accepted: no geometry measures them. But their match is right as surely as those around it.
     """
 
-    def __init__(self, route: Route, config: BridgeConfig | None = None) -> None:
+    def __init__(self, route: ImageHistory, config: BridgeConfig | None = None) -> None:
         self.config = config or BridgeConfig()
         self._route = route
         self._before: Belief | None = None
@@ -68,7 +68,7 @@ class Bridge:
         if match is None:
             return belief
         chosen = self._nearest_that_shows(match, self._location(belief.match))
-        if chosen is None or not self._shows(self._route.location(belief.query)):
+        if chosen is None or not self._shows(self._route.find_location(belief.query)):
             return belief
         score, match_id = min(before.score, after.score), int(self._route.ids[chosen])
         pixels = belief.pixels if match_id == belief.match else no_pixels()
@@ -82,14 +82,14 @@ class Bridge:
 
     def _left_between(self, before: Belief, belief: Belief, after: Belief) -> int | None:
         """Location between the matches of two sure beliefs, if these are of one stretch of way."""
-        start, query, end = (self._route.location(one.query) for one in (before, belief, after))
+        start, query, end = (self._route.find_location(one.query) for one in (before, belief, after))
         first, last = self._location(before.match), self._location(after.match)
         if first is None or last is None or abs(last - first) > self.config.speed * (end - start) + self.config.slack:
             return None
         return first + round((query - start) / (end - start) * (last - first))
 
     def _location(self, image_id: int | None) -> int | None:
-        return None if image_id is None else self._route.location(image_id)
+        return None if image_id is None else self._route.find_location(image_id)
 
     def _shows(self, location: int) -> bool:
         return len(self._route.images[location]) >= self.config.least_features

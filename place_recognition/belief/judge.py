@@ -6,13 +6,13 @@ from typing import Any
 
 from place_recognition.belief.proof import Pairing, Proof, ProofConfig, pair, rank
 from place_recognition.belief.temporal_consistency import ConsistencyConfig, TemporalConsistency
-from place_recognition.map.image_store import ImageStore
+from place_recognition.map.image_store import FeatureStore
 
 
 class Judge:
     """Chooses among candidate images and those to which an earlier match has moved on: where all paradigms end."""
 
-    def __init__(self, images: ImageStore, proof: ProofConfig, consistency: ConsistencyConfig) -> None:
+    def __init__(self, images: FeatureStore, proof: ProofConfig, consistency: ConsistencyConfig) -> None:
         self._images, self._proof = images, proof
         self._consistency = TemporalConsistency(consistency)
 

@@ -49,9 +49,9 @@ def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceBallot:
         places: all places.
         count: the first so many may be voted for.
     """
-    total = places.words_of_first(count)
+    total = places.count_words_of_first(count)
     words = np.unique(hit[hit < total])
-    voted, votes = np.unique(places.owners(words), return_counts=True)
+    voted, votes = np.unique(places.places_of(words), return_counts=True)
     share = places.word_counts(voted) / max(total, 1)
     above = votes > len(words) * share
     density = log_binomial(votes[above], len(words), share[above])

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
-from place_recognition.map.image_store import ImageStore, StoredFeatures
+from place_recognition.map.image_store import FeatureStore, StoredFeatures
 from place_recognition.recognizer import no_pixels
 
 Floats = NDArray[np.float32]
@@ -96,12 +96,12 @@ class Pairing:
         return Proof(self.query, self.location, len(now), evidence, verified=True, pixels=pixels)
 
 
-def prove(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:
+def prove(images: FeatureStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:
     """Verify those of the candidate locations that match best, best first; of equal ones the first."""
     return [verify(images, query, location, config) for location in rank(images, query, candidates, config)]
 
 
-def rank(images: ImageStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[int]:
+def rank(images: FeatureStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[int]:
     """The few candidate locations most of whose strongest features match, best first; of equal ones the first."""
     if len(candidates) == 0:
         return []
@@ -110,12 +110,12 @@ def rank(images: ImageStore, query: int, candidates: Sequence[int], config: Proo
     return [candidates[k] for k in np.argsort(-likeness, kind="stable")[: config.tried]]
 
 
-def verify(images: ImageStore, query: int, location: int, config: ProofConfig) -> Proof:
+def verify(images: FeatureStore, query: int, location: int, config: ProofConfig) -> Proof:
     """What geometry says of the image at a location as the place of the query."""
     return pair(images, query, location, config).check(config.verification)
 
 
-def pair(images: ImageStore, query: int, location: int, config: ProofConfig) -> Pairing:
+def pair(images: FeatureStore, query: int, location: int, config: ProofConfig) -> Pairing:
     """The matches of a query and the image at an earlier location."""
     now, then = images[query], images[location]
     pairs = match_pairs(now.quantised, then.quantised, config.ratio)

@@ -4,14 +4,14 @@ from typing import Any
 
 from place_recognition.belief.bridge import Bridge
 from place_recognition.belief.hindsight import Hindsight, HindsightConfig, Opinion
-from place_recognition.map.route import Route
+from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief
 
 
 class Verdicts:
     """One belief for each opinion, in order."""
 
-    def __init__(self, route: Route, config: HindsightConfig) -> None:
+    def __init__(self, route: ImageHistory, config: HindsightConfig) -> None:
         self._hindsight, self._bridge = Hindsight(config), Bridge(route)
 
     def add(self, opinion: Opinion) -> list[Belief]:

@@ -62,7 +62,7 @@ def count_votes(hit: Indices, words: WordMap) -> Ballot:
     window or the sky, is no chance of its own each time, and the binomial test would take them for independent.
     """
     locations, votes = np.unique(covered(words.spans(hit)), return_counts=True)
-    share = words.covering(locations) / max(words.past, 1)
+    share = words.words_at(locations) / max(words.active_count, 1)
     return Ballot(locations, votes, len(hit) * share, log_binomial(votes, len(hit), share))
 
 

@@ -21,7 +21,7 @@ def read_array(path: Path, name: str) -> NDArray[Any] | None:
     """Read one array of a `.npz` file; None where the file has none of that name.
 
     Raises:
-        ValueError: the file is missing or damaged; says what was found, without the name of the file.
+        ValueError: the file is missing or damaged; the message is what was found, without the file's name.
     """
     try:
         with zipfile.ZipFile(path) as archive:

@@ -1,4 +1,4 @@
-"""How large the map of a recogniser has become."""
+"""The memory that the map of a recogniser takes."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ class MapSize:
     """Size of a map.
 
     Attributes:
-        words: visual words in it; None for a paradigm without words.
-        bytes: memory of everything the recogniser holds on to, a vocabulary included.
+        words: number of visual words in the map; None for a paradigm without words.
+        bytes: memory of all that the recogniser keeps, a vocabulary included.
     """
 
     words: int | None
@@ -20,29 +20,29 @@ class MapSize:
 
 
 def map_size(recognizer: object) -> MapSize:
-    """Ask a recogniser for its `word_count` and `map_bytes`; where it does not know its bytes, add up its arrays."""
+    """Return the `word_count` and `map_bytes` of a recogniser; without `map_bytes`, add up its arrays."""
     words, size = getattr(recognizer, "word_count", None), getattr(recognizer, "map_bytes", None)
-    return MapSize(words, array_bytes(recognizer) if size is None else size)
+    return MapSize(words, count_array_bytes(recognizer) if size is None else size)
 
 
-def array_bytes(thing: object) -> int:
-    """Bytes of all numpy arrays that a thing holds, each counted once however many share it.
+def count_array_bytes(holder: object) -> int:
+    """Count the bytes of all NumPy arrays that an object holds, each once however many references it has.
 
-    Looks into containers and into objects of the thing's own package: those of others may lead anywhere. An object
-    that knows its `memory_bytes` is taken at its word.
+    Searches containers, and objects of the same package: those of other packages may lead anywhere. The `memory_bytes`
+    of an object that has them are taken without a search.
     """
-    package = _package(thing)
+    package = _package(holder)
     seen: set[int] = set()
     buffers: dict[int, int] = {}
     known = 0
-    waiting = [thing]
+    waiting = [holder]
     while waiting:
         item = waiting.pop()
         if id(item) in seen:
             continue
         seen.add(id(item))
         if isinstance(item, np.ndarray):
-            owner = _owner(item)
+            owner = _memory_owner(item)
             buffers[id(owner)] = owner.nbytes
         elif isinstance(item, dict):
             waiting += [*item.keys(), *item.values()]
@@ -55,12 +55,12 @@ def array_bytes(thing: object) -> int:
     return known + sum(buffers.values())
 
 
-def _package(thing: object) -> str:
-    return type(thing).__module__.split(".")[0]
+def _package(holder: object) -> str:
+    return type(holder).__module__.split(".")[0]
 
 
-def _owner(array: np.ndarray) -> np.ndarray:
-    """The array that owns the memory of a view."""
+def _memory_owner(array: np.ndarray) -> np.ndarray:
+    """Return the array that owns the memory of a view."""
     while isinstance(array.base, np.ndarray):
         array = array.base
     return array

@@ -32,7 +32,7 @@ def read_positive(path: Path) -> dict[str, NDArray[np.bool_]]:
         sparse. All other variables are left out.
 
     Raises:
-        ValueError: the file is damaged or of another kind; the message says what was found, without the file's name.
+        ValueError: the file is damaged or of another kind; the message is what was found, without the file's name.
     """
     command = [sys.executable, "-P", "-W", "ignore", str(READER), str(path), str(MAX_MEMORY_BYTES)]
     # One thread of BLAS: each further one reserves memory of the limited address space, and none is used.

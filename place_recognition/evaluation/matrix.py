@@ -1,4 +1,4 @@
-"""The matrix behind Figures 4.7, 4.8 and 4.12, gathered row by row in bounded memory."""
+"""The similarity matrix behind Figures 4.7, 4.8 and 4.12, recorded row by row in bounded memory."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,45 +9,46 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-ROWS = 5000  # the longest drive of the chapter has 4,541 images; 50 MB of lower triangle a stage
+MAX_ROWS = 5000  # the longest drive of the chapter has 4,541 images; a lower triangle takes 50 MB a stage
 
 
 @dataclass(frozen=True)
-class Matrix:
-    """What a recogniser thought of all pairs of images.
+class SimilarityMatrix:
+    """Similarities of all pairs of images that a recogniser compared.
 
     Attributes:
         values: (M, M) float32, row = query, column = earlier image, NaN where the two were not compared.
-        step: images that share a row and a column; the largest value of theirs stands there.
+        step: number of neighbouring images that share a row and a column, which hold their largest value.
     """
 
     values: Floats
     step: int = 1
 
 
-class MatrixRows:
-    """Keeps the rows of a recogniser's matrix (a RowSink).
+class MatrixRecorder:
+    """Records the rows of a recogniser's matrix (a RowSink).
 
-    Image ids count from 0. A drive of more than `rows` images does not outgrow the memory: each time the limit is
-    reached, two neighbouring images come to share a row and a column, where the larger value stays.
+    Image ids count from 0. A drive of more than `max_rows` images does not outgrow the memory: each time the limit is
+    reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
+    stays.
     """
 
-    def __init__(self, rows: int = ROWS) -> None:
-        self._limit, self._step, self._first = rows, 1, 0
+    def __init__(self, max_rows: int = MAX_ROWS) -> None:
+        self._limit, self._step, self._first = max_rows, 1, 0
         self._stages: dict[str, dict[int, Floats]] = {}
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Which matrices there are: "similarity", and "filtered" where there is a filter."""
+        """Names of the recorded matrices: "similarity", and "filtered" where there is a filter."""
         return tuple(self._stages)
 
-    def begin_anew(self, first: int) -> None:
-        """Forget all rows; from now on images count from the one with id `first`, and earlier ones are left out."""
+    def restart(self, first: int) -> None:
+        """Delete all rows; images count from the one with id `first` from now on, and earlier ones are left out."""
         self._step, self._first = 1, first
         self._stages = {}
 
     def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
-        """Take one row; ids and values as in `RowSink`. Rows may come late and more than once."""
+        """Record a row; ids and values as in `RowSink`. Rows may come late and more than once."""
         if query < self._first:
             return
         query, matches = query - self._first, np.asarray(matches, np.int64) - self._first
@@ -61,13 +62,13 @@ class MatrixRows:
             known = kept[row] = np.full(row + 1, np.nan, np.float32)
         np.fmax.at(known, cells, np.asarray(values, np.float32))
 
-    def matrix(self, images: int, stage: str = "similarity") -> Matrix:
-        """All rows so far of a drive of so many images; NaN throughout where a stage has none."""
+    def matrix(self, images: int, stage: str = "similarity") -> SimilarityMatrix:
+        """Return the matrix of a drive of `images` images so far; NaN throughout where a stage has no rows."""
         size = -(-images // self._step)
         values = np.full((size, size), np.nan, np.float32)
         for row, known in self._stages.get(stage, {}).items():
             values[row, : len(known)] = known
-        return Matrix(values, self._step)
+        return SimilarityMatrix(values, self._step)
 
     def _halve(self) -> None:
         self._step *= 2

@@ -19,13 +19,13 @@ Truth = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """A curve and its summary.
+    """A precision-recall curve and its summary.
 
     Attributes:
-        thresholds: (K,) distinct scores, falling: all detections of this score or more are taken together.
-        precision, recall: (K,) at each threshold.
-        true_positives, false_positives: (K,) int64 detections at each threshold.
-        truth_rows: queries that have a true match.
+        thresholds: (K,) distinct scores, falling; all detections of a score of at least this count.
+        precision, recall: (K,) precision and recall at each threshold.
+        true_positives, false_positives: (K,) int64 number of detections at each threshold.
+        truth_rows: number of queries that have a true match.
     """
 
     thresholds: Array
@@ -37,13 +37,13 @@ class PrecisionRecall:
 
     @property
     def recall_at_full_precision(self) -> float:
-        """R@P100: the greatest recall at which no detection is false; 0 if even the surest one is."""
+        """R@P100: the greatest recall without a false detection; 0 if the detection of the highest score is false."""
         clean = self._clean
         return 0.0 if clean is None else float(self.recall[clean])
 
     @property
     def threshold_at_full_precision(self) -> float | None:
-        """The lowest score at which no detection is false; None if there is none."""
+        """The lowest score without a false detection at or above it; None if there is none."""
         clean = self._clean
         return None if clean is None else float(self.thresholds[clean])
 
@@ -58,14 +58,14 @@ class PrecisionRecall:
         return int(clean[-1]) if len(clean) else None
 
 
-def judge(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> NDArray[np.bool_]:
-    """Whether each belief's match (B,) is right; False without a match.
+def is_correct(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> NDArray[np.bool_]:
+    """Decide whether the match of each belief (B,) is true; False without a match.
 
     Args:
-        beliefs: whose query and match index the truth.
-        truth: (N, N), row = query, column = earlier image.
-        tolerance: columns that a match may be off to either side. 0 is the rule of the chapter's authors, whose
-            tolerance is in the matrix; 10 reproduces iBoW-LCD's published figures.
+        beliefs: beliefs whose query and match index the truth.
+        truth: (N, N) truth matrix, row = query, column = earlier image.
+        tolerance: number of columns by which a match may differ from a true one. 0 is the rule of the chapter's
+            authors, whose tolerance is in the matrix; 10 reproduces iBoW-LCD's published figures.
     """
     right = np.zeros(len(beliefs), np.bool_)
     for i, belief in enumerate(beliefs):
@@ -77,14 +77,14 @@ def judge(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> NDArra
 
 
 def precision_recall(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> PrecisionRecall:
-    """Curve over all thresholds of the score.
+    """Compute the curve over all thresholds of the score.
 
     Args:
-        beliefs: one a query; those without a match, or whose verification failed, are no detections at any threshold.
-        truth: (N, N), row = query, column = earlier image; rows of queries without belief count as missed.
-        tolerance: see `judge`.
+        beliefs: one for each query; beliefs without a match, or whose verification failed, are never detections.
+        truth: (N, N) truth matrix, row = query, column = earlier image; queries without a belief count as missed.
+        tolerance: see `is_correct`.
     """
-    right = judge(beliefs, truth, tolerance)
+    right = is_correct(beliefs, truth, tolerance)
     detected = np.array([b.match is not None and b.verified for b in beliefs], np.bool_)
     scores = np.array([b.score for b in beliefs], np.float64)[detected]
     right = right[detected]
@@ -94,8 +94,8 @@ def precision_recall(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0
 
 
 def accepted_counts(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> tuple[int, int]:
-    """True and false ones among the beliefs that the recogniser itself accepted."""
-    right = judge(beliefs, truth, tolerance)
+    """Count the true and the false ones among the beliefs that the recogniser itself accepted."""
+    right = is_correct(beliefs, truth, tolerance)
     accepted = np.array([b.accepted for b in beliefs], np.bool_)
     return int((accepted & right).sum()), int((accepted & ~right).sum())
 

@@ -1,4 +1,4 @@
-"""The whole image as a histogram of its colours: how much of each there is, wherever it is."""
+"""Global descriptor: the joint colour histogram of an image, or the histogram of a gray one."""
 
 from dataclasses import dataclass
 
@@ -7,28 +7,28 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class ColourHistogramConfig:
-    """How finely colours are told apart.
+class ColorHistogramConfig:
+    """Resolution of the histogram.
 
     Attributes:
-        bins: of each channel of an image in colour, up to 256; the histogram is joint.
-        grey_bins: of an image without colours, up to 256.
+        bins: number of bins of each colour channel, up to 256.
+        gray_bins: number of bins of a gray image, up to 256.
     """
 
     bins: int = 8
-    grey_bins: int = 64
+    gray_bins: int = 64
 
 
-class ColourHistogram:
+class ColorHistogram:
     """Describes an image by its colours, or a grey one by its intensities (a GlobalDescriptor)."""
 
     kind = "colour-histogram"
 
-    def __init__(self, config: ColourHistogramConfig | None = None) -> None:
-        self.config = config or ColourHistogramConfig()
+    def __init__(self, config: ColorHistogramConfig | None = None) -> None:
+        self.config = config or ColorHistogramConfig()
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Share (bins,) of the pixels of each colour or intensity; they sum to 1.
+        """Compute the share (bins,) of the pixels of each colour or intensity; they sum to 1.
 
         Args:
             image: (H, W) uint8 grey, or (H, W, 3) uint8.
@@ -36,7 +36,7 @@ class ColourHistogram:
         if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
             raise ValueError(f"expected an image (H, W) or (H, W, 3) uint8, got {image.shape} {image.dtype}")
         if image.ndim == 2:
-            colours, count = _bin(image, self.config.grey_bins), self.config.grey_bins
+            colours, count = _bin(image, self.config.gray_bins), self.config.gray_bins
         else:
             first, second, third = (_bin(image[..., channel], self.config.bins) for channel in range(3))
             colours, count = (first * self.config.bins + second) * self.config.bins + third, self.config.bins**3

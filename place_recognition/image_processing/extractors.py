@@ -1,4 +1,4 @@
-"""The local features by name: the one place where names become extractors."""
+"""Registry of the extractors of local features by name."""
 
 from collections.abc import Callable
 
@@ -16,10 +16,14 @@ EXTRACTORS: dict[str, Callable[[int], FeatureExtractor]] = {
 
 
 def make_extractor(name: str, features: int = 500) -> FeatureExtractor:
-    """The extractor of this name, for at most so many features an image.
+    """Make the extractor of a name.
+
+    Args:
+        name: a key of EXTRACTORS.
+        features: maximum number of features of an image.
 
     Raises:
-        ValueError: there is none; the message lists those that there are.
+        ValueError: the name is unknown; the message lists the known ones.
     """
     if name not in EXTRACTORS:
         raise ValueError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")

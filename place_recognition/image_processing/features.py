@@ -1,4 +1,4 @@
-"""Local features: where they are and what they look like."""
+"""Local features: the type, the extractor's contract, and a cache of those of the latest image."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,10 +12,10 @@ class LocalFeatures:
     """Key points of one image with their descriptors, strongest first.
 
     Attributes:
-        pixels: (N, 2) float32, x right and y down, pixel centres at integers.
-        scales: (N,) float32, size of the feature as a Gaussian sigma, pixels.
-        responses: (N,) float32, the detector's strength.
-        descriptors: (N, D) float32 of unit length.
+        pixels: (N, 2) float32 positions, x right and y down, pixel centres at integers.
+        scales: (N,) float32 sizes as the sigma of a Gaussian, pixels.
+        responses: (N,) float32 strengths of the detector's response.
+        descriptors: (N, D) float32 descriptors of unit length.
     """
 
     pixels: NDArray[np.float32]
@@ -31,23 +31,23 @@ class FeatureExtractor(Protocol):
     """Detects and describes local features.
 
     Attributes:
-        kind: names the descriptor, for example "surf-upright-64": words of one kind mean nothing to another.
+        kind: name of the descriptor, for example "surf-upright-64"; descriptors of two kinds cannot be compared.
     """
 
     @property
     def kind(self) -> str:
-        """Name of the descriptor and of what changes its meaning."""
+        """Name of the descriptor, with every setting that makes descriptors incomparable."""
         ...
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Features of a grey image (H, W) uint8; none, without an error, where there is nothing to see."""
+        """Extract the features of a gray image (H, W) uint8; an image without structure has none, and is no error."""
         ...
 
 
-class SharedFeatures:
-    """Features computed once an image, however many stages of the chain ask for them.
+class FeatureCache:
+    """Cache of the features of the latest image, which several stages of the chain need.
 
-    Holds the latest images only: stages that need features for longer keep what they need.
+    Stages that need features for longer keep them themselves.
     """
 
     def __init__(self, extractor: FeatureExtractor) -> None:
@@ -56,26 +56,26 @@ class SharedFeatures:
 
     @property
     def kind(self) -> str:
-        """What the descriptors are, for example "surf-upright-64"."""
+        """Name of the descriptor, for example "surf-upright-64"."""
         return self._extractor.kind
 
     @property
     def extractor(self) -> FeatureExtractor:
-        """What describes the images; it keeps nothing of them, so that another thread may use it ahead."""
+        """The extractor; it keeps nothing of an image, so that another thread may use it ahead."""
         return self._extractor
 
-    def give(self, image_id: int, features: LocalFeatures) -> None:
-        """Take over what the extractor said of the image of this id, asked by somebody else."""
+    def put(self, image_id: int, features: LocalFeatures) -> None:
+        """Store the features of the image with this id, which were extracted elsewhere."""
         self._latest = (image_id, features)
 
-    def of(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Features of image (H, W) uint8, which is known by image_id."""
+    def get(self, image_id: int, image: NDArray[np.uint8]) -> LocalFeatures:
+        """Return the features of the image (H, W) uint8 with this id; extract them where they are not stored."""
         if self._latest is None or self._latest[0] != image_id:
             self._latest = (image_id, self._extractor.extract(image))
         return self._latest[1]
 
 
-def check_grey(image: NDArray[np.uint8]) -> None:
-    """Raise ValueError unless image is (H, W) uint8."""
+def check_gray(image: NDArray[np.uint8]) -> None:
+    """Raise ValueError unless an image is (H, W) uint8."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(f"expected a grey image (H, W) uint8, got {image.shape} {image.dtype}")

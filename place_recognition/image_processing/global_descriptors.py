@@ -1,4 +1,4 @@
-"""Descriptors of a whole image, and the one place where their names become classes."""
+"""Global descriptors: the contract of a descriptor of a whole image, and a registry by name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.colour_histogram import ColourHistogram
+from place_recognition.image_processing.colour_histogram import ColorHistogram
 from place_recognition.image_processing.hog import Hog
 from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
 from place_recognition.image_processing.thumbnail import Thumbnail
@@ -19,31 +19,31 @@ class GlobalDescriptor(Protocol):
     """Describes a whole image by one vector.
 
     Attributes:
-        kind: names the descriptor and what changes its meaning: vectors of different kinds are not to be compared.
+        kind: name of the descriptor with its settings; vectors of two kinds cannot be compared.
     """
 
     @property
     def kind(self) -> str:
-        """Name of the descriptor and of what changes its meaning."""
+        """Name of the descriptor, with every setting that makes vectors incomparable."""
         ...
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Vector (D,) of a grey image (H, W) uint8 of any size; zeros where there is nothing to see."""
+        """Describe a gray image (H, W) uint8 of any size by a vector (D,); zeros for an image without structure."""
         ...
 
 
 GLOBAL_DESCRIPTORS: dict[str, Callable[[], GlobalDescriptor]] = {
     "hog": Hog,
     "thumbnail": Thumbnail,
-    "colour-histogram": ColourHistogram,
+    "colour-histogram": ColorHistogram,
 }
 
 
 def make_global_descriptor(name: str) -> GlobalDescriptor:
-    """The descriptor of this name; `onnx:FILE` is a learned one.
+    """Make the descriptor of a name; `onnx:FILE` is a learned one.
 
     Raises:
-        ValueError: no such name, or a file that holds no usable network; in one line, with what was expected.
+        ValueError: the name is unknown, or the file holds no usable network.
     """
     if name.startswith(ONNX):
         return OnnxDescriptor(Path(name.removeprefix(ONNX)))

@@ -1,4 +1,4 @@
-"""The whole image as histograms of oriented gradients, one for each cell, normalised over blocks of cells (Figure 4.3).
+"""Global descriptor: histograms of oriented gradients of cells, normalised over blocks of cells (Figure 4.3).
 
 Dalal, Triggs, 'Histograms of Oriented Gradients for Human Detection', CVPR 2005: gradients by [-1, 0, 1], unsigned
 orientations, blocks of 2 x 2 cells that overlap by one, L2-Hys normalisation.
@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 
-CLIP = 0.2  # no gradient may outweigh all others of its block (L2-Hys, section 6.4)
+CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
 BLOCK = 2  # cells along each side of a block
 
 Floats = NDArray[np.float32]
@@ -20,15 +20,15 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class HogConfig:
-    """Size of the picture and its parts.
+    """Size of the reduced image, its cells and their histograms.
 
     Attributes:
-        width: the image is reduced to this first, pixels, a multiple of cell.
-        height: the same.
-        cell: side of a cell, pixels. Of two simulated towns R@P100 was 0.41 with 8, 0.41 and 0.43 with 16 and 0.37 with
+        width: width of the reduced image, pixels, a multiple of cell.
+        height: height of the reduced image, pixels, a multiple of cell.
+        cell: side of a cell, pixels. On two simulated towns R@P100 was 0.41 with 8, 0.41 and 0.43 with 16 and 0.37 with
             32, but with 8 first passes stay further below revisits.
-        orientations: bins over 180 degrees.
-        noise: length of a block's vector that counts as none, grey levels.
+        orientations: number of bins over 180 degrees.
+        noise: length of the vector of a block that is only noise, gray levels.
     """
 
     width: int = 128
@@ -54,19 +54,19 @@ class Hog:
 
     @property
     def kind(self) -> str:
-        """Two sizes mean nothing to each other."""
+        """Name with all sizes: vectors of two sizes cannot be compared."""
         return f"hog-{self.config.width}x{self.config.height}-{self.config.cell}-{self.config.orientations}"
 
     def describe(self, image: NDArray[np.uint8]) -> Floats:
-        """Blocks one after another, each of 2 x 2 cells, of a grey image (H, W) uint8; zeros of an even one."""
-        check_grey(image)
+        """Describe a gray image (H, W) uint8 by its blocks of 2 x 2 cells, one after another; zeros for an even one."""
+        check_gray(image)
         small = cv2.resize(image, (self.config.width, self.config.height), interpolation=cv2.INTER_AREA)
         cells = cell_histograms(small.astype(np.float32), self.config.cell, self.config.orientations)
-        return normalise_blocks(cells, self.config.noise).ravel()
+        return normalize_blocks(cells, self.config.noise).ravel()
 
 
 def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
-    """Histograms (rows, columns, orientations) of the gradients in each cell of an image (H, W), weighted by length.
+    """Compute histograms (rows, columns, orientations) of the gradients in each cell of an image (H, W), by length.
 
     Bin k is centred at (k + 1/2) 180 / orientations degrees; a gradient is shared between the nearest two bins.
     """
@@ -86,10 +86,10 @@ def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
     return histograms.reshape(rows, columns, orientations).astype(np.float32)
 
 
-def normalise_blocks(cells: Floats, noise: float) -> Floats:
-    """Blocks (rows - 1, columns - 1, 4 orientations) of cells (rows, columns, orientations), each of unit length.
+def normalize_blocks(cells: Floats, noise: float) -> Floats:
+    """Join cells (rows, columns, orientations) into blocks (rows - 1, columns - 1, 4 orientations) of unit length.
 
-    noise: is added to the lengths in squares, so that blocks with less than this stay short.
+    noise: its square is added to the squared lengths, so that blocks of less gradient than this stay short.
     """
     blocks = np.concatenate([cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]], axis=2)
     blocks = blocks / np.sqrt((blocks * blocks).sum(axis=2, keepdims=True) + np.float32(noise**2))

@@ -1,4 +1,4 @@
-"""Any learned global descriptor, as an ONNX file: weights cannot be shipped, but they can be brought along."""
+"""Global descriptor: a learned one from an ONNX file of the user's, since no weights can be shipped."""
 
 import hashlib
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 
 
 @dataclass(frozen=True)
 class OnnxConfig:
-    """What a file does not say.
+    """Input of the network, as far as the file leaves it open.
 
     Attributes:
-        height: of the input where the network leaves it open, pixels.
-        width: the same.
-        mean: of the channels red, green, blue on a scale of 0 to 1, as most networks were trained on ImageNet; a
-            network of one channel takes the mean of the three.
-        deviation: standard deviation of the same.
+        height: height of the input, pixels.
+        width: width of the input, pixels.
+        mean: mean of the channels red, green, blue on a scale of 0 to 1, that of ImageNet by which most networks were
+            trained; a network of one channel takes the mean of the three.
+        deviation: standard deviation of the same channels.
     """
 
     height: int = 224
@@ -47,12 +47,12 @@ class OnnxDescriptor:
         self.kind = f"onnx-{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Vector (D,) of unit length, or zeros where the network answers with zeros, of a grey image (H, W) uint8.
+        """Describe a gray image (H, W) uint8 by a vector (D,) of unit length, or by zeros if the network does.
 
         Raises:
             ValueError: the network fails, or its first output holds anything but finite numbers.
         """
-        check_grey(image)
+        check_gray(image)
         try:
             answer = self._session.run(None, {self._input: self._prepare(image)})[0]
         except Exception as error:  # the library has no base class for its errors
@@ -75,7 +75,7 @@ class OnnxDescriptor:
 
 
 def _open(path: Path) -> Any:
-    """The network of a file, to run on one thread: the same bits each time."""
+    """Load the network of a file, to run on one thread, which gives the same bits each time."""
     if not path.is_file():
         raise ValueError(f"{path}: expected an ONNX file, found none: check the path after 'onnx:'")
     try:
@@ -95,7 +95,7 @@ def _open(path: Path) -> Any:
 
 
 def _input_shape(session: Any, path: Path, config: OnnxConfig) -> tuple[int, int, int]:
-    """Channels, height and width that the network wants; open sizes as configured, an open number of channels is 3."""
+    """Return channels, height and width of the input; open sizes as configured, an open number of channels is 3."""
     inputs = session.get_inputs()
     found = ", ".join(f"{i.type} {i.shape}" for i in inputs)
     shape = inputs[0].shape if len(inputs) == 1 and inputs[0].type == "tensor(float)" else []

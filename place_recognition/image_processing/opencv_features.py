@@ -1,4 +1,4 @@
-"""From OpenCV's key points to local features."""
+"""Conversion of OpenCV's key points to local features."""
 
 from collections.abc import Sequence
 
@@ -7,18 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
+from place_recognition.image_processing.spread import SpreadConfig, select_strongest
 
 Floats = NDArray[np.float32]
 
 
-def from_key_points(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_per_size: float) -> LocalFeatures:
-    """Key points with their descriptors (N, D) of unit length.
+def convert_keypoints(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_per_size: float) -> LocalFeatures:
+    """Convert key points with their descriptors.
 
     Args:
-        points: N of them.
-        descriptors: (N, D).
-        sigmas_per_size: by which a key point's size becomes the sigma of a Gaussian.
+        points: N key points.
+        descriptors: (N, D) descriptors of unit length.
+        sigmas_per_size: factor from the size of a key point to the sigma of a Gaussian.
     """
     pixels = np.array([point.pt for point in points], np.float32).reshape(-1, 2)
     sizes = np.array([point.size for point in points], np.float32)
@@ -26,9 +26,9 @@ def from_key_points(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigmas_
     return LocalFeatures(pixels, np.float32(sigmas_per_size) * sizes, responses, descriptors)
 
 
-def spread_out(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
-    """The strongest features of an image (H, W), evenly spread, strongest first, at most so many."""
-    kept = strongest_spread(features.pixels, features.responses, (shape[0], shape[1]), count, config)
+def select_spread(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
+    """Keep at most `count` of the strongest features of an image (H, W), evenly spread, strongest first."""
+    kept = select_strongest(features.pixels, features.responses, (shape[0], shape[1]), count, config)
     return LocalFeatures(
         features.pixels[kept], features.scales[kept], features.responses[kept], features.descriptors[kept]
     )

@@ -1,4 +1,4 @@
-"""SIFT by OpenCV: blobs of the difference of Gaussians, described by histograms of gradients.
+"""SIFT features by OpenCV: blobs of the difference of Gaussians, described by histograms of gradients.
 
 Lowe, 'Distinctive Image Features from Scale-Invariant Keypoints', IJCV 60(2) 2004.
 """
@@ -9,23 +9,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures, check_grey
-from place_recognition.image_processing.opencv_features import from_key_points, spread_out
+from place_recognition.image_processing.features import LocalFeatures, check_gray
+from place_recognition.image_processing.opencv_features import convert_keypoints, select_spread
 from place_recognition.image_processing.spread import SpreadConfig
 
-CANDIDATES = 2  # times the wanted features that are described, to choose evenly spread ones from
+CANDIDATES = 2  # described features for each wanted one, from which evenly spread ones are selected
 
 
 @dataclass(frozen=True)
 class SiftConfig:
-    """How many blobs, in which image.
+    """Number and contrast of the blobs, and the size of the image.
 
     Attributes:
-        features: at most so many an image.
-        contrast: least difference of Gaussians, as OpenCV scales it.
-        shrink: the image is reduced by this factor first. Two costs a third of the time, and of 1241 x 376 images it
-            leaves as many correct matches, since the smallest blobs are those that change most.
-        spread: how they are spread over the image.
+        features: maximum number of features of an image.
+        contrast: minimum difference of Gaussians, as OpenCV scales it.
+        shrink: factor by which the image is reduced first. Two takes a third of the time, and leaves as many correct
+            matches of 1241 x 376 images, since the smallest blobs change most.
+        spread: distribution of the features over the image.
     """
 
     features: int = 500
@@ -49,22 +49,22 @@ class Sift:
         )
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Features of a grey image (H, W) uint8, strongest first; none of a blank or tiny one."""
-        check_grey(image)
+        """Extract the features of a gray image (H, W) uint8, strongest first; a blank or tiny one has none."""
+        check_gray(image)
         size = [max(round(side / self.config.shrink), 1) for side in image.shape[::-1]]
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         points, described = self._sift.detectAndCompute(small, None)
         if len(points) == 0:
             described = np.empty((0, 128), np.float32)
         lengths = np.linalg.norm(described, axis=1, keepdims=True)
-        found = from_key_points(points, described / np.maximum(lengths, 1e-12), sigmas_per_size=0.5)
-        return spread_out(
+        found = convert_keypoints(points, described / np.maximum(lengths, 1e-12), sigmas_per_size=0.5)
+        return select_spread(
             _enlarged(found, small.shape, image.shape), image.shape, self.config.features, self.config.spread
         )
 
 
 def _enlarged(features: LocalFeatures, small: tuple[int, ...], shape: tuple[int, ...]) -> LocalFeatures:
-    """Features of a small image (h, w) as those of the image (H, W) that it was made from."""
+    """Scale the features of a reduced image (h, w) to the image (H, W) that it was made from."""
     factors = np.array([shape[1] / small[1], shape[0] / small[0]], np.float32)
     # pixel centres are at integers: the first pixel of the small image spans several, whose middle is not 0
     half = np.float32(0.5)

@@ -1,4 +1,4 @@
-"""The strongest features of an image, evenly spread: what a whole image is recognised by must not sit in one corner."""
+"""Selection of the strongest features of an image, spread evenly so that no corner of it dominates."""
 
 from dataclasses import dataclass
 
@@ -11,50 +11,53 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SpreadConfig:
-    """How features are spread.
+    """Distribution of the features over an image.
 
     Attributes:
-        bucket: side of the squares among which they are spread, pixels.
-        crowding: a square may hold so many times its even share before the others have had theirs.
+        bucket_px: side of the squares into which the image is divided.
+        max_crowding: maximum number of features of a square, in multiples of its even share, before the other squares
+            have had theirs.
     """
 
-    bucket: int = 80
-    crowding: float = 4.0
+    bucket_px: int = 80
+    max_crowding: float = 4.0
 
 
-def strongest_spread(
+def select_strongest(
     pixels: NDArray[np.generic],
     responses: NDArray[np.float32],
     shape: tuple[int, int],
     count: int,
     config: SpreadConfig,
 ) -> Indices:
-    """Indices of the strongest features, strongest first, at most so many; of equal ones the first.
+    """Select the strongest features, evenly spread.
 
-    No square is crowded before the others have had their share: what exceeds it is taken only where the features of
-    all other squares do not make up the number.
+    Features beyond the share of their square are taken only where those of all other squares are too few.
 
     Args:
-        pixels: (N, 2), x right and y down.
-        responses: (N,), larger is stronger.
+        pixels: (N, 2) positions, x right and y down.
+        responses: (N,) strengths.
         shape: (H, W) of the image.
-        count: features wanted.
-        config: how they are spread.
+        count: maximum number of features.
+        config: size of the squares and their share.
+
+    Returns:
+        Indices of the features, strongest first; the first of equal ones.
     """
     order = np.argsort(-responses, kind="stable")
     if len(order) <= count:
         return order
-    squares = (pixels[order] // config.bucket).astype(np.int64)
-    rows, columns = (side // config.bucket + 1 for side in shape)
+    squares = (pixels[order] // config.bucket_px).astype(np.int64)
+    rows, columns = (side // config.bucket_px + 1 for side in shape)
     rank = _rank_in_square(squares[:, 1] * columns + squares[:, 0], rows * columns)
-    even_share = count / np.prod(np.ceil(np.array(shape) / config.bucket))
-    crowded = rank >= config.crowding * even_share
+    even_share = count / np.prod(np.ceil(np.array(shape) / config.bucket_px))
+    crowded = rank >= config.max_crowding * even_share
     return order[np.sort(np.argsort(crowded, kind="stable")[:count])]
 
 
 @njit(cache=True, nogil=True)
 def _rank_in_square(squares: Indices, count: int) -> Indices:
-    """How many of the squares (N,), each below count, are the same as this one and come before it."""
+    """Count for each of squares (N,), numbers below count, the equal ones before it."""
     seen, rank = np.zeros(count, np.int64), np.empty(len(squares), np.int64)
     for k in range(len(squares)):
         rank[k] = seen[squares[k]]

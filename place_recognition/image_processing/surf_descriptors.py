@@ -1,4 +1,4 @@
-"""Compiled loops of SURF's descriptor: Haar wavelets around a point, gathered in 4 x 4 cells.
+"""Compiled descriptor of SURF: Haar wavelets around a point, summed in 4 x 4 cells.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 4; cells that overlap as in
 Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first row and
@@ -15,13 +15,14 @@ Floats = NDArray[np.float32]
 SAMPLES = 24  # Haar samples along each side of the described square, one scale apart
 CELLS = 4  # cells along each side, with four sums in each
 CELL_SIZE = 5.0  # distance between the centres of neighbouring cells, samples
-GAUSSIAN_SIGMA = 5.5  # of the weight of a sample, samples
-GRID = SAMPLES + 2  # lines between which the wavelets of an upright square lie: each covers two of the spaces
-MIDDLE = 0.5 * (SAMPLES - 1)
+GAUSSIAN_SIGMA = 5.5  # sigma of the weight of a sample, samples
+GRID = SAMPLES + 2  # grid lines of an upright square: a wavelet spans two spaces between them
+MIDDLE = 0.5 * (SAMPLES - 1)  # index of the middle of the square
 
 
 def cell_weights() -> Floats:
-    """Weight (SAMPLES, CELLS) of each sample along one axis in each cell: linear shares times the Gaussian."""
+    """Compute the weight (SAMPLES, CELLS) of each sample along one axis in each cell: linear share times Gaussian."""
+    # The weight of a sample in the square is the product of those along both axes, so that 24 x 4 numbers suffice.
     offsets = np.arange(SAMPLES) - MIDDLE
     centres = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
     shares = np.clip(1 - np.abs(offsets[:, None] - centres) / CELL_SIZE, 0, None)
@@ -31,9 +32,9 @@ def cell_weights() -> Floats:
 
 @njit(cache=True, nogil=True)
 def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints:
-    """Integral coordinates (GRID,) below the lines of a square along one axis, their fractions into shares (GRID,).
+    """Return the integral coordinates (GRID,) below the grid lines of a square along one axis.
 
-    A line outside 0 ... limit is moved to the nearer end.
+    shares (GRID,) receives their fractions. A line outside 0 ... limit is moved to the nearer end.
     """
     below = np.empty(GRID, np.int32)
     for i in range(GRID):
@@ -46,16 +47,21 @@ def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints
 
 @njit(cache=True, nogil=True)
 def _integral_at(integral: Ints, lines: tuple[Ints, Ints], shares: Floats, out: Floats) -> None:
-    """Integral image at the crossings of grid lines, into out (GRID, GRID), but for what row and column sums add.
+    """Interpolate the integral image at the crossings of grid lines, into out (GRID, GRID), up to row and column sums.
 
-    Between pixels it is linear: a wavelet then covers parts of pixels, and does not jump where its scale changes.
-    lines: rows and columns below the grid lines. shares: (2, GRID) fractions of the rows and columns.
+    By the linear interpolation a wavelet covers parts of pixels, and does not jump where its scale changes.
+
+    Args:
+        integral: integral image.
+        lines: rows and columns below the grid lines.
+        shares: (2, GRID) fractions of the rows and columns.
+        out: (GRID, GRID) receives the values.
     """
     rows, columns = lines
     begin = columns[0]
     count = columns[GRID - 1] + 2 - begin
     line = np.empty(count, np.float32)
-    # What lies above the square and left of it cancels in every wavelet; without it single precision is exact.
+    # The sums above the square and left of it cancel in every wavelet. Without them single precision is exact.
     above = integral[rows[0], begin : begin + count]
     for i in range(GRID):
         upper = integral[rows[i], begin : begin + count]
@@ -71,9 +77,13 @@ def _integral_at(integral: Ints, lines: tuple[Ints, Ints], shares: Floats, out: 
 
 @njit(cache=True, nogil=True)
 def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[np.bool_]) -> None:
-    """Responses of the wavelets around a point, into haar (2, SAMPLES, SAMPLES): to the right and downwards.
+    """Compute the responses of the wavelets around a point.
 
-    point: x, y and scale. inside: (2, SAMPLES) receives which rows and columns of wavelets lie in the image.
+    Args:
+        integral: integral image.
+        point: x, y and scale, pixels.
+        haar: (2, SAMPLES, SAMPLES) receives the responses to the right and downwards.
+        inside: (2, SAMPLES) receives which rows and columns of wavelets lie in the image.
     """
     x, y, scale = point[0], point[1], point[2]
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
@@ -87,6 +97,7 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
     for i in range(SAMPLES):
         top, centre, bottom = grid[i], grid[i + 1], grid[i + 2]
         for j in range(SAMPLES):
+            # Box sums are differences of these: dx is the right half minus the left, dy the lower minus the upper.
             right, middle, left = bottom[j + 2] - top[j + 2], bottom[j + 1] - top[j + 1], bottom[j] - top[j]
             haar[0, i, j] = right + left - 2 * middle
             haar[1, i, j] = right - left - 2 * (centre[j + 2] - top[j + 2] - centre[j] + top[j])
@@ -94,14 +105,17 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
 
 @njit(cache=True, nogil=True)
 def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
-    """Gather responses in cells: out (CELLS, CELLS, 4) receives sums of dx, |dx|, dy, |dy|, normalised to length 1."""
+    """Sum responses in cells: out (CELLS, CELLS, 4) receives sums of dx, |dx|, dy, |dy|, normalised to length 1."""
+    # The weights separate: rows first, into CELLS x 4 x SAMPLES sums, then columns. So a sample is added to 2 x 4 sums
+    # and not to the 4 x 4 of all cells that it belongs to.
     sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
     for i in range(SAMPLES):
+        # Cells overlap by half: a row belongs to two of them, from this one on; to none where it leaves the image.
         first = max(0, min(CELLS - 2, int((i - MIDDLE) / CELL_SIZE + 0.5 * (CELLS - 1))))
         for cell in range(first, first + 2 if inside[0, i] else first):
             w, total = weights[i, cell], sums[cell]
             dx, dy = haar[0, i], haar[1, i]
-            for j in range(SAMPLES):  # all columns at once: SIMD
+            for j in range(SAMPLES):  # all columns at once, as SIMD
                 total[0, j] += w * dx[j]
                 total[1, j] += w * abs(dx[j])
                 total[2, j] += w * dy[j]
@@ -119,12 +133,15 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
 
 @njit(cache=True, nogil=True)
 def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
-    """Upright SURF descriptors (N, 64) float32 of unit length; all zeros where the surroundings are perfectly even.
+    """Compute upright SURF descriptors.
 
     Args:
-        integral: of the grey image.
-        points: (N, 3) float32, x right, y down, sigma, pixels.
+        integral: integral image of the gray image.
+        points: (N, 3) float32 x right, y down and sigma, pixels.
         weights: (SAMPLES, CELLS) of `cell_weights`.
+
+    Returns:
+        (N, 64) float32 of unit length; all zeros where the surroundings are perfectly even.
     """
     out = np.zeros((len(points), CELLS, CELLS, 4), np.float32)
     haar, inside = np.empty((2, SAMPLES, SAMPLES), np.float32), np.empty((2, SAMPLES), np.bool_)

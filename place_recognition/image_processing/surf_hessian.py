@@ -1,7 +1,8 @@
-"""Compiled loops of SURF's filters: determinants of the Hessian by boxes.
+"""Compiled box filters of SURF's detector: determinants of the Hessian.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 3. An integral image is
-(H + 1, W + 1) int32 with a first row and column of zeros, as `cv2.integral` returns it.
+(H + 1, W + 1) int32 with a first row and column of zeros, as `cv2.integral` returns it: the sum over any box is four of
+its values. Sums of whole numbers are exact, whatever the order; they become floats only in the determinant.
 """
 
 import numpy as np
@@ -11,14 +12,15 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float32]
 
-CROSS_WEIGHT = 0.912  # makes up for the boxes' poor fit to the mixed Gaussian derivative (eq. 3 of the paper)
+CROSS_WEIGHT = 0.912  # balances the boxes' poor fit to the mixed Gaussian derivative (eq. 3 of the paper)
 
 
 @njit(cache=True, nogil=True)
-def take_apart(integral: Ints, step: int) -> Ints:
-    """Columns 0, step, 2 step, ... of an integral image, then columns 1, 1 + step, ...: (step, H + 1, any) int32.
+def deinterleave(integral: Ints, step: int) -> Ints:
+    """Split an integral image into planes of every step-th column: (step, H + 1, any) int32.
 
-    What a filter needs at every step-th pixel then lies side by side in memory, so that loops over it become SIMD.
+    Plane p holds columns p, p + step, p + 2 step, ... The values that a filter needs at every step-th pixel then lie
+    side by side in memory, so that loops over them become SIMD.
     """
     rows, columns = integral.shape
     if step == 1:
@@ -32,27 +34,32 @@ def take_apart(integral: Ints, step: int) -> Ints:
 
 
 @njit(cache=True, nogil=True)
-def _run(planes: Ints, row: int, column: int, count: int) -> Ints:
-    """So many values of a row of the integral image, step apart, from a column on."""
+def _row_values(planes: Ints, row: int, column: int, count: int) -> Ints:
+    """Return `count` values of a row of the integral image, step apart, from a column on."""
     step = len(planes)
     return planes[column % step, row, column // step : column // step + count]
 
 
 @njit(cache=True, nogil=True)
 def _second_difference_down(planes: Ints, rows: tuple[int, int, int, int], columns: tuple[int, int], out: Ints) -> None:
-    """Three boxes one above the other, weighted 1, -2, 1, at each of the n = len(out) places.
+    """Sum three boxes one above the other, weighted 1, -2, 1, at each of n = len(out) samples: the filter D_yy.
 
-    rows: where the boxes begin and end; columns: where the first place's boxes begin and end.
+    Args:
+        planes: integral image of `deinterleave`.
+        rows: first row of each box, and the row behind the last one.
+        columns: first column of the boxes of the first sample, and the column behind them.
+        out: (n,) receives the sums.
     """
     n = len(out)
-    # Slices taken beforehand leave loops of unit steps without index checks, which the compiler turns into SIMD.
-    a0, b0 = _run(planes, rows[0], columns[0], n), _run(planes, rows[0], columns[1], n)
-    a1, b1 = _run(planes, rows[1], columns[0], n), _run(planes, rows[1], columns[1], n)
-    a2, b2 = _run(planes, rows[2], columns[0], n), _run(planes, rows[2], columns[1], n)
-    a3, b3 = _run(planes, rows[3], columns[0], n), _run(planes, rows[3], columns[1], n)
+    # With slices taken beforehand the loop has unit steps and no index checks, so that the compiler makes it SIMD.
+    a0, b0 = _row_values(planes, rows[0], columns[0], n), _row_values(planes, rows[0], columns[1], n)
+    a1, b1 = _row_values(planes, rows[1], columns[0], n), _row_values(planes, rows[1], columns[1], n)
+    a2, b2 = _row_values(planes, rows[2], columns[0], n), _row_values(planes, rows[2], columns[1], n)
+    a3, b3 = _row_values(planes, rows[3], columns[0], n), _row_values(planes, rows[3], columns[1], n)
     for i in range(n):
         whole = np.int32(b3[i] - a3[i] - b0[i] + a0[i])
         middle = np.int32(b2[i] - a2[i] - b1[i] + a1[i])
+        # 1, -2, 1 is 1, 1, 1 minus 3 times the middle: two box sums instead of three.
         out[i] = np.int32(whole - np.int32(3) * middle)
 
 
@@ -60,12 +67,12 @@ def _second_difference_down(planes: Ints, rows: tuple[int, int, int, int], colum
 def _second_difference_across(
     planes: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints
 ) -> None:
-    """Three boxes side by side, weighted 1, -2, 1; see _second_difference_down."""
+    """Sum three boxes side by side, weighted 1, -2, 1: the filter D_xx; see `_second_difference_down`."""
     n = len(out)
-    a0, b0 = _run(planes, rows[0], columns[0], n), _run(planes, rows[1], columns[0], n)
-    a1, b1 = _run(planes, rows[0], columns[1], n), _run(planes, rows[1], columns[1], n)
-    a2, b2 = _run(planes, rows[0], columns[2], n), _run(planes, rows[1], columns[2], n)
-    a3, b3 = _run(planes, rows[0], columns[3], n), _run(planes, rows[1], columns[3], n)
+    a0, b0 = _row_values(planes, rows[0], columns[0], n), _row_values(planes, rows[1], columns[0], n)
+    a1, b1 = _row_values(planes, rows[0], columns[1], n), _row_values(planes, rows[1], columns[1], n)
+    a2, b2 = _row_values(planes, rows[0], columns[2], n), _row_values(planes, rows[1], columns[2], n)
+    a3, b3 = _row_values(planes, rows[0], columns[3], n), _row_values(planes, rows[1], columns[3], n)
     for i in range(n):
         whole = np.int32(b3[i] - a3[i] - b0[i] + a0[i])
         middle = np.int32(b2[i] - a2[i] - b1[i] + a1[i])
@@ -74,37 +81,37 @@ def _second_difference_across(
 
 @njit(cache=True, nogil=True)
 def _difference_of_pair(planes: Ints, rows: tuple[int, int], columns: tuple[int, int, int, int], out: Ints) -> None:
-    """Left box minus right box, with a gap between them; see _second_difference_down."""
+    """Subtract the right box from the left one, with a gap between: half of the filter D_xy."""
     n = len(out)
-    a0, b0 = _run(planes, rows[0], columns[0], n), _run(planes, rows[1], columns[0], n)
-    a1, b1 = _run(planes, rows[0], columns[1], n), _run(planes, rows[1], columns[1], n)
-    a2, b2 = _run(planes, rows[0], columns[2], n), _run(planes, rows[1], columns[2], n)
-    a3, b3 = _run(planes, rows[0], columns[3], n), _run(planes, rows[1], columns[3], n)
+    a0, b0 = _row_values(planes, rows[0], columns[0], n), _row_values(planes, rows[1], columns[0], n)
+    a1, b1 = _row_values(planes, rows[0], columns[1], n), _row_values(planes, rows[1], columns[1], n)
+    a2, b2 = _row_values(planes, rows[0], columns[2], n), _row_values(planes, rows[1], columns[2], n)
+    a3, b3 = _row_values(planes, rows[0], columns[3], n), _row_values(planes, rows[1], columns[3], n)
     for i in range(n):
         out[i] = np.int32((b1[i] - a1[i] - b0[i] + a0[i]) - (b3[i] - a3[i] - b2[i] + a2[i]))
 
 
 @njit(cache=True, nogil=True)
 def _whole_filters(pixels: int, half: int, step: int) -> tuple[int, int]:
-    """First sample with a whole filter inside so many pixels, and how many there are; samples are step apart."""
+    """Return the first sample whose filter lies inside `pixels` pixels, and the number of such samples, step apart."""
     first = -(-half // step)
     return first, max((pixels - 1 - half) // step + 1 - first, 0)
 
 
 @njit(cache=True, nogil=True)
 def determinant_row(planes: Ints, y: int, size: int, work: Ints, out: Floats) -> None:
-    """Determinants of the Hessian by box filters of one size along a row, step pixels apart, into out; 0 at the rim.
+    """Compute determinants of the Hessian along a row, step pixels apart; 0 where the filter leaves the image.
 
     Args:
-        planes: (step, H + 1, any) int32 of `take_apart`.
+        planes: (step, H + 1, any) int32 of `deinterleave`.
         y: row of the image, pixels.
         size: side of the filter, odd and divisible by 3, pixels; it acts like a Gaussian of sigma 1.2 size / 9.
-        work: (4, W') int32, its values are lost.
-        out: (W',) float32, W' = W / step rounded up, receives (grey levels per pixel squared) squared, normalised by
-            the filter's area.
+        work: (4, W') int32 work space, overwritten.
+        out: (W',) float32, W' = W / step rounded up, receives the determinants, (gray levels / pixel^2)^2 over the
+            filter's area.
     """
     step, lobe, half, middle = len(planes), size // 3, size // 2, size // 6
-    # the width may be less than this by up to step - 1 pixels: their filters are cut off
+    # The image may be narrower than the planes by up to step - 1 pixels; filters there are cut off.
     left, n = _whole_filters(planes.shape[2] * step - step, half, step)
     out[:] = 0
     if n == 0 or y < half or y + half + 1 >= planes.shape[1]:

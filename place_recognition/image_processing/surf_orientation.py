@@ -1,4 +1,4 @@
-"""Compiled loops of oriented SURF: which way a blob points, and its descriptor turned that way.
+"""Compiled parts of oriented SURF: the dominant orientation of a blob, and its rotated descriptor.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, sections 4.1 and 4.2.
 """
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.surf_descriptors import CELLS, MIDDLE, SAMPLES, Floats, Ints, pool_haar
 
-RADIUS = 6  # of the disc whose wavelets settle the orientation, scales
-WEIGHT_SIGMA = 2.5  # of the weight of a wavelet in the disc, scales
-DIRECTIONS = 72  # positions of the sliding window on its way round
-WINDOW = DIRECTIONS // 6  # its opening, 60 degrees
+RADIUS = 6  # radius of the disc whose wavelets determine the orientation, scales
+WEIGHT_SIGMA = 2.5  # sigma of the weight of a wavelet in the disc, scales
+DIRECTIONS = 72  # positions of the sliding window, 5 degrees apart
+WINDOW = DIRECTIONS // 6  # opening of the window, 60 degrees as in the paper
 
 
 @njit(cache=True, nogil=True)
 def _haar(integral: Ints, x: float, y: float, radius: int) -> tuple[float, float]:
-    """Responses to the right and downwards of the wavelet centred nearest to a pixel; 0 if it leaves the image."""
-    # a wavelet of even width is centred half a pixel before the integral coordinate of its middle
+    """Compute the responses to the right and downwards of the wavelet nearest to a pixel; 0 if it leaves the image."""
+    # A wavelet of even width is centred half a pixel before the integral coordinate of its middle.
     column, row = math.floor(x + 1.0), math.floor(y + 1.0)
     left, right, top, bottom = column - radius, column + radius, row - radius, row + radius
     if left < 0 or top < 0 or right >= integral.shape[1] or bottom >= integral.shape[0]:
@@ -34,7 +34,7 @@ def _haar(integral: Ints, x: float, y: float, radius: int) -> tuple[float, float
 
 @njit(cache=True, nogil=True)
 def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64]:
-    """Sums (DIRECTIONS, 2) of the weighted responses in the disc around a point (x, y, scale), by their direction."""
+    """Sum the weighted responses in the disc around a point (x, y, scale) by their direction: (DIRECTIONS, 2)."""
     sums, scale = np.zeros((DIRECTIONS, 2)), point[2]
     radius = max(1, int(2 * scale + 0.5))
     for i in range(-RADIUS, RADIUS + 1):
@@ -50,7 +50,7 @@ def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64
 
 @njit(cache=True, nogil=True)
 def orientation(integral: Ints, point: Floats) -> float:
-    """Direction of a point (x, y, scale), radians from x towards y: of the longest sum of gradients in a window."""
+    """Compute the orientation of a point (x, y, scale), radians from x towards y: the longest sum in a window."""
     sums = _gradients_by_direction(integral, point)
     best, longest = 0.0, -1.0
     for begin in range(DIRECTIONS):
@@ -64,8 +64,8 @@ def orientation(integral: Ints, point: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _turned_haar(integral: Ints, point: Floats, angle: float, haar: Floats) -> None:
-    """Responses of the square turned by an angle, into haar (2, SAMPLES, SAMPLES): along it and across; 0 outside."""
+def _rotated_haar(integral: Ints, point: Floats, angle: float, haar: Floats) -> None:
+    """Compute the responses of the rotated square, into haar (2, SAMPLES, SAMPLES): along and across; 0 outside."""
     x, y, scale = point[0], point[1], point[2]
     cos, sin, radius = math.cos(angle), math.sin(angle), max(1, int(scale + 0.5))
     for i in range(SAMPLES):
@@ -77,10 +77,10 @@ def _turned_haar(integral: Ints, point: Floats, angle: float, haar: Floats) -> N
 
 @njit(cache=True, nogil=True)
 def describe_oriented(integral: Ints, points: Floats, weights: Floats) -> Floats:
-    """SURF descriptors (N, 64) that turn with the image; see `describe_upright` for arguments and values."""
+    """Compute SURF descriptors (N, 64) that rotate with the image; arguments and values as of `describe_upright`."""
     out = np.zeros((len(points), CELLS, CELLS, 4), np.float32)
     haar, inside = np.empty((2, SAMPLES, SAMPLES), np.float32), np.ones((2, SAMPLES), np.bool_)
     for k in range(len(points)):
-        _turned_haar(integral, points[k], orientation(integral, points[k]), haar)
+        _rotated_haar(integral, points[k], orientation(integral, points[k]), haar)
         pool_haar(haar, inside, weights, out[k])
     return out.reshape(len(points), CELLS * CELLS * 4)

@@ -1,4 +1,4 @@
-"""The compiled steps of a growing neural gas, with the numbers that Fritzke (NIPS 7, 1995) gave them."""
+"""Compiled steps of a growing neural gas, numbered as by Fritzke (NIPS 7, 1995)."""
 
 from typing import NamedTuple
 
@@ -11,34 +11,43 @@ from place_recognition.belief.matching import add_products
 Floats = NDArray[np.float32]
 Ages = NDArray[np.int32]
 
-NO_EDGE = np.int32(-1)
+NO_EDGE = np.int32(-1)  # age of an edge that is not there
 
 
 class State(NamedTuple):
-    """Storage for all nodes that may come; only the first so many are in use."""
+    """Storage for the greatest number of nodes, K; the first ones are in use.
 
-    columns: Floats  # (D, K): nodes side by side, so that all are compared with a sample at the speed of the memory
-    penalty: Floats  # (K,) half the squared length of each node, infinite for nodes not in use
-    error: Floats  # (K,) accumulated squared distance
-    age: Ages  # (K, K) of the edges, symmetric
-    degree: Ages  # (K,) edges of each node
+    Attributes:
+        columns: (D, K) nodes as columns, so that a SIMD loop compares all of them with a sample.
+        penalty: (K,) half the squared length of each node, infinite for nodes not in use.
+        error: (K,) accumulated squared distance of each node.
+        age: (K, K) age of each edge, symmetric.
+        degree: (K,) number of edges of each node.
+    """
+
+    columns: Floats
+    penalty: Floats
+    error: Floats
+    age: Ages
+    degree: Ages
 
 
 @njit(cache=True)
 def learn_all(samples: Floats, state: State, steps: Floats, period: int, oldest: int) -> int:
-    """Show all samples (N, D), N > 1, in their order.
+    """Learn from all samples (N, D), N > 1, in their order.
 
     Args:
-        samples: float32, contiguous.
-        state: of no node yet.
-        steps: shares of the way of the winner and of its neighbours, factors of errors at an insertion and at a sample.
-        period: samples from one insertion to the next.
-        oldest: age at which an edge is forgotten.
+        samples: (N, D) float32, contiguous.
+        state: storage without a node.
+        steps: (4,) share of the distance to a sample by which the winner and its neighbours move, factors of the errors
+            at an insertion and at a sample.
+        period: number of samples from one insertion to the next.
+        oldest: age at which an edge is removed.
 
     Returns:
         Number of nodes.
     """
-    for node in range(2):  # 0. two nodes at random places: at samples, as most of the space is empty
+    for node in range(2):  # step 0: two nodes at random places; at samples, as most of the space is empty
         _move(state, node, samples[node], 1)
     count = 2
     closeness = np.empty_like(state.penalty)
@@ -46,29 +55,30 @@ def learn_all(samples: Floats, state: State, steps: Floats, period: int, oldest:
         count = _learn(samples[i], state, count, closeness, (steps[0], steps[1], oldest))
         if (i + 1) % period == 0 and count < len(state.penalty):
             count = _insert(state, count, steps[2])
-        for node in range(count):  # 9.
-            state.error[node] *= steps[3]
+        for node in range(count):
+            state.error[node] *= steps[3]  # step 9
     return count
 
 
 @njit(cache=True)
 def _learn(sample: Floats, state: State, count: int, closeness: Floats, rule: tuple[float, float, int]) -> int:
-    """Steps 2 to 7 for one sample; number of nodes after."""
-    winner_step, neighbour_step, oldest = rule
+    """Do steps 2 to 7 for one sample; return the number of nodes after."""
+    winner_step, neighbor_step, oldest = rule
     winner, second = _two_nearest(sample, state, count, closeness)
     state.error[winner] += _move(state, winner, sample, winner_step)
     for other in range(count):
         if state.age[winner, other] > NO_EDGE:
-            _move(state, other, sample, neighbour_step)
+            _move(state, other, sample, neighbor_step)
             age = state.age[winner, other] + 1
-            _join(state, winner, other, age if age <= oldest or other == second else NO_EDGE)
-    _join(state, winner, second, 0)
-    return _drop_alone(state, count)
+            _set_edge(state, winner, other, age if age <= oldest or other == second else NO_EDGE)
+    _set_edge(state, winner, second, 0)
+    return _remove_isolated(state, count)
 
 
 @njit(cache=True)
 def _two_nearest(sample: Floats, state: State, count: int, closeness: Floats) -> tuple[int, int]:
-    # |s - w|^2 is least where s.w - |w|^2 / 2 is greatest
+    """Find the nearest node and the second nearest (step 2)."""
+    # |s - w|^2 = |s|^2 - 2 (s.w - |w|^2 / 2) is least where s.w - |w|^2 / 2 is greatest
     for node in range(len(closeness)):
         closeness[node] = -state.penalty[node]
     add_products(sample, state.columns, closeness)
@@ -83,7 +93,7 @@ def _two_nearest(sample: Floats, state: State, count: int, closeness: Floats) ->
 
 @njit(cache=True)
 def _insert(state: State, count: int, split: float) -> int:
-    """Step 8: a node between that of greatest error and the worst of those joined to it."""
+    """Insert a node between that of greatest error and its neighbour of greatest error (step 8)."""
     worst, neighbour = 0, -1
     for node in range(1, count):
         if state.error[node] > state.error[worst]:
@@ -96,10 +106,10 @@ def _insert(state: State, count: int, split: float) -> int:
         return count
     for k in range(len(state.columns)):
         state.columns[k, count] = np.float32(0.5) * (state.columns[k, worst] + state.columns[k, neighbour])
-    _measure(state, count)
-    _join(state, worst, neighbour, NO_EDGE)
-    _join(state, worst, count, 0)
-    _join(state, neighbour, count, 0)
+    _update_penalty(state, count)
+    _set_edge(state, worst, neighbour, NO_EDGE)
+    _set_edge(state, worst, count, 0)
+    _set_edge(state, neighbour, count, 0)
     state.error[worst] *= split
     state.error[neighbour] *= split
     state.error[count] = state.error[worst]
@@ -107,26 +117,27 @@ def _insert(state: State, count: int, split: float) -> int:
 
 
 @njit(cache=True)
-def _drop_alone(state: State, count: int) -> int:
-    """Step 7: remove the nodes that have lost their last edge; the last node takes the place of each."""
+def _remove_isolated(state: State, count: int) -> int:
+    """Remove the nodes that have lost their last edge (step 7); return the number of nodes."""
+    # The last node takes the place of a removed one, so that the nodes in use stay the first ones.
     node = 0
     while node < count and count > 2:
         if state.degree[node] > 0:
             node += 1
             continue
         count -= 1
-        _rename(state, count, node)
+        _move_last(state, count, node)
     return count
 
 
 @njit(cache=True)
-def _rename(state: State, node: int, name: int) -> None:
-    """Let a node, the last one, be known by the index of one without edges."""
+def _move_last(state: State, node: int, name: int) -> None:
+    """Move the last node to the index of a node without edges."""
     for other in range(node):
         age = state.age[node, other]
         if age > NO_EDGE:
-            _join(state, node, other, NO_EDGE)
-            _join(state, name, other, age)
+            _set_edge(state, node, other, NO_EDGE)
+            _set_edge(state, name, other, age)
     for k in range(len(state.columns)):
         state.columns[k, name] = state.columns[k, node]
     state.penalty[name], state.error[name] = state.penalty[node], state.error[node]
@@ -135,19 +146,19 @@ def _rename(state: State, node: int, name: int) -> None:
 
 @njit(cache=True)
 def _move(state: State, node: int, sample: Floats, step: float) -> np.float32:
-    """Move a node by a share of its way to the sample; squared length of that way."""
+    """Move a node by a share of the distance to the sample; return the squared distance."""
     squared = np.float32(0)
     for k in range(len(sample)):
-        way = sample[k] - state.columns[k, node]
-        squared += way * way
-        state.columns[k, node] += np.float32(step) * way
-    _measure(state, node)
+        offset = sample[k] - state.columns[k, node]
+        squared += offset * offset
+        state.columns[k, node] += np.float32(step) * offset
+    _update_penalty(state, node)
     return squared
 
 
 @njit(cache=True)
-def _measure(state: State, node: int) -> None:
-    """Bring the penalty of a node to where the node is."""
+def _update_penalty(state: State, node: int) -> None:
+    """Update the penalty of a node that has moved."""
     total = np.float32(0)
     for k in range(len(state.columns)):
         total += state.columns[k, node] * state.columns[k, node]
@@ -155,8 +166,8 @@ def _measure(state: State, node: int) -> None:
 
 
 @njit(cache=True)
-def _join(state: State, first: int, second: int, age: int) -> None:
-    """Give the edge between two nodes an age, or take it away."""
+def _set_edge(state: State, first: int, second: int, age: int) -> None:
+    """Set the age of the edge between two nodes; NO_EDGE removes it."""
     change = (age > NO_EDGE) - (state.age[first, second] > NO_EDGE)
     state.degree[first] += change
     state.degree[second] += change

@@ -1,4 +1,4 @@
-"""Arrays that grow by rows without being copied each time."""
+"""An array that grows by rows in constant time a row on average."""
 
 from typing import Generic, TypeVar
 
@@ -9,7 +9,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class GrowingArray(Generic[Scalar]):
-    """Rows of one shape; the storage doubles when it is full, so that a row costs constant time on average."""
+    """Rows of one shape and type in storage that doubles when it is full, so that few rows cause a copy."""
 
     def __init__(self, dtype: type[Scalar]) -> None:
         self._storage: NDArray[Scalar] = np.empty((0, 0), dtype)
@@ -20,11 +20,11 @@ class GrowingArray(Generic[Scalar]):
 
     @property
     def rows(self) -> NDArray[Scalar]:
-        """View (N, ...) of all rows so far, (0, 0) before the first; it stays as it is when more are added."""
+        """View (N, ...) of all rows so far, (0, 0) before the first; adding more rows does not change it."""
         return self._storage[: self._count]
 
     def extend(self, rows: NDArray[Scalar]) -> None:
-        """Append rows (K, ...); the first ones settle the shape."""
+        """Append rows (K, ...); the first ones determine the shape."""
         needed = self._count + len(rows)
         if needed > len(self._storage):
             shape = (max(needed, 2 * len(self._storage)), *rows.shape[1:])
@@ -37,7 +37,7 @@ class GrowingArray(Generic[Scalar]):
 
     @property
     def memory_bytes(self) -> int:
-        """What the rows take; the room for more is taken from the system when it is used."""
+        """Memory of the rows; the system provides the rest of the storage when it is written to."""
         return self.rows.nbytes
 
     def state(self) -> NDArray[Scalar]:

@@ -1,4 +1,4 @@
-"""What is kept of every image for looking closer later: its strongest features, small, the older ones on disk."""
+"""The strongest features of every image, quantised and spilled to disk, for the verification of candidates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,25 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.map.record_file import RecordFile
+from place_recognition.map.record_file import SpillFile
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.int8]
 
-STEPS = 127  # a number of a unit descriptor is kept as a multiple of 1 / STEPS: 0.02 of distance, one byte
-PIXEL_STEP = 1 / 16  # of the pixels as they are kept: a 30th of the distance within which matches agree
-FIRST_OCTAVE, OCTAVE_STEPS = -1.0, 32  # scales from half a pixel to 125 are kept to 1 % of themselves, one byte
+STEPS = 127  # numbers of unit descriptors are stored in one byte as multiples of 1 / STEPS: 0.02 of distance
+PIXEL_STEP = 1 / 16  # resolution of stored pixels: a 30th of the distance within which matches agree
+FIRST_OCTAVE, OCTAVE_STEPS = -1.0, 32  # scales from half a pixel to 125 are stored to 1 % of themselves in one byte
 IN_MEMORY = 2048  # latest images kept in memory: 74 MB of 500 SURF features each
 
 
 @dataclass(frozen=True)
 class StoredFeatures:
-    """Features of one image, strongest first.
+    """Features of one image as they were stored, strongest first.
 
     Attributes:
-        pixels: (N, 2) float32, to a sixteenth (coarser in images of more than 4096 pixels a side).
+        pixels: (N, 2) float32, x and y to a sixteenth of a pixel (coarser in images of more than 4,096 pixels a side).
         quantised: (N, D) int8, descriptors in steps of 1 / STEPS.
-        octaves: (N,) float32, logarithm to base 2 of the scales.
+        octaves: (N,) float32, logarithm to base 2 of the scales in pixels.
     """
 
     pixels: Floats
@@ -41,19 +41,20 @@ class StoredFeatures:
         return self.quantised.astype(np.float32) * np.float32(1 / STEPS)
 
     def strongest(self, count: int) -> "StoredFeatures":
-        """The first so many."""
+        """Return the `count` strongest features."""
         return StoredFeatures(self.pixels[:count], self.quantised[:count], self.octaves[:count])
 
 
-class ImageStore:
-    """Features of all images, by location: 34 kB for 500 features of 64 numbers.
+class FeatureStore:
+    """Features of all images by location (0, 1, 2, ...): 34 kB an image of 500 features of 64 numbers.
 
-    The latest images stay in memory, the older ones in a temporary file that is gone with the store.
+    The latest images stay in memory, the older ones in a temporary file that is deleted with the store
+    (docs/decisions/feature_spilling.md).
     """
 
     def __init__(self, features: int, in_memory: int = IN_MEMORY) -> None:
         self._limit, self._in_memory = features, in_memory
-        self._records: RecordFile | None = None
+        self._records: SpillFile | None = None
 
     def __len__(self) -> int:
         return 0 if self._records is None else len(self._records)
@@ -71,7 +72,7 @@ class ImageStore:
         return StoredFeatures(pixels, record["quantised"][:count].copy(), octaves)
 
     def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
-        """Quantised descriptors (L, count, D) of the strongest features at L locations, and how many are valid (L,)."""
+        """Return quantised descriptors (L, count, D) of the strongest features at L locations, and their number."""
         dimension = self._records.dtype["quantised"].shape[1] if self._records else 0
         descriptors, counts = np.zeros((len(locations), count, dimension), np.int8), np.zeros(len(locations), np.int64)
         for k, location in enumerate(locations):
@@ -81,7 +82,7 @@ class ImageStore:
         return descriptors, counts
 
     def add(self, features: LocalFeatures) -> None:
-        """Keep the strongest features of the next image.
+        """Store the strongest features of the next image.
 
         Raises:
             ValueError: descriptors of another length than those before.
@@ -101,8 +102,8 @@ class ImageStore:
         record["octaves"][:count] = np.clip(np.round(steps), 0, 255)
         records.append(record)
 
-    def _begin(self, dimension: int) -> RecordFile:
-        self._records = RecordFile(record_type(self._limit, dimension), self._in_memory)
+    def _begin(self, dimension: int) -> SpillFile:
+        self._records = SpillFile(record_dtype(self._limit, dimension), self._in_memory)
         return self._records
 
     def _record(self, location: int) -> NDArray[np.void]:
@@ -125,8 +126,8 @@ class ImageStore:
             self._begin(dimension).restore(records)
 
 
-def record_type(features: int, dimension: int) -> np.dtype[np.void]:
-    """How one image is kept."""
+def record_dtype(features: int, dimension: int) -> np.dtype[np.void]:
+    """Return the structured type of the record of one image."""
     return np.dtype(
         [
             ("count", np.int32),

@@ -1,4 +1,4 @@
-"""Which sequences a word occurs in: only sequences that share a word with the query are ever touched.
+"""An inverted index of word vectors: a query touches only the sequences that share a word with it.
 
 Sivic, Zisserman, 'Video Google', ICCV 2003. The postings of all words lie in flat blocks of one growing array, each
 word's blocks chained: at a million images (about 170,000 sequences of 6 images) six bytes a posting make about one GB.
@@ -16,13 +16,13 @@ from place_recognition.map.word_vectors import WordVector
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-BLOCK = 512  # postings in a block: read in one go, five times as fast as blocks of 32, and 3 kB for each word in use
-STEPS = 65535  # a number of a unit vector is kept as a multiple of 1 / STEPS in two bytes
-NONE = -1
+BLOCK = 512  # postings of a block, read in one go: five times as fast as blocks of 32, and 3 kB for each word in use
+STEPS = 65535  # numbers of unit vectors are stored in two bytes as multiples of 1 / STEPS
+NONE = -1  # in place of the number of a block
 
 
 class InvertedIndex:
-    """Word vectors of sequences, counted from 0, compared with a query by the words that they share."""
+    """Word vectors of sequences, numbered from 0, in postings by word."""
 
     def __init__(self, words: int) -> None:
         self._first = np.full(words, NONE, np.int64)
@@ -42,7 +42,7 @@ class InvertedIndex:
         return sum(rows.nbytes for rows in (self._sequences.rows, self._values.rows, self._next.rows))
 
     def add(self, vector: WordVector) -> None:
-        """Append the vector of the next sequence; its words are below the number of words."""
+        """Append the vector of the next sequence."""
         if len(vector):
             self._open_blocks(vector.words)
             block, place = self._last[vector.words], self._postings[vector.words] % BLOCK
@@ -52,7 +52,7 @@ class InvertedIndex:
         self._count += 1
 
     def cosines(self, query: WordVector, count: int) -> Floats:
-        """Cosine of the query with each of the first `count` sequences (count,); 0 where no word is shared."""
+        """Compute the cosine (count,) of the query and each of the first sequences; 0 where no word is shared."""
         sums = np.zeros(count, np.float32)
         if count and len(query) and len(self._next):
             chains = np.stack([self._first[query.words], self._postings[query.words]], axis=1)
@@ -61,7 +61,7 @@ class InvertedIndex:
         return sums
 
     def _open_blocks(self, words: Indices) -> None:
-        """Append an empty block to the chain of each of the words whose last block is full, or that has none."""
+        """Append an empty block to the chain of each word whose last block is full, or that has no block."""
         full = words[self._postings[words] % BLOCK == 0]
         if len(full) == 0:
             return
@@ -111,9 +111,15 @@ def _accumulate(
     values: NDArray[np.uint16],
     sums: Floats,
 ) -> None:
-    """Add to the sums (M,) of the first M sequences what the words (K,) of a query contribute.
+    """Add the contributions of the words (K,) of a query to the sums (M,) of the first M sequences.
 
-    chains: (K, 2), the first block of each word and how many postings it has; sequences rise along a chain.
+    Args:
+        chains: (K, 2) first block of each word and its number of postings; sequences rise along a chain.
+        weights: (K,) weight of each word in the query.
+        following: (B,) next block of each block.
+        sequences: (B, BLOCK) sequence of each posting.
+        values: (B, BLOCK) weight of each posting.
+        sums: (M,) to be added to.
     """
     for k in range(len(chains)):
         block, left = chains[k]

@@ -1,4 +1,4 @@
-"""Words of binary descriptors: a tree of k-majority clusters whose leaves are the words.
+"""Hierarchical k-majority: a tree of clusters of binary descriptors, whose leaves are the words.
 
 k-majority: Grana, Borghesani, Manfredi, Cucchiara, 'A fast approach for integrating ORB descriptors in the bag of words
 model', SPIE 8667, 2013; the tree: Galvez-Lopez, Tardos, TRO 28(5) 2012, section III. Distances are Hamming's, a centre
@@ -13,21 +13,24 @@ from numpy.typing import NDArray
 Bits = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-ROUNDS = 15  # of assignment and vote; they have mostly settled after ten
-ROWS = 65536  # whose distances are worked out at a time: as floats they take four times their room
+ROUNDS = 15  # of assignment and vote; most clusters are stable after ten
+ROWS = 65536  # descriptors compared at a time: as float32 they take four times the memory of their bytes
 
 
 def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator) -> Bits:
-    """Words (W, D) of descriptors (N, D), W at most `words`; fewer where the descriptors do not differ enough.
+    """Cluster binary descriptors into words.
 
-    The tree grows where most descriptors share a leaf, instead of level by level: so any number of words comes out, and
-    dense regions get the finer ones.
+    The tree grows where most descriptors share a leaf, not level by level: so it has any number of leaves, and the
+    finer ones in dense regions.
 
     Args:
-        bits: the descriptors.
-        words: leaves wanted.
-        branching: children of a node, at most.
-        rng: for the choice of first centres (k-means++).
+        bits: (N, D) descriptors.
+        words: number of words.
+        branching: maximum number of children of a node.
+        rng: generator for the choice of first centres (k-means++).
+
+    Returns:
+        (W, D) words; W is less than `words` where the descriptors do not differ enough.
     """
     order = 0
     leaves: list[tuple[int, int, Indices]] = [(-len(bits), order, np.arange(len(bits)))]
@@ -47,7 +50,7 @@ def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator)
 
 
 def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]:
-    """Rows of bits in groups, none empty; one group where all are the same."""
+    """Return the rows of each cluster, none empty; one cluster where all descriptors are the same."""
     centres = _first_centres(bits, clusters, rng)
     nearest = np.full(len(bits), -1)
     for _ in range(ROUNDS):
@@ -59,7 +62,7 @@ def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]
 
 
 def _first_centres(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
-    # k-means++: each next centre with a chance that grows with the square of its distance from those so far
+    # k-means++: each next centre is drawn with a probability that grows with its squared distance from those so far.
     centres = [bits[rng.integers(len(bits))]]
     far = _hamming(bits, centres[0])
     while len(centres) < clusters and far.any():
@@ -78,7 +81,8 @@ def _hamming(bits: Bits, centre: Bits) -> Indices:
 
 
 def _nearest(bits: Bits, centres: Bits) -> Indices:
-    """The centre (N,) at the least Hamming distance; products of whole numbers, which no order of summation changes."""
+    """Find the centre (N,) at the least Hamming distance."""
+    # Agreeing bits are counted by a matrix product; its whole numbers are exact in any order of summation.
     signs = centres.astype(np.float32).T * 2 - 1
     zeros = np.count_nonzero(~centres, axis=1)
     blocks = (bits[begin : begin + ROWS].astype(np.float32) for begin in range(0, len(bits), ROWS))

@@ -1,4 +1,4 @@
-"""Where the present ends and the past begins, for recognisers that know images only as a whole."""
+"""The exclusion window of recognisers that compare whole images: how many of the images so far are past."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -13,94 +13,84 @@ from place_recognition.image_processing.thumbnail import (
     make_thumbnail,
     mean_absolute_difference,
 )
-from place_recognition.map.growing import GrowingArray
+from place_recognition.map.image_timeline import Ids, ImageTimeline
 
 Picture = NDArray[np.uint8]
 
-STEPS = 8  # images by which the beginning of the present view advances at most for each new image
+MAX_VIEW_STEPS = 8  # as that of ImageHistory
 
 
 @dataclass(frozen=True)
-class PresentViewConfig:
-    """What counts as the present rather than the past.
+class ExclusionWindowConfig:
+    """Extent of the exclusion window before the latest image.
 
     Attributes:
-        least_gap: images between the beginning of the present view and the latest image that may be matched.
-        least_way: way between an image and its match, metres; ignored while no way has been measured.
-        connected: mean absolute difference of the thumbnails of two images of one view, at most, grey levels. In
-            simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated ones by 42,
-            only one in twenty of them by less than 36.
-        thumbnail: what is compared.
-        exclusion: images nearer than this to the latest are never matched, whatever the rest says; 0 leaves it to
-            the rest. For comparisons with papers, which exclude a time.
+        min_gap_frames: number of images between the beginning of the present view and the latest match candidate.
+        min_distance_m: minimum path length between an image and its match; ignored while no distance is measured.
+        max_thumbnail_difference: maximum mean absolute difference of the thumbnails of two images of one view, gray
+            levels. In simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated
+            ones by 42, only one in twenty of them by less than 36.
+        thumbnail: size and normalisation of the thumbnails.
+        exclusion_frames: images nearer than this to the latest one are never matched, whatever the view; 0 leaves it to
+            the view. For comparisons with papers, which exclude a time.
     """
 
-    least_gap: int = 10
-    least_way: float = 20.0
-    connected: float = 32.0
+    min_gap_frames: int = 10
+    min_distance_m: float = 20.0
+    max_thumbnail_difference: float = 32.0
     thumbnail: ThumbnailConfig = field(default_factory=ThumbnailConfig)
-    exclusion: int = 0
+    exclusion_frames: int = 0
 
 
-class PresentView:
-    """Ids and ways of all images, by location (0, 1, 2, ...), and how many of them are past.
+class ExclusionWindow:
+    """Ids and distances of all images, by location (0, 1, 2, ...), and how many of them may be matched.
 
-    `Route` finds the beginning of the present view by local features; this one by whole images, which tell a standing
-    camera from a moving one. A fixed number of images and a way are kept besides.
+    `ImageHistory` finds the beginning of the present view by local features; this one by thumbnails, which tell a
+    standing camera from a moving one. A fixed number of images and a distance are excluded besides.
     """
 
-    def __init__(self, config: PresentViewConfig | None = None) -> None:
-        self.config = config or PresentViewConfig()
-        self._ids: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._ways: GrowingArray[np.float64] = GrowingArray(np.float64)
-        self._view: deque[Picture] = deque()  # of the images since the beginning of the present view
+    def __init__(self, config: ExclusionWindowConfig | None = None) -> None:
+        self.config = config or ExclusionWindowConfig()
+        self._timeline = ImageTimeline()
+        self._view: deque[Picture] = deque()  # thumbnails from the beginning of the present view on
 
     @property
-    def ids(self) -> NDArray[np.int64]:
+    def ids(self) -> Ids:
         """(N,) id of the image at each location."""
-        return self._ids.rows.reshape(-1)
+        return self._timeline.ids
 
-    def add(self, image_id: int, image: Picture, travelled: float) -> Picture:
-        """Append an image (H, W) and return its thumbnail.
+    def add(self, image_id: int, image: Picture, distance_travelled_m: float) -> Picture:
+        """Append an image and return its thumbnail.
 
         Args:
-            image_id: greater than the one before.
-            image: grey, uint8.
-            travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
+            image_id: greater than that of the image before.
+            image: (H, W) uint8, gray.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same value, where it is not
+                measured.
         """
         thumbnail = make_thumbnail(image, self.config.thumbnail)
-        if len(self.ids) and image_id <= self.ids[-1]:
-            raise ValueError(f"expected an image id greater than {self.ids[-1]}, got {image_id}")
-        self._ids.extend(np.array([image_id]))
-        self._ways.extend(np.array([travelled], np.float64))
+        self._timeline.add(image_id, distance_travelled_m)
         self._view.append(thumbnail)
         self._follow_view()
         return thumbnail
 
-    def past(self) -> int:
-        """Images that may be matched with the latest one: the first so many."""
-        begin, admitted = len(self._ids) - len(self._view), len(self._ids) - 1 - self.config.exclusion
-        return max(min(begin - self.config.least_gap, self._far_behind(), admitted) + 1, 0)
-
-    def _far_behind(self) -> int:
-        """The latest location that is far enough behind in way."""
-        ways = self._ways.rows
-        if not np.isfinite(ways[-1]) or ways[-1] == ways[0]:
-            return len(ways) - 1
-        return int(np.searchsorted(ways, ways[-1] - self.config.least_way, side="right")) - 1
+    def count_matchable(self) -> int:
+        """Count the first images that may be matched with the latest one."""
+        count = len(self._timeline)
+        before_view = count - len(self._view) - self.config.min_gap_frames
+        far_behind = self._timeline.last_behind(self.config.min_distance_m)
+        return max(min(before_view, far_behind, count - 1 - self.config.exclusion_frames) + 1, 0)
 
     def _follow_view(self) -> None:
-        """Let go of the images at the beginning of the view that are no longer like the latest one.
-
-        A blank image says nothing about where the view begins, and cannot be where it begins.
-        """
+        """Drop the images at the beginning of the view that are no longer like the latest one."""
         newest = self._view[-1]
         if is_blank(newest):
-            return
-        for _ in range(STEPS):
+            return  # a blank image resembles no other, and would end every view
+        for _ in range(MAX_VIEW_STEPS):
             begin = self._view[0]
-            alike = not is_blank(begin) and mean_absolute_difference(begin, newest) <= self.config.connected
-            if len(self._view) == 1 or alike:
+            limit = self.config.max_thumbnail_difference
+            is_alike = not is_blank(begin) and mean_absolute_difference(begin, newest) <= limit
+            if len(self._view) == 1 or is_alike:
                 return
             self._view.popleft()
 
@@ -116,5 +106,5 @@ class PresentView:
 
 
 def is_blank(thumbnail: Picture) -> bool:
-    """Whether there is nothing to see."""
+    """Whether a thumbnail shows no structure at all."""
     return bool((thumbnail == MIDDLE).all())

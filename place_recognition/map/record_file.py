@@ -1,4 +1,4 @@
-"""Records of one size, the latest in memory and the older ones in a temporary file."""
+"""A sequence of records of one size: the latest in memory, the older ones spilled to a temporary file."""
 
 import errno
 import os
@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 Record = NDArray[np.void]
 
 
-class RecordFile:
-    """Records in the order in which they were appended; its memory does not grow with their number.
+class SpillFile:
+    """Records in the order in which they were appended, in bounded memory.
 
-    The file has no name where the system allows it, so that it is gone with the process, however that ends. Reading
-    and writing go past the address space: pages of a mapped file would count as memory of the process.
+    The file has no name where the system allows it, so that it is gone with the process, however that ends. Records are
+    read and written by system calls (docs/decisions/feature_spilling.md).
+
+    Attributes:
+        dtype: structured type of a record.
     """
 
     def __init__(self, dtype: np.dtype[np.void], in_memory: int) -> None:
         self.dtype = dtype
-        self._latest = np.zeros(in_memory, dtype)  # a ring; untouched pages cost nothing
+        self._latest = np.zeros(in_memory, dtype)  # a ring buffer; pages that nothing was written to cost no memory
         self._count = 0
         self._file = tempfile.TemporaryFile(prefix="revisit-map-", buffering=0)  # noqa: SIM115 - lives as long as this
 
@@ -28,16 +31,16 @@ class RecordFile:
 
     @property
     def memory_bytes(self) -> int:
-        """What it takes of memory: pages of the ring that were never written do not exist."""
+        """Memory of the records in the ring buffer."""
         return min(self._count, len(self._latest)) * self.dtype.itemsize
 
     @property
     def disk_bytes(self) -> int:
-        """Size of the file."""
+        """Size of the temporary file."""
         return max(self._count - len(self._latest), 0) * self.dtype.itemsize
 
     def append(self, record: Record) -> None:
-        """Keep a record ().
+        """Append a record ().
 
         Raises:
             OSError: the disk is full.
@@ -49,7 +52,7 @@ class RecordFile:
         self._count += 1
 
     def read(self, index: int) -> Record:
-        """The record () of an index; good until the next one is appended."""
+        """Return the record () of an index, which is valid until the next one is appended."""
         if index >= self._count - len(self._latest):
             return self._latest[index % len(self._latest)]
         size = self.dtype.itemsize
@@ -79,11 +82,11 @@ class RecordFile:
         try:
             written = os.pwrite(self._file.fileno(), record.tobytes(), index * size)
         except OSError as error:
-            raise OSError(error.errno, f"{self._full(index)}: {error.strerror}") from error
+            raise OSError(error.errno, f"{self._disk_full_message(index)}: {error.strerror}") from error
         if written < size:
-            raise OSError(errno.ENOSPC, self._full(index))
+            raise OSError(errno.ENOSPC, self._disk_full_message(index))
 
-    def _full(self, index: int) -> str:
+    def _disk_full_message(self, index: int) -> str:
         needed = self.dtype.itemsize * (index + 1) / 1e9
         return (
             f"cannot keep the features of older images in {tempfile.gettempdir()} ({needed:.1f} GB so far); "

@@ -1,4 +1,4 @@
-"""The map of both paradigms of sequences: which images make up each sequence, and which words are in it."""
+"""The map of sequences: the images of each sequence, and an inverted index of its words."""
 
 from typing import Any
 
@@ -13,7 +13,11 @@ Indices = NDArray[np.int64]
 
 
 class SequenceMap:
-    """Sequences of images, counted from 0 in the order in which they ended; together they are the whole drive."""
+    """Sequences of images, numbered from 0 in the order in which they ended; together they are the whole drive.
+
+    Attributes:
+        index: inverted index of the word vectors of all sequences.
+    """
 
     def __init__(self, words: int) -> None:
         self.index = InvertedIndex(words)
@@ -23,24 +27,24 @@ class SequenceMap:
         return len(self._lasts)
 
     def add(self, last: int, vector: WordVector) -> None:
-        """Append the sequence that ends with the image at location `last` and begins where the one before ended."""
+        """Append the sequence that ends at location `last` and begins behind the end of the sequence before."""
         self._lasts.extend(np.array([last]))
         self.index.add(vector)
 
-    def ended_by(self, location: int) -> int:
-        """How many sequences end at a location or before."""
+    def count_ended_by(self, location: int) -> int:
+        """Count the sequences that end at a location or before."""
         return int(np.searchsorted(self._ends, location, side="right"))
 
-    def containing(self, location: int) -> int:
-        """The sequence of the image at a location; `len(self)` for one in a sequence that has not ended."""
+    def sequence_of(self, location: int) -> int:
+        """Find the sequence of the image at a location; `len(self)` where its sequence has not ended."""
         return int(np.searchsorted(self._ends, location, side="left"))
 
     def first(self, sequences: Indices) -> Indices:
-        """Location (K,) of the first image of each sequence (K,)."""
+        """Return the location (K,) of the first image of each sequence (K,)."""
         return np.where(sequences > 0, self._ends[np.maximum(sequences - 1, 0)] + 1, 0)
 
-    def images_around(self, sequences: Indices) -> Indices:
-        """Locations (M,), rising, of the images of sequences (K,) and of the ones just before and after each."""
+    def images_near(self, sequences: Indices) -> Indices:
+        """Return the locations (M,), rising, of the images of sequences (K,) and of the sequences next to each."""
         near = np.unique(sequences[:, None] + np.arange(-1, 2))
         near = near[(near >= 0) & (near < len(self))]
         first, last = self.first(near), self._ends[near]

@@ -1,6 +1,6 @@
-"""Where one sequence of images ends and the next begins: after a fixed way, or when the view has changed.
+"""Segmentation of a drive into sequences of images: by distance, or by visual word variance.
 
-Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed way) and IJRR 37(1) 2018 (visual word variance).
+Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed distance) and IJRR 37(1) 2018 (visual word variance).
 """
 
 from dataclasses import dataclass
@@ -13,14 +13,15 @@ Indices = NDArray[np.int64]
 
 
 class Segmentation(Protocol):
-    """Cuts a drive into sequences that do not overlap."""
+    """Divides a drive into sequences that do not overlap."""
 
-    def begins(self, words: Indices, travelled: float) -> bool:
-        """Whether the next image begins a new sequence; the very first one does.
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image starts a new sequence; the very first image does.
 
         Args:
-            words: (N,) its words.
-            travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
+            words: (N,) visual words of the image.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same value, where it is not
+                measured.
         """
         ...
 
@@ -34,41 +35,42 @@ class Segmentation(Protocol):
 
 
 @dataclass(frozen=True)
-class FixedWayConfig:
-    """How long a sequence is.
+class FixedDistanceConfig:
+    """Length of a sequence.
 
     Attributes:
-        way: metres; 3 to 6 were tried in the paper.
-        images: where no way is measured, so many images instead: the paper's 5 m at 10 m/s and 10 images a second.
-        most: images at which a sequence ends even if the car has hardly moved, as at a red light.
+        distance_m: length of the path of a sequence; the paper tried 3 m to 6 m.
+        unmeasured_images: number of images of a sequence where no distance is measured: the paper's 5 m at 10 m/s and
+            10 images a second.
+        max_images: number of images at which a sequence ends even if the car has hardly moved, as at a red light.
     """
 
-    way: float = 5.0
-    images: int = 5
-    most: int = 20
+    distance_m: float = 5.0
+    unmeasured_images: int = 5
+    max_images: int = 20
 
 
-class FixedWay:
-    """Sequences of a fixed way by odometry (a Segmentation)."""
+class FixedDistanceSegmentation:
+    """Sequences of a fixed path length by odometry (a Segmentation)."""
 
-    def __init__(self, config: FixedWayConfig | None = None) -> None:
-        self.config = config or FixedWayConfig()
-        self._drive_begin = self._begin = float("nan")
+    def __init__(self, config: FixedDistanceConfig | None = None) -> None:
+        self.config = config or FixedDistanceConfig()
+        self._first_distance_m = self._start_distance_m = float("nan")
         self._images = 0
 
-    def begins(self, words: Indices, travelled: float) -> bool:
-        """Whether the next image is too far from the first one of its sequence, or one too many."""
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image is too far from the first image of its sequence, or exceeds their number."""
         if self._images == 0:
-            self._drive_begin = travelled
+            self._first_distance_m = distance_travelled_m
         # NaN compares as False: then the number of images decides.
-        measured = np.isfinite(travelled) and travelled != self._drive_begin
-        far = measured and travelled - self._begin >= self.config.way
-        full = self._images >= (self.config.most if measured else self.config.images)
-        begins = self._images == 0 or far or full
-        if begins:
-            self._begin, self._images = travelled, 0
+        is_measured = np.isfinite(distance_travelled_m) and distance_travelled_m != self._first_distance_m
+        is_far = is_measured and distance_travelled_m - self._start_distance_m >= self.config.distance_m
+        is_full = self._images >= (self.config.max_images if is_measured else self.config.unmeasured_images)
+        starts = self._images == 0 or is_far or is_full
+        if starts:
+            self._start_distance_m, self._images = distance_travelled_m, 0
         self._images += 1
-        return bool(begins)
+        return bool(starts)
 
     def state(self) -> dict[str, Any]:
         """Where the drive and the open sequence began, for a checkpoint."""
@@ -82,19 +84,21 @@ class FixedWay:
 
 @dataclass(frozen=True)
 class WordVarianceConfig:
-    """When the view has changed.
+    """Change of the view that ends a sequence.
+
+    The variance of an image is the share of its distinct words that its sequence has not shown yet.
 
     Attributes:
-        limit: a sequence ends before an image of which a greater share of the distinct words is new to it.
-        of_usual: or, if that is more, a greater share than this times what is usually new from one image to the next.
-        least: images of a sequence before this is asked.
-        most: images at which it ends anyway.
+        min_variance: a sequence ends before an image of a greater variance than this,
+        min_variance_ratio: and than this many times the usual variance from one image to the next.
+        min_images: number of images of a sequence before its variance is tested.
+        max_images: number of images at which a sequence ends in any case.
     """
 
-    limit: float = 0.0
-    of_usual: float = 1.0
-    least: int = 2
-    most: int = 10
+    min_variance: float = 0.0
+    min_variance_ratio: float = 1.0
+    min_images: int = 2
+    max_images: int = 10
 
 
 class WordVariance:
@@ -107,29 +111,30 @@ class WordVariance:
         self._latest = np.empty(0, np.int64)
         self._changes = np.zeros(2)  # sum and number of the variances from one image to the next
 
-    def begins(self, words: Indices, travelled: float) -> bool:
-        """Whether the next image shows too much that its sequence has not shown, or is one too many."""
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image shows too many words that are new to its sequence, or exceeds its number of images."""
         distinct = np.unique(words)
-        self._learn_usual(distinct)
-        begins = self._images == 0 or self._images >= self.config.most or self._changed(distinct)
-        if begins:
+        self._update_usual(distinct)
+        starts = self._images == 0 or self._images >= self.config.max_images or self._has_changed(distinct)
+        if starts:
             self._seen[:] = False
             self._images = 0
         self._seen[distinct] = True
         self._images += 1
-        return begins
+        return starts
 
-    def _changed(self, distinct: Indices) -> bool:
-        if self._images < self.config.least or len(distinct) == 0:
+    def _has_changed(self, distinct: Indices) -> bool:
+        if self._images < self.config.min_images or len(distinct) == 0:
             return False
         variance = 1.0 - float(np.mean(self._seen[distinct]))
-        return variance > max(self.config.limit, self.config.of_usual * self._usual())
+        return variance > max(self.config.min_variance, self.config.min_variance_ratio * self._usual_variance())
 
-    def _usual(self) -> float:
-        """Mean variance from one image to the next so far; 0 before the second image."""
+    def _usual_variance(self) -> float:
+        """Return the mean variance from one image to the next so far; 0 before the second image."""
         return float(self._changes[0] / max(self._changes[1], 1))
 
-    def _learn_usual(self, distinct: Indices) -> None:
+    def _update_usual(self, distinct: Indices) -> None:
+        # An image without words measures no change, and is no image to compare the next one with.
         if len(distinct) and len(self._latest):
             self._changes += [1.0 - float(np.mean(np.isin(distinct, self._latest, assume_unique=True))), 1]
         if len(distinct):

@@ -1,4 +1,4 @@
-"""A cell of like vectors cut into two: 2-means from two members far apart, the same each time."""
+"""Compiled split of a cell of the word tree into two: 2-means from two members far apart, without any chance."""
 
 import numpy as np
 from numba import njit
@@ -7,18 +7,24 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-ROUNDS = 6  # more move hardly a member
+ROUNDS = 6  # of assignment and mean; further ones move hardly a member
 
 
 @njit(cache=True)
-def second_side(members: Floats, least: int) -> Flags:
-    """Which of the members (N, D) are on the second side of 2-means, neither side having fewer than the least."""
+def split_in_two(members: Floats, min_members: int) -> Flags:
+    """Mark the members (N, D) of the second cluster of 2-means.
+
+    Args:
+        members: (N, D) float32.
+        min_members: minimum number of members of either cluster.
+    """
     first, second = _far_apart(members)
     moved = np.empty(len(members), np.bool_)
     for _ in range(ROUNDS):
         side = _distances(members, first) - _distances(members, second)
         nearer = np.count_nonzero(side <= 0)
-        border = min(max(nearer, least), len(members) - least)
+        # The clusters are divided at a rank, not at 0: so neither is too small, and the tree stays balanced.
+        border = min(max(nearer, min_members), len(members) - min_members)
         for k in range(len(members)):
             moved[k] = _rank(side, k) >= border
         first, second = _mean_of(members, ~moved), _mean_of(members, moved)
@@ -27,10 +33,8 @@ def second_side(members: Floats, least: int) -> Flags:
 
 @njit(cache=True)
 def _distances(members: Floats, centre: Floats) -> Floats:
-    """Squared Euclidean distance (N,) of members (N, D) from a centre (D,).
-
-    Not by a BLAS, whose bits depend on its threads.
-    """
+    """Compute the squared Euclidean distance (N,) of members (N, D) from a centre (D,)."""
+    # Not by a BLAS, whose bits depend on its number of threads.
     distances = np.zeros(len(members), np.float32)
     for k in range(len(members)):
         for i in range(len(centre)):
@@ -41,7 +45,8 @@ def _distances(members: Floats, centre: Floats) -> Floats:
 
 @njit(cache=True)
 def _rank(values: Floats, index: int) -> int:
-    """How many values (N,) come before one in order; of equal ones the first comes first."""
+    """Count the values (N,) that come before one in order; the first of equal ones comes first."""
+    # No branch in the loop, so that the compiler can make it SIMD.
     before, value = 0, values[index]
     for k in range(len(values)):
         before += values[k] < value or (values[k] == value and k < index)
@@ -50,7 +55,7 @@ def _rank(values: Floats, index: int) -> int:
 
 @njit(cache=True)
 def _far_apart(members: Floats) -> tuple[Floats, Floats]:
-    """The member farthest from the mean and the one farthest from that."""
+    """Find the member farthest from the mean, and the member farthest from that."""
     mean = _mean_of(members, np.ones(len(members), np.bool_))
     first = members[_distances(members, mean).argmax()]
     return first, members[_distances(members, first).argmax()]
@@ -58,6 +63,7 @@ def _far_apart(members: Floats) -> tuple[Floats, Floats]:
 
 @njit(cache=True)
 def _mean_of(members: Floats, chosen: Flags) -> Floats:
+    """Average the chosen members (N, D)."""
     total = np.zeros(members.shape[1], np.float32)
     for k in range(len(members)):
         if chosen[k]:

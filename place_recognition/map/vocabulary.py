@@ -1,7 +1,7 @@
-"""A pre-trained visual vocabulary: some thousand descriptors that stand for all (chapter, 4.2.1.2 and Figure 4.4).
+"""A pre-trained visual vocabulary: some thousand descriptors that represent all (chapter, 4.2.1.2 and Figure 4.4).
 
-The one that ships has 10,000 words. It was trained on simulated towns, photographs and surfaces of games and has seen
-no recorded drive; `benchmarks/default_vocabulary.py` builds it again, data/README.md names the material.
+The one that ships has 10,000 words. It was trained on simulated towns, photographs and surfaces of games, and on no
+recorded drive (docs/decisions/default_vocabulary.md).
 """
 
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ DEFAULT_FILE = "default.vocabulary"
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words, and how much each tells about where one is.
+    """Visual words and their weights.
 
     Attributes:
-        kind: of the features that the words are made of (FeatureExtractor.kind), for example "surf-upright-64".
-        words: (W, D), on the scale of the descriptors; at least one.
-        weights: (W,) inverse document frequencies, log(N / N_i) over the N training features, N_i of them in word i
-            (Bampis, Amanatiadis, Gasteratos, IROS 2016, eq. 3).
+        kind: kind of the features that the words are made of (FeatureExtractor.kind), for example "surf-upright-64".
+        words: (W, D) float32 words on the scale of the descriptors; at least one.
+        weights: (W,) float32 inverse document frequencies, log(N / N_i) over the N training features, N_i of them in
+            word i (Bampis, Amanatiadis, Gasteratos, IROS 2016, eq. 3).
 
     Raises:
-        ValueError: shapes that do not belong together, no word, or numbers that are not finite.
+        ValueError: the shapes do not agree, there is no word, or there are numbers that are not finite.
     """
 
     kind: str
@@ -50,10 +50,10 @@ class Vocabulary:
         return len(self.words)
 
     def assign(self, descriptors: Floats) -> Indices:
-        """The nearest word (N,) of each descriptor (N, D), Euclidean and exact; of equally near ones the first.
+        """Find the nearest word (N,) of each descriptor (N, D), Euclidean and exact; the first of equally near ones.
 
         Raises:
-            ValueError: descriptors of another length than the words.
+            ValueError: the descriptors have another length than the words.
         """
         if len(descriptors) == 0:
             return np.empty(0, np.int64)
@@ -62,10 +62,10 @@ class Vocabulary:
         return nearest_words(descriptors, self.words)
 
     def require(self, kind: str) -> "Vocabulary":
-        """Itself, if its words are made of such features.
+        """Return the vocabulary itself if its words are made of features of a kind.
 
         Raises:
-            ValueError: they are not.
+            ValueError: the words are made of other features.
         """
         if kind != self.kind:
             raise ValueError(
@@ -76,7 +76,7 @@ class Vocabulary:
 
 
 def save_vocabulary(path: Path, vocabulary: Vocabulary) -> None:
-    """Write a vocabulary; `load_vocabulary` gives the same bits back. The file appears whole or not at all.
+    """Write a vocabulary, whole or not at all; `load_vocabulary` returns the same bits.
 
     Raises:
         OSError: the file cannot be written.
@@ -88,8 +88,8 @@ def load_vocabulary(path: Path) -> Vocabulary:
     """Read a vocabulary.
 
     Raises:
-        ValueError: missing, foreign, of another version or damaged; one line that names the file, what was expected
-            and found, and the remedy.
+        ValueError: the file is missing, of another type or version, or damaged; one line that names the file, what was
+            expected and found, and the remedy.
     """
     contents = read_contents(path)
     try:
@@ -101,7 +101,7 @@ def load_vocabulary(path: Path) -> Vocabulary:
 
 
 def default_vocabulary() -> Vocabulary:
-    """The general vocabulary that ships with the package, of "surf-upright-64" features."""
+    """Load the general vocabulary that ships with the package, of "surf-upright-64" features."""
     with as_file(files("place_recognition.map") / DEFAULT_FILE) as path:
         return load_vocabulary(path)
 

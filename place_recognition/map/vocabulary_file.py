@@ -1,7 +1,7 @@
-"""The file of a vocabulary: a line that says what it is, a line of JSON, the numbers, and a checksum over all that.
+"""The vocabulary file: a line with type and version, a line of JSON, the numbers, and a checksum of all of them.
 
-Plain bytes, never a pickle: whoever opens a file from elsewhere runs nothing. The checksum makes a flipped bit an error
-and not a slightly other vocabulary.
+Plain bytes, never a pickle, so that opening a file from elsewhere runs no code. By the checksum a flipped bit is an
+error and not a slightly different vocabulary.
 """
 
 import json
@@ -19,7 +19,7 @@ Floats = NDArray[np.float32]
 
 MAGIC = b"REVISIT VOCABULARY "
 VERSION = 1
-STEPS = 127  # words of "int8" are multiples of 1 / STEPS
+STEPS = 127  # words of the encoding "int8" are multiples of 1 / STEPS
 REMEDY = "copy it again, or make one with: revisit vocabulary train"
 
 _DIGEST = sha256().digest_size
@@ -27,7 +27,13 @@ _DIGEST = sha256().digest_size
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds: kind of the features, words (W, D) float32 and their weights (W,) float32."""
+    """Contents of a file.
+
+    Attributes:
+        kind: kind of the features that the words are made of.
+        words: (W, D) float32 words.
+        weights: (W,) float32 weights of the words.
+    """
 
     kind: str
     words: Floats
@@ -36,7 +42,7 @@ class Contents:
 
 @dataclass(frozen=True)
 class _Encoding:
-    """How words become bytes and come back; `unpack` gets the bytes and the shape."""
+    """Conversion of words to bytes (`pack`) and, with their shape, back (`unpack`)."""
 
     pack: Callable[[Floats], bytes]
     unpack: Callable[[bytes, tuple[int, int]], Floats]
@@ -50,11 +56,11 @@ def _unpack_bits(data: bytes, shape: tuple[int, int]) -> Floats:
 
 
 def bit_value(size: int) -> np.float32:
-    """What a bit of a binary descriptor of so many is worth as a float, + or -: together they have unit length."""
+    """Return the absolute value of each of `size` bits as a float: a binary descriptor then has unit length."""
     return np.float32(1 / np.sqrt(size))
 
 
-# The first that gives a vocabulary back as it was is taken.
+# In order of size: a vocabulary is written in the first encoding that loses nothing of it.
 _ENCODINGS = {
     "bits": _Encoding(lambda w: np.packbits(w > 0, axis=1).tobytes(), _unpack_bits, lambda size: (size + 7) // 8),
     "int8": _Encoding(
@@ -71,13 +77,13 @@ _ENCODINGS = {
 
 
 def round_to_steps(words: Floats) -> Floats:
-    """Words (W, D) moved to the nearest multiples of 1 / STEPS: they take a byte a number in a file, without loss."""
+    """Round words (W, D) to multiples of 1 / STEPS, which a file holds in a byte a number without loss."""
     encoding = _ENCODINGS["int8"]
     return encoding.unpack(encoding.pack(words), (len(words), words.shape[1]))
 
 
 def write_contents(path: Path, contents: Contents) -> None:
-    """Write a file; it appears whole or not at all.
+    """Write a file, whole or not at all.
 
     Raises:
         OSError: the folder is missing or cannot be written.
@@ -95,8 +101,8 @@ def read_contents(path: Path) -> Contents:
     """Read a file.
 
     Raises:
-        ValueError: missing, foreign, of another version or damaged; names the file, what was expected and found, and
-            the remedy.
+        ValueError: the file is missing, of another type or version, or damaged; the message names the file, what was
+            expected and found, and the remedy.
     """
     try:
         data = path.read_bytes()
@@ -110,7 +116,7 @@ def read_contents(path: Path) -> Contents:
 
 
 class _UnreadableError(Exception):
-    """Says what was expected and what was found."""
+    """A file cannot be read; the message is what was expected and what was found."""
 
 
 def _encode(contents: Contents) -> bytes:

@@ -1,4 +1,4 @@
-"""Where a word is found again: the nearest of all words of a growing map."""
+"""Word indices: find the nearest of all words of a growing map."""
 
 from typing import Any, Protocol
 
@@ -12,14 +12,14 @@ from place_recognition.map.growing import GrowingArray
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-BLOCK = 128  # words compared at a time: they stay in the cache
+BLOCK = 128  # words compared at a time: 32 kB of 64 floats each, so that they stay in the cache for all queries
 
 
 class WordIndex(Protocol):
-    """Words in the order in which they were added, each found by its descriptor."""
+    """Words in the order in which they were added, found by their descriptors."""
 
     def __len__(self) -> int:
-        """Words so far."""
+        """Number of words so far."""
         ...
 
     def add(self, descriptors: Floats) -> None:
@@ -27,7 +27,7 @@ class WordIndex(Protocol):
         ...
 
     def nearest(self, query: Floats) -> Indices:
-        """The nearest word (N,) of each query descriptor (N, D), Euclidean; needs at least one word."""
+        """Find the nearest word (N,) of each query descriptor (N, D), Euclidean; needs at least one word."""
         ...
 
     def state(self) -> Any:
@@ -40,7 +40,7 @@ class WordIndex(Protocol):
 
 
 class ExactWordIndex:
-    """Compares every word (a WordIndex)."""
+    """Compares a query with every word (a WordIndex)."""
 
     def __init__(self) -> None:
         self._words: GrowingArray[np.float32] = GrowingArray(np.float32)
@@ -54,7 +54,7 @@ class ExactWordIndex:
             self._words.extend(descriptors)
 
     def nearest(self, query: Floats) -> Indices:
-        """The nearest word (N,) of each query descriptor (N, D); of equally near ones the first."""
+        """Find the nearest word (N,) of each query descriptor (N, D); the first of equally near ones."""
         return nearest_words(query, self._words.rows)
 
     def state(self) -> Any:
@@ -68,15 +68,22 @@ class ExactWordIndex:
 
 @njit(cache=True)
 def nearest_words(query: Floats, words: Floats) -> Indices:
-    """Index (N,) of the word (K, D) at the least Euclidean distance of each query descriptor (N, D); exact.
+    """Find the word (K, D) at the least Euclidean distance of each query descriptor (N, D), by comparing all.
 
-    Needs at least one word. Of equally near words the first.
+    Args:
+        query: (N, D) float32.
+        words: (K, D) float32, K at least 1.
+
+    Returns:
+        (N,) index of the nearest word; the first of equally near ones.
     """
     nearest = np.zeros(len(query), np.int64)
     best = np.full(len(query), -np.inf, np.float32)
+    # Blocks outside, queries inside: each block is read from memory once, and from the cache for every query.
     for begin in range(0, len(words), BLOCK):
+        # Words as columns: the products of one number of a query with all words of the block are one SIMD loop.
         block = np.ascontiguousarray(words[begin : begin + BLOCK].T)
-        # |q - w|^2 is least where q.w - |w|^2 / 2 is greatest
+        # |q - w|^2 = |q|^2 - 2 (q.w - |w|^2 / 2) is least where q.w - |w|^2 / 2, the closeness, is greatest.
         penalty = np.zeros(block.shape[1], np.float32)
         for k in range(len(block)):
             penalty -= np.float32(0.5) * block[k] * block[k]
@@ -85,6 +92,6 @@ def nearest_words(query: Floats, words: Floats) -> Indices:
             closeness[:] = penalty
             add_products(query[i], block, closeness)
             index = closeness.argmax()
-            if closeness[index] > best[i]:
+            if closeness[index] > best[i]:  # not >=: the first of equally near words stays
                 nearest[i], best[i] = begin + index, closeness[index]
     return nearest

@@ -1,4 +1,4 @@
-"""Searching and growing a balanced tree of cells of like vectors: the compiled part of `WordTree`.
+"""Compiled search and insertion of `WordTree`, a balanced tree of cells of like vectors.
 
 A node holds up to CAPACITY entries: words in a leaf, nodes above. The vectors of a node's entries are the columns of a
 small matrix of bytes, which one compiled product compares with a query. Closeness of query q and vector w is
@@ -12,30 +12,30 @@ from numba import njit
 from numpy.typing import NDArray
 
 from place_recognition.belief.quantised_matching import add_integer_products, largest
-from place_recognition.map.two_means import second_side
+from place_recognition.map.two_means import split_in_two
 
 Bytes = NDArray[np.int8]
 Shorts = NDArray[np.int16]
 Integers = NDArray[np.int32]
 Indices = NDArray[np.int64]
 
-CAPACITY = 256
-LEAST_FILL = CAPACITY // 4  # entries of each half when a node is split: keeps the tree from growing deep
-DEEPEST = 16  # levels; at least LEAST_FILL^15 words
-REFINED = 8  # words nearest by bytes among which the nearest is sought: by bytes alone 8 in 100 go to a near tie
-FINE = 256  # steps of two bytes in one of one byte
-FAR = np.int16(-32767)
+CAPACITY = 256  # entries of a node
+MIN_FILL = CAPACITY // 4  # entries of each half of a node that is split: keeps the tree from growing deep
+MAX_LEVELS = 16  # room for MIN_FILL^15 words at least
+REFINED = 8  # candidates compared by two bytes: by one byte alone 8 in 100 queries get a near tie instead
+FINE = 256  # steps of a two-byte number in a step of a one-byte number
+FAR = np.int16(-32767)  # less than any closeness of unit vectors
 
 
 class Nodes(NamedTuple):
-    """All nodes, in pools that the class enlarges.
+    """All nodes of a tree, in pools of P nodes that `WordTree` enlarges.
 
     Attributes:
-        vectors: (P, D, CAPACITY) vectors of the entries, as columns.
-        half_norms: (P, CAPACITY) half their squared length.
-        entries: (P, CAPACITY) words or nodes.
-        counts: (P,) entries in use.
-        shape: (3,) nodes in use, the root, levels.
+        vectors: (P, D, CAPACITY) int8 vectors of the entries, as columns: words, or means of the nodes below.
+        half_norms: (P, CAPACITY) int16 half the squared length of each vector.
+        entries: (P, CAPACITY) int32 numbers of words in a leaf, of nodes above.
+        counts: (P,) int32 number of entries in use.
+        shape: (3,) number of nodes in use, number of the root, number of levels.
     """
 
     vectors: Bytes
@@ -47,8 +47,8 @@ class Nodes(NamedTuple):
 
 @njit(cache=True)
 def insert_words(nodes: Nodes, words: Shorts, first: int) -> None:
-    """Add words (K, D) of two bytes a number, counted from first on; the pools must have room."""
-    path, slots = np.empty(DEEPEST, np.int64), np.empty(DEEPEST, np.int64)
+    """Insert words (K, D) of two bytes a number, the first of which has number `first`; the pools must have room."""
+    path, slots = np.empty(MAX_LEVELS, np.int64), np.empty(MAX_LEVELS, np.int64)
     for k in range(len(words)):
         word = as_bytes(words[k])
         leaf = _descend(nodes, word, path, slots)
@@ -58,13 +58,13 @@ def insert_words(nodes: Nodes, words: Shorts, first: int) -> None:
 
 @njit(cache=True)
 def search_words(nodes: Nodes, words: Shorts, queries: Shorts, beam: int) -> Indices:
-    """The nearest word (N,) of each query (N, D) among those in the leaves that the beam reaches.
+    """Find the nearest word (N,) of each query (N, D) among the leaves that the beam reaches.
 
     Args:
-        nodes: the tree, of bytes.
-        words: (K, D) all words in two bytes a number, for the choice among those nearest by bytes.
-        queries: like the words.
-        beam: nodes followed on each level.
+        nodes: tree of one byte a number.
+        words: (K, D) all words in two bytes a number, for the choice among the nearest by one byte.
+        queries: (N, D) in two bytes a number.
+        beam: number of nodes followed on the last level but one.
     """
     found = np.empty(len(queries), np.int64)
     for k in range(len(queries)):
@@ -75,7 +75,7 @@ def search_words(nodes: Nodes, words: Shorts, queries: Shorts, beam: int) -> Ind
 
 @njit(cache=True)
 def as_bytes(fine: Shorts) -> Bytes:
-    """The upper of two bytes of each number (D,), rounded."""
+    """Round numbers (D,) of two bytes to the upper byte."""
     upper = np.empty(len(fine), np.int8)
     for k in range(len(fine)):
         upper[k] = (np.int32(fine[k]) + FINE // 2) // FINE
@@ -84,6 +84,7 @@ def as_bytes(fine: Shorts) -> Bytes:
 
 @njit(cache=True)
 def _nearest_of(near: Indices, words: Shorts, query: Shorts) -> int:
+    """Choose the nearest of a few words by two bytes a number; the first of equally near ones."""
     nearest, least = 0, np.inf
     for word in near:
         distance = 0.0
@@ -97,9 +98,10 @@ def _nearest_of(near: Indices, words: Shorts, query: Shorts) -> int:
 
 @njit(cache=True)
 def _near_words(nodes: Nodes, query: Bytes, beam: int) -> Indices:
-    """Level by level the entries of the nearest nodes, of which again the nearest; of the leaves' entries a few."""
+    """Search by a beam: keep the nearest entries of the nodes reached, level by level, and a few words at the end."""
     reached, closeness = np.array([nodes.shape[1]]), np.zeros(1, np.int16)
     for level in range(nodes.shape[2]):
+        # Upper levels have fewer nodes, of which half the beam is a larger share.
         wanted = beam if level + 2 == nodes.shape[2] else (beam + 1) // 2
         wanted = REFINED if level + 1 == nodes.shape[2] else wanted
         below, closeness = np.empty(wanted, np.int64), np.full(wanted, FAR)
@@ -110,12 +112,13 @@ def _near_words(nodes: Nodes, query: Bytes, beam: int) -> Indices:
 
 @njit(cache=True)
 def _nearest_entries(nodes: Nodes, query: Bytes, reached: Indices, entries: Indices, closeness: Shorts) -> int:
-    """Fill in the nearest entries of the nodes reached with how close they are, nearest first; returns how many."""
+    """Write the nearest entries of the nodes reached with their closeness, nearest first; return their number."""
     similarity = np.empty(CAPACITY, np.int16)
     filled, last = 0, len(entries) - 1
     for node in reached:
         count = nodes.counts[node]
         compare(nodes, node, query, similarity)
+        # One SIMD maximum dismisses a node without a nearer entry, which saves the walk over its entries.
         if largest(similarity[:count]) <= closeness[last]:
             continue
         for k in range(count):
@@ -127,7 +130,7 @@ def _nearest_entries(nodes: Nodes, query: Bytes, reached: Indices, entries: Indi
 
 @njit(cache=True)
 def _insert(entries: Indices, closeness: Shorts, entry: int, value: int) -> None:
-    """Put an entry in its place, nearest first, and drop the last."""
+    """Insert an entry in order, nearest first, and drop the last."""
     place = len(entries) - 1
     while place > 0 and closeness[place - 1] < value:
         entries[place], closeness[place] = entries[place - 1], closeness[place - 1]
@@ -137,7 +140,8 @@ def _insert(entries: Indices, closeness: Shorts, entry: int, value: int) -> None
 
 @njit(cache=True)
 def compare(nodes: Nodes, node: int, query: Bytes, out: Shorts) -> None:
-    """Closeness (CAPACITY,) of a query (D,) and the entries of a node; only its count is meaningful."""
+    """Write the closeness (CAPACITY,) of a query (D,) and the entries of a node; values past its count mean nothing."""
+    # Whole SIMD registers of 16 numbers: the loop needs no remainder, and the extra columns are never looked at.
     width = min((nodes.counts[node] + 15) // 16 * 16, CAPACITY)
     for k in range(width):
         out[k] = -nodes.half_norms[node, k]
@@ -146,7 +150,10 @@ def compare(nodes: Nodes, node: int, query: Bytes, out: Shorts) -> None:
 
 @njit(cache=True)
 def _descend(nodes: Nodes, word: Bytes, path: Indices, slots: Indices) -> int:
-    """The leaf where a word belongs, with the path to it: nodes from the root and the slot taken in each."""
+    """Find the leaf of a word by the nearest node of each level.
+
+    path and slots receive the nodes from the root on, and the entry taken in each.
+    """
     similarity = np.empty(CAPACITY, np.int16)
     path[0] = nodes.shape[1]
     for level in range(nodes.shape[2] - 1):
@@ -159,6 +166,7 @@ def _descend(nodes: Nodes, word: Bytes, path: Indices, slots: Indices) -> int:
 
 @njit(cache=True)
 def _append(nodes: Nodes, node: int, vector: Bytes, entry: int) -> None:
+    """Add an entry to a node that has room."""
     slot = nodes.counts[node]
     nodes.counts[node] = slot + 1
     nodes.entries[node, slot] = entry
@@ -167,6 +175,7 @@ def _append(nodes: Nodes, node: int, vector: Bytes, entry: int) -> None:
 
 @njit(cache=True)
 def _set_vector(nodes: Nodes, node: int, slot: int, vector: Bytes) -> None:
+    """Write the vector of an entry, and half its squared length."""
     square = np.int64(0)
     for k in range(len(vector)):
         nodes.vectors[node, k, slot] = vector[k]
@@ -191,6 +200,7 @@ def _split_overfull(nodes: Nodes, path: Indices, slots: Indices) -> None:
 
 @njit(cache=True)
 def _grow_root(nodes: Nodes, first: int, second: int) -> None:
+    """Put a new root above the halves of the old one; only here does the tree get a level."""
     root = nodes.shape[0]
     nodes.shape[0], nodes.shape[1], nodes.shape[2] = root + 1, root, nodes.shape[2] + 1
     _append(nodes, root, _mean(nodes, first), first)
@@ -199,6 +209,7 @@ def _grow_root(nodes: Nodes, first: int, second: int) -> None:
 
 @njit(cache=True)
 def _mean(nodes: Nodes, node: int) -> Bytes:
+    """Average the vectors of a node, rounded; whole numbers, so that no order of summing changes it."""
     count, dimension = nodes.counts[node], nodes.vectors.shape[1]
     mean = np.empty(dimension, np.int8)
     for k in range(dimension):
@@ -211,12 +222,12 @@ def _mean(nodes: Nodes, node: int) -> Bytes:
 
 @njit(cache=True)
 def _split(nodes: Nodes, node: int) -> int:
-    """Move the entries on one side of a node to a new one, which is returned."""
+    """Move the entries of one half of a node to a new node, and return that."""
     twin = nodes.shape[0]
     nodes.shape[0] = twin + 1
     members = np.ascontiguousarray(nodes.vectors[node].T)
     entries = nodes.entries[node].copy()
-    moved = second_side(members.astype(np.float32), LEAST_FILL)
+    moved = split_in_two(members.astype(np.float32), MIN_FILL)
     nodes.counts[node] = nodes.counts[twin] = 0
     for k in range(CAPACITY):
         _append(nodes, twin if moved[k] else node, members[k], entries[k])

@@ -1,8 +1,8 @@
-"""What visual words say of an image or a sequence: a vector of word weights, few of them not 0.
+"""Tf-idf vectors of visual words, of images and of sequences.
 
-Bampis, Amanatiadis, Gasteratos, IROS 2016, equations 1 to 4: the word vector of a sequence is made of the words of all
-its images, each as often as it occurs. The share of a word in them (term frequency) is multiplied by how rare it is in
-general (inverse document frequency): tf-idf.
+Bampis, Amanatiadis, Gasteratos, IROS 2016, equations 1 to 4: the vector of a sequence is made of the words of all its
+images, each as often as it occurs. The share of a word in them (term frequency) is multiplied by its rarity in general
+(inverse document frequency).
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class WordVector:
-    """A vector of unit length, or of no words at all.
+    """A sparse vector of unit length over all words, or an empty one.
 
     Attributes:
-        words: (K,) int64, those whose weight is not 0, rising.
-        values: (K,) float32, their weights.
+        words: (K,) int64 words whose weight is not 0, in rising order.
+        values: (K,) float32 weights of these words.
     """
 
     words: Indices
@@ -33,37 +33,37 @@ class WordVector:
     def __len__(self) -> int:
         return len(self.words)
 
-    def heaviest(self, count: int) -> "WordVector":
-        """The words of greatest weight, at most so many, with the values that they have; of equal ones the first."""
+    def strongest(self, count: int) -> "WordVector":
+        """Keep at most `count` words of greatest weight with their values; the first of equal ones."""
         if len(self) <= count:
             return self
         kept = np.sort(np.argsort(-self.values, kind="stable")[:count])
         return WordVector(self.words[kept], self.values[kept])
 
     def cosine(self, other: "WordVector") -> float:
-        """Cosine of the angle to another vector; 0 if either has no words."""
+        """Compute the cosine of the angle to another vector; 0 if either has no words."""
         _, mine, theirs = np.intersect1d(self.words, other.words, assume_unique=True, return_indices=True)
         return float(np.sum(self.values[mine].astype(np.float64) * other.values[theirs]))
 
 
-def word_vector(words: Indices, weights: Floats, power: float = 1.0) -> WordVector:
-    """Tf-idf vector of words (N,), each as often as it occurs, by the weights (W,) of all words.
+def word_vector(words: Indices, weights: Floats, tf_power: float = 1.0) -> WordVector:
+    """Make the tf-idf vector of an image or a sequence.
 
     Args:
-        words: below W, in any order.
-        weights: inverse document frequencies.
-        power: of the number of times that a word occurs; 1 is the paper's term frequency. Less keeps a fence from
-            counting as much as all else (burstiness: Jegou, Douze, Schmid, CVPR 2009).
+        words: (N,) words below W in any order, each as often as it occurs.
+        weights: (W,) inverse document frequencies of all words.
+        tf_power: exponent of the number of times that a word occurs; 1 is the paper's term frequency. Less keeps a
+            fence from counting as much as all else (burstiness: Jegou, Douze, Schmid, CVPR 2009).
     """
     distinct, counts = np.unique(words, return_counts=True)
-    values = counts**power * weights[distinct].astype(np.float64)
+    values = counts**tf_power * weights[distinct].astype(np.float64)
     known = values > 0
     length = max(float(np.linalg.norm(values[known])), 1e-12)
     return WordVector(distinct[known].astype(np.int64), (values[known] / length).astype(np.float32))
 
 
 class ImageWords:
-    """The words of every image, by location: two bytes a word in a vocabulary of up to 65,536."""
+    """The words of every image by location, two bytes a word in a vocabulary of up to 65,536 words."""
 
     def __init__(self, words: int) -> None:
         self._words: GrowingArray[np.uint16] | GrowingArray[np.uint32] = (
@@ -76,28 +76,32 @@ class ImageWords:
         return len(self._ends)
 
     def add(self, words: Indices) -> None:
-        """Keep the words (N,) of the next image."""
+        """Append the words (N,) of the next image."""
         self._words.extend(words)  # type: ignore[arg-type]
         self._ends.extend(np.array([len(self._words)]))
         self._images_with[np.unique(words)] += 1
 
-    def of(self, first: int, last: int) -> Indices:
-        """The words of the images from one location to another, both included, each as often as it occurs."""
+    def words_between(self, first: int, last: int) -> Indices:
+        """Return the words of the images from `first` to `last`, both included, each as often as it occurs."""
         ends = self._ends.rows.reshape(-1)
         begin = int(ends[first - 1]) if first else 0
         return self._words.rows.reshape(-1)[begin : int(ends[last])].astype(np.int64)
 
-    def likeness(self, query: int, locations: Indices) -> Floats:
-        """How alike the words of the image at a location are to those of others (K,): a correlation, at most about 1.
+    def correlation(self, query: int, locations: Indices) -> Floats:
+        """Correlate the words of the image at a location with those of other images: (K,), at most about 1.
 
-        Each word counts once, weighs by how rare it is among the images so far, and less so the share of them that has
-        it: what most images of a drive show, tells none from another. Tf-idf counts and general weights put the right
-        image among the best eight of a proposal in 0.89 of the revisits of simulated blocks, this in 0.94.
+        Each word counts once and is weighted by its rarity among the images so far. Weights are centred, so that words
+        present in most images carry no information. This puts the right image among the best eight of a proposal in
+        0.94 of the revisits of simulated blocks, tf-idf counts with general weights in 0.89.
+
+        Args:
+            query: location of the image.
+            locations: (K,) locations of the other images.
         """
         share = (self._images_with + 0.5) / (len(self) + 1.5)
         squares = np.log(share) ** 2
         present = np.zeros(len(share))
-        present[self.of(query, query)] = 1.0
+        present[self.words_between(query, query)] = 1.0
         length = np.sqrt(np.sum(squares * present))
         weights = np.stack([(present - share) * squares / max(length, 1e-12), squares], axis=1)
         ends = self._ends.rows.reshape(-1)
@@ -116,9 +120,9 @@ class ImageWords:
 
 @njit(cache=True)
 def _correlate(weights: Floats, words: NDArray[np.uint16], ends: Indices, locations: Indices) -> Floats:
-    """Product (K,) of a query with the words of each location, each counted once, over the length of the latter.
+    """Correlate a query with the words of each location (K,), each word counted once.
 
-    weights: (W, 2), what a word contributes to the product and to the squared length.
+    weights: (W, 2) contribution of a word to the product and to the squared length of the location's vector.
     """
     alike = np.zeros(len(locations), np.float32)
     counted = np.full(len(weights), -1, np.int64)
@@ -126,7 +130,7 @@ def _correlate(weights: Floats, words: NDArray[np.uint16], ends: Indices, locati
         product, square = np.float32(0), np.float32(1e-12)
         for k in range(ends[location - 1] if location else 0, ends[location]):
             word = words[k]
-            if counted[word] != i:
+            if counted[word] != i:  # the mark of this image: no array must be cleared between images
                 counted[word] = i
                 product += weights[word, 0]
                 square += weights[word, 1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from place_recognition.image_processing.extractors import make_extractor
-from place_recognition.image_processing.features import FeatureExtractor, SharedFeatures
+from place_recognition.image_processing.features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
@@ -45,30 +45,30 @@ class ParadigmsConfig:
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
 
-Builder = Callable[[SharedFeatures, ParadigmsConfig, RowSink | None], PlaceRecognizer]
+Builder = Callable[[FeatureCache, ParadigmsConfig, RowSink | None], PlaceRecognizer]
 
 
-def _sequence_histograms(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _sequence_histograms(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     return SequenceHistograms(features, _vocabulary(config, features.kind), config.sequence_histograms, rows)
 
 
-def _dynamic_sequences(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _dynamic_sequences(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     return DynamicSequences(features, _vocabulary(config, features.kind), config.dynamic_sequences, rows)
 
 
-def _hierarchical_places(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _hierarchical_places(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     return HierarchicalPlaces(features, config.hierarchical_places, rows)
 
 
-def _tracked_words(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _tracked_words(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     return TrackedWords(features, config.tracked_words, rows)
 
 
-def _pixel_sequences(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _pixel_sequences(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     return PixelSequences(config.pixel_sequences, rows)
 
 
-def _global_descriptor(features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _global_descriptor(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
     descriptor = make_global_descriptor(config.descriptor)
     descriptor.describe(np.zeros((48, 64), np.uint8))  # a network that does not run is refused here, not midway
     return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
@@ -96,7 +96,7 @@ def local_features(config: ParadigmsConfig) -> FeatureExtractor:
 
 
 def build(
-    name: str, features: SharedFeatures, config: ParadigmsConfig | None = None, rows: RowSink | None = None
+    name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: RowSink | None = None
 ) -> PlaceRecognizer:
     """A recogniser that has seen nothing.
 
@@ -127,7 +127,9 @@ def _replaced(settings: Any, images: int) -> Any:
     if not dataclasses.is_dataclass(settings) or isinstance(settings, type):
         return settings
     inner = {item.name: getattr(settings, item.name) for item in dataclasses.fields(settings)}
-    changed = {name: images if name == "exclusion" else _replaced(value, images) for name, value in inner.items()}
+    changed = {
+        name: images if name == "exclusion_frames" else _replaced(value, images) for name, value in inner.items()
+    }
     return replace(settings, **changed)
 
 

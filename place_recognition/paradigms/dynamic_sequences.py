@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.belief.matrix_filter import LEARNT, FilterConfig
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.map.sequences import WordVariance, WordVarianceConfig
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
@@ -36,7 +36,7 @@ class DynamicSequencesConfig:
     @classmethod
     def published(cls) -> "DynamicSequencesConfig":
         """The paper's numbers: variance 0.75, which belongs to a vocabulary of a million words, and k' = 3.5."""
-        sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
+        sequences = WordVarianceConfig(min_variance=0.75, min_variance_ratio=0.0, min_images=1, max_images=1000)
         return cls(sequences, FilterConfig(LEARNT, 3.5), published_matching(3.5))
 
 
@@ -45,7 +45,7 @@ class DynamicSequences:
 
     def __init__(
         self,
-        features: SharedFeatures,
+        features: FeatureCache,
         vocabulary: Vocabulary,
         config: DynamicSequencesConfig | None = None,
         rows: RowSink | None = None,

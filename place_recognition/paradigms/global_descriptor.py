@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 from place_recognition.image_processing.global_descriptors import GlobalDescriptor
 from place_recognition.map.dense import DenseMap
-from place_recognition.map.present_view import PresentView, PresentViewConfig
+from place_recognition.map.present_view import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 
@@ -28,7 +28,7 @@ class GlobalDescriptorConfig:
     """
 
     threshold: float = 0.93
-    present: PresentViewConfig = field(default_factory=PresentViewConfig)
+    present: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
 
 
 class GlobalDescriptorMatching:
@@ -39,7 +39,7 @@ class GlobalDescriptorMatching:
     ) -> None:
         self.config = config or GlobalDescriptorConfig()
         self._descriptor = descriptor
-        self._present = PresentView(self.config.present)
+        self._present = ExclusionWindow(self.config.present)
         self._map = DenseMap()
         self._rows = NoRows() if rows is None else rows
 
@@ -51,10 +51,10 @@ class GlobalDescriptorMatching:
             image: (H, W) uint8, grey, of any size.
             travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
         """
-        check_grey(image)
+        check_gray(image)
         vector = self._descriptor.describe(image)
         self._present.add(image_id, image, travelled)
-        ids = self._present.ids[: self._present.past()]
+        ids = self._present.ids[: self._present.count_matchable()]
         similarities = self._map.similarities(vector, len(ids))
         self._rows.add(image_id, ids, similarities)
         self._map.add(vector)

@@ -12,7 +12,7 @@ of the chapter. What differs from the paper:
 * The last word has the `Judge` that all paradigms share: it adds temporal consistency, which the paper describes and
   its program leaves out, and its evidence adds to the score.
 * Each word votes once (`vote_for_places`); the last place is closed when the drive ends.
-* What is past is found out (`Route.horizon`) instead of 40 s.
+* What is past is found out (`ImageHistory.last_matchable`) instead of 40 s.
 * Geometry decides what is accepted: in a small map no votes are improbable enough, and twin streets share words.
 """
 
@@ -32,13 +32,12 @@ from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.verdicts import Verdicts
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.surf import check_grey
+from place_recognition.image_processing.features import FeatureCache, check_gray
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
-from place_recognition.map.places import PlaceConfig, PlaceFormation, PlaceMap
-from place_recognition.map.route import Route, RouteConfig
+from place_recognition.map.places import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
+from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.word_index import WordIndex
-from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 Floats = NDArray[np.float32]
@@ -78,9 +77,9 @@ class HierarchicalPlacesConfig:
     proposed: int = 6
     neighbours: int = 2
     seed: int = 0
-    place: PlaceConfig = field(default_factory=PlaceConfig)
+    place: PlaceSegmentationConfig = field(default_factory=PlaceSegmentationConfig)
     gas: GasConfig = field(default_factory=GasConfig)
-    route: RouteConfig = field(default_factory=RouteConfig)
+    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
     hindsight: HindsightConfig = field(default_factory=HindsightConfig)
@@ -90,7 +89,7 @@ class HierarchicalPlacesConfig:
         """The values of the paper's Table II and, for the gas, of its authors' program.
 
         All 300 features vote, one place is searched, places end by coherence alone and votes alone decide. The 40 s
-        are left to `RouteConfig.exclusion`, which counts images.
+        are left to `ImageHistoryConfig.exclusion_frames`, which counts images.
         """
         return cls(
             asked=300,
@@ -102,8 +101,8 @@ class HierarchicalPlacesConfig:
             chance=1e-12,
             hindsight=HindsightConfig.none(),
             proof=ProofConfig(verification=VerificationConfig(least_inliers=12)),
-            place=PlaceConfig(longest=NEVER),
-            gas=GasConfig(winner_step=0.8, neighbour_step=0.01, oldest=10),
+            place=PlaceSegmentationConfig(max_images=NEVER),
+            gas=GasConfig(winner_step=0.8, neighbor_step=0.01, max_edge_age=10),
         )
 
 
@@ -121,15 +120,15 @@ class HierarchicalPlaces:
 
     def __init__(
         self,
-        features: SharedFeatures,
+        features: FeatureCache,
         config: HierarchicalPlacesConfig | None = None,
         rows: RowSink | None = None,
-        index: Callable[[], WordIndex] = GrowingWordIndex,
+        index: Callable[[], WordIndex] = HybridWordIndex,
     ) -> None:
         self.config = config or HierarchicalPlacesConfig()
         self._features = features
-        self._route = Route(self.config.route)
-        self._open = PlaceFormation(self.config.place)
+        self._route = ImageHistory(self.config.route)
+        self._open = PlaceSegmentation(self.config.place)
         self._places = PlaceMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
         self._verdicts = Verdicts(self._route, self.config.hindsight)
@@ -153,12 +152,12 @@ class HierarchicalPlaces:
             image: (H, W) uint8, grey.
             travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
         """
-        check_grey(image)
-        features = self._features.of(image_id, image)
+        check_gray(image)
+        features = self._features.get(image_id, image)
         self._route.add(image_id, features, travelled)
         descriptors = features.descriptors[: self.config.features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
-        if len(descriptors) < self.config.place.least_features:
+        if len(descriptors) < self.config.place.min_features:
             return self._verdicts.add(Opinion.none(image_id))
         return self._verdicts.add(self._opinion(descriptors[: self.config.asked]))
 
@@ -175,8 +174,8 @@ class HierarchicalPlaces:
 
     def _opinion(self, descriptors: Floats) -> Opinion:
         """The opinion about the latest image, whose strongest descriptors (N, D) vote."""
-        horizon = self._route.horizon()
-        count = self._places.until(horizon)
+        horizon = self._route.last_matchable()
+        count = self._places.activate_until(horizon)
         ballot = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._show(ballot)
         proofs = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)

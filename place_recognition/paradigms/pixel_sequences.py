@@ -16,10 +16,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_grey
+from place_recognition.image_processing.features import check_gray
 from place_recognition.map.dense import absolute_differences
 from place_recognition.map.growing import GrowingArray
-from place_recognition.map.present_view import PresentView, PresentViewConfig, is_blank
+from place_recognition.map.present_view import ExclusionWindow, ExclusionWindowConfig, is_blank
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 Floats = NDArray[np.float32]
@@ -45,7 +45,7 @@ class PixelSequencesConfig:
     window: int = 10
     least_spread: float = 3.0
     threshold: float = 1.1
-    present: PresentViewConfig = field(default_factory=PresentViewConfig)
+    present: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
 
 
 class PixelSequences:
@@ -57,7 +57,7 @@ class PixelSequences:
 
     def __init__(self, config: PixelSequencesConfig | None = None, rows: RowSink | None = None) -> None:
         self.config = config or PixelSequencesConfig()
-        self._present = PresentView(self.config.present)
+        self._present = ExclusionWindow(self.config.present)
         self._pictures: GrowingArray[np.uint8] = GrowingArray(np.uint8)
         self._blank: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         length = self.config.length
@@ -74,7 +74,7 @@ class PixelSequences:
             image: (H, W) uint8, grey, of any size.
             travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
         """
-        check_grey(image)
+        check_gray(image)
         picture = self._present.add(image_id, image, travelled)
         blank = is_blank(picture)
         self._likeness.appendleft(np.empty(0, np.float32) if blank else self._compare(picture.ravel()))
@@ -96,7 +96,7 @@ class PixelSequences:
         return likeness
 
     def _believe(self, image_id: int, blank: bool) -> Belief:
-        ids = self._present.ids[: self._present.past()]
+        ids = self._present.ids[: self._present.count_matchable()]
         if blank or len(ids) == 0:
             return Belief(image_id, None, 0.0, accepted=False)
         self._rows.add(image_id, ids, self._likeness[0][: len(ids)].astype(np.float64))

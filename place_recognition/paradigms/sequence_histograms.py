@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.belief.matrix_filter import DIAGONAL, FilterConfig
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.map.sequences import FixedWay, FixedWayConfig
+from place_recognition.image_processing.features import FeatureCache
+from place_recognition.map.sequences import FixedDistanceConfig, FixedDistanceSegmentation
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.paradigms.sequence_matching import MatchingConfig, SequenceMatching, published_matching
 from place_recognition.recognizer import Belief, RowSink
@@ -28,14 +28,14 @@ class SequenceHistogramsConfig:
         matching: how sequences are matched, and then images.
     """
 
-    sequences: FixedWayConfig = field(default_factory=FixedWayConfig)
+    sequences: FixedDistanceConfig = field(default_factory=FixedDistanceConfig)
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
     matching: MatchingConfig = field(default_factory=MatchingConfig)
 
     @classmethod
     def published(cls) -> "SequenceHistogramsConfig":
         """The paper's numbers: 5 m (Table III), k = 0.32, 12 inliers."""
-        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), published_matching(0.32))
+        return cls(FixedDistanceConfig(distance_m=5.0), FilterConfig(DIAGONAL, 0.32), published_matching(0.32))
 
 
 class SequenceHistograms:
@@ -43,13 +43,13 @@ class SequenceHistograms:
 
     def __init__(
         self,
-        features: SharedFeatures,
+        features: FeatureCache,
         vocabulary: Vocabulary,
         config: SequenceHistogramsConfig | None = None,
         rows: RowSink | None = None,
     ) -> None:
         self.config = config or SequenceHistogramsConfig()
-        segmentation = FixedWay(self.config.sequences)
+        segmentation = FixedDistanceSegmentation(self.config.sequences)
         self._matching = SequenceMatching(features, vocabulary, segmentation, self.config.matching, self.config.filter)
         self._word_count = len(vocabulary)
         if rows is not None:

@@ -23,13 +23,12 @@ from place_recognition.belief.matrix_filter import CausalFilter, FilterConfig, n
 from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.verdicts import Verdicts
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.surf import check_grey
-from place_recognition.map.route import Route, RouteConfig
+from place_recognition.image_processing.features import FeatureCache, check_gray
+from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.sequence_map import SequenceMap
 from place_recognition.map.sequences import Segmentation
 from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.map.word_vectors import ImageWords, WordVector, word_vector
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
@@ -76,7 +75,7 @@ class MatchingConfig:
     images: int = 8
     worth: float = 10.0
     least_response: float = -100.0
-    route: RouteConfig = field(default_factory=RouteConfig)
+    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
     hindsight: HindsightConfig = field(default_factory=HindsightConfig)
@@ -141,7 +140,7 @@ class SequenceMatching:
 
     def __init__(
         self,
-        features: SharedFeatures,
+        features: FeatureCache,
         vocabulary: Vocabulary,
         segmentation: Segmentation,
         config: MatchingConfig,
@@ -150,10 +149,10 @@ class SequenceMatching:
         self.config = config
         self._features, self._segmentation = features, segmentation
         self._vocabulary = vocabulary.require(features.kind)
-        self._index = GrowingWordIndex()  # 99.4 % of the words that an exhaustive search finds, in 0.6 of the time
+        self._index = HybridWordIndex()  # 99.4 % of the words that an exhaustive search finds, in 0.6 of the time
         self._index.add(vocabulary.words)
         self._threshold, self._filter = matrix_filter.threshold, CausalFilter(matrix_filter.kernel)
-        self._route = Route(config.route)
+        self._route = ImageHistory(config.route)
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
         self._judge = Judge(self._route.images, config.proof, config.consistency)
@@ -168,14 +167,14 @@ class SequenceMatching:
 
     def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
         """Add an image; if it begins a sequence, answer for the images of the last but one before it."""
-        check_grey(image)
-        features = self._features.of(image_id, image)
+        check_gray(image)
+        features = self._features.get(image_id, image)
         location = self._route.add(image_id, features, travelled)
         words = self._assign(features.descriptors[: self.config.features])
-        begins = self._segmentation.begins(words, travelled)
+        begins = self._segmentation.starts_sequence(words, travelled)
         opinions = self._end_sequence(location - 1) if begins else []
         self._words.add(words)
-        self._open.append(self._route.horizon())
+        self._open.append(self._route.last_matchable())
         return self._settled(opinions)
 
     def finish(self) -> list[Belief]:
@@ -203,9 +202,11 @@ class SequenceMatching:
         return [] if waiting is None else self._answer(waiting, response)
 
     def _compare(self, images: range) -> _Sequence:
-        vector = word_vector(self._words.of(images[0], images[-1]), self._vocabulary.weights, self.config.power)
-        asked, score = vector.heaviest(self.config.asked), SCORES[self.config.score]
-        scores = score(self._map.index.cosines(asked, self._map.ended_by(self._open[-1]))).astype(np.float32)
+        vector = word_vector(
+            self._words.words_between(images[0], images[-1]), self._vocabulary.weights, self.config.power
+        )
+        asked, score = vector.strongest(self.config.asked), SCORES[self.config.score]
+        scores = score(self._map.index.cosines(asked, self._map.count_ended_by(self._open[-1]))).astype(np.float32)
         previous = float(score(asked.cosine(self._waiting.vector))) if self._waiting else 1.0
         row = normalised(scores, previous, self.config.least_divisor)
         return _Sequence(images, self._open, vector, row)
@@ -214,7 +215,7 @@ class SequenceMatching:
         assert response is not None  # a sequence waits, so the filter has its row
         self._show(sequence.images[0], sequence.row, "similarity")
         self._show(sequence.images[0], response, "filtered")
-        pool = self._map.images_around(_best_of((response, sequence.row), self.config.sequences))
+        pool = self._map.images_near(_best_of((response, sequence.row), self.config.sequences))
         return [
             self._opinion(location, pool[pool <= horizon], horizon, response)
             for location, horizon in zip(sequence.images, sequence.horizons, strict=True)
@@ -225,13 +226,13 @@ class SequenceMatching:
         self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row.astype(np.float64), stage)
 
     def _opinion(self, query: int, pool: Indices, horizon: int, response: Floats) -> Opinion:
-        alike = _spread(pool, self._words.likeness(query, pool), self.config.images)
+        alike = _spread(pool, self._words.correlation(query, pool), self.config.images)
         proofs = self._judge.judge(query, alike, horizon)
         return Opinion.of(int(self._route.ids[query]), proofs, lambda proof: self._belief(proof, response))
 
     def _response_at(self, location: int, response: Floats) -> float:
         """The response of the sequence of an image, or of the one before or after it if that is greater."""
-        sequence = self._map.containing(location)
+        sequence = self._map.sequence_of(location)
         around = response[max(sequence - 1, 0) : sequence + 2]
         return float(around.max()) if len(around) else 0.0
 

@@ -7,7 +7,7 @@ RA-L 4(2) 2019. What differs from the paper, each for a reason found on real dri
 * The search area keeps a way and a number of images away from the query too: where one drives slowly or stands, tracks
   break while the view stays. And not the very longest track counts, but nearly (`FeatureTracks.longest`).
 * Each word votes once (`count_votes`).
-* Where tracks are short, the best of them become words all the same (`TrackConfig.least_length`).
+* Where tracks are short, the best of them become words all the same (`TrackConfig.min_length_frames`).
 * Geometry chooses among the best voted places, and decides: in a small map no votes are improbable enough.
 * The score adds the evidence of geometry, of this image and of those around it, to that of the votes.
 """
@@ -27,12 +27,11 @@ from place_recognition.belief.proof import Proof, ProofConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.belief.verdicts import Verdicts
 from place_recognition.belief.votes import Ballot, count_votes
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.image_processing.surf import check_grey
-from place_recognition.map.route import Route, RouteConfig
+from place_recognition.image_processing.features import FeatureCache, check_gray
+from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap
 from place_recognition.map.word_index import WordIndex
-from place_recognition.map.word_tree import GrowingWordIndex
+from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.recognizer import Belief, NoRows, RowSink
 
 
@@ -53,7 +52,7 @@ class TrackedWordsConfig:
 
     chance: float = 2e-11
     tracks: TrackConfig = field(default_factory=TrackConfig)
-    route: RouteConfig = field(default_factory=RouteConfig)
+    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=9)))
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
     hindsight: HindsightConfig = field(default_factory=HindsightConfig)
@@ -75,15 +74,15 @@ class TrackedWords:
 
     def __init__(
         self,
-        features: SharedFeatures,
+        features: FeatureCache,
         config: TrackedWordsConfig | None = None,
         rows: RowSink | None = None,
-        index: Callable[[], WordIndex] = GrowingWordIndex,
+        index: Callable[[], WordIndex] = HybridWordIndex,
     ) -> None:
         self.config = config or TrackedWordsConfig()
         self._features = features
         self._tracks = FeatureTracks(self.config.tracks)
-        self._route = Route(self.config.route)
+        self._route = ImageHistory(self.config.route)
         self._words = WordMap(index())
         self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
         self._verdicts = Verdicts(self._route, self.config.hindsight)
@@ -102,8 +101,8 @@ class TrackedWords:
             image: (H, W) uint8, grey. After a change of size all tracks start anew.
             travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
         """
-        check_grey(image)
-        features = self._features.of(image_id, image)
+        check_gray(image)
+        features = self._features.get(image_id, image)
         self._route.add(image_id, features, travelled)
         self._words.add(self._tracks.advance(image, features))
         return self._verdicts.add(self._opinion())
@@ -115,8 +114,8 @@ class TrackedWords:
     def _opinion(self) -> Opinion:
         """The opinion about the latest image."""
         horizon = self._past()
-        self._words.pass_until(horizon)
-        ballot = count_votes(self._words.hit(self._tracks.descriptors), self._words)
+        self._words.activate_until(horizon)
+        ballot = count_votes(self._words.lookup(self._tracks.descriptors), self._words)
         query = int(self._route.ids[-1])
         self._rows.add(query, self._route.ids[ballot.locations], ballot.votes.astype(np.float64))
         return self._verified(query, ballot, horizon)
@@ -126,8 +125,10 @@ class TrackedWords:
 
         Where no way is measured, only what is in view can tell a slow drive or a stop from one that goes on.
         """
-        behind = self._route.guarded() if self._route.measured else self._route.horizon()
-        return min(behind, self._route.latest - 2 * self._tracks.longest)
+        behind = (
+            self._route.last_outside_exclusion() if self._route.is_distance_measured else self._route.last_matchable()
+        )
+        return min(behind, self._route.latest - 2 * self._tracks.longest_frames)
 
     def _verified(self, query: int, ballot: Ballot, horizon: int) -> Opinion:
         """What votes and geometry say of the best neighbours of voted locations."""

@@ -140,7 +140,7 @@ def evaluate_loops(
 
     Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
     """
-    from place_recognition.evaluation.ground_truth import SamePlace
+    from place_recognition.evaluation.ground_truth import RevisitRule
     from slam.evaluation.loops_command import LoopsOptions
     from slam.evaluation.loops_command import evaluate_loops as evaluate
 

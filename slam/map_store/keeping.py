@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from odometry.camera import StereoCamera
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.config import RunConfig, to_toml
 from slam.drive_log import RunLog
 from slam.errors import RevisitError
@@ -51,7 +51,7 @@ class SessionRecorder(Protocol):
         """The components as a system sees them that counts the frames of this session."""
         ...
 
-    def restore(self, slam: Slam, matrix: MatrixRows, run_log: RunLog) -> int:
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
         """Restore a new system to where the session stopped.
 
         Returns:
@@ -85,7 +85,7 @@ class NullSessionRecorder:
         """The components themselves."""
         return components
 
-    def restore(self, slam: Slam, matrix: MatrixRows, run_log: RunLog) -> int:
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
         """Start with the first frame."""
         return 0
 
@@ -126,7 +126,7 @@ class MapSessionRecorder:
             self._recognizer = components.recognizer
         return components
 
-    def restore(self, slam: Slam, matrix: MatrixRows, run_log: RunLog) -> int:
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
         """Restore a new system to where the session stopped; the number of frames that have been processed."""
         restored = restore_session(self._store, self._session, slam, matrix, run_log)
         self.frames, self._num_loops = restored.num_frames, restored.num_loops

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.map_size import MapSize, map_size
-from place_recognition.evaluation.matrix import MatrixRows
-from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures, SharedFeatures
+from place_recognition.evaluation.matrix import MatrixRecorder
+from place_recognition.image_processing.features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.paradigms.catalogue import ParadigmsConfig, local_features
 from place_recognition.recognizer import Belief, PlaceRecognizer, RowSink
 from slam.clock import StageTimer, timed
@@ -37,7 +37,7 @@ class Recognised:
 
     beliefs: list[Belief] = field(default_factory=list)
     stage_ms: list[dict[str, float]] = field(default_factory=list)
-    rows: MatrixRows = field(default_factory=MatrixRows)
+    rows: MatrixRecorder = field(default_factory=MatrixRecorder)
     size: MapSize | None = None
     interrupted: bool = False
     wall_seconds: float = 0.0
@@ -78,7 +78,7 @@ class Bench:
         Raises:
             DataError: its vocabulary or its descriptor cannot serve.
         """
-        features = SharedFeatures(ClockedExtractor(local_features(self._config), self.clock))
+        features = FeatureCache(ClockedExtractor(local_features(self._config), self.clock))
         return build_recognizer(self._paradigm, features, self._config, rows)
 
 

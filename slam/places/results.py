@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.recognizer import Belief
 from slam.clock import timing_ms
 from slam.evaluation.truth import RevisitTruth
@@ -35,7 +35,7 @@ class PlacesRecord:
     name: str
     beliefs: tuple[Belief, ...]
     result: PlaceMetrics
-    matrices: dict[str, Matrix]
+    matrices: dict[str, SimilarityMatrix]
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
 

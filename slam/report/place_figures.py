@@ -8,7 +8,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from slam.report import colours
 from slam.report.figures import INK, new_figure, style
@@ -32,7 +32,7 @@ _LINES = (
 
 
 def places_picture(
-    title: str, matrices: Mapping[str, Matrix], detections: Ids, truth: NDArray[np.bool_] | None
+    title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None
 ) -> Figure:
     """Draw the matrices of a drive, before and after their filter, the detections, and the truth where there is one.
 
@@ -57,7 +57,7 @@ def places_picture(
     return figure
 
 
-def matrix_picture(matrix: Matrix) -> Figure:
+def matrix_picture(matrix: SimilarityMatrix) -> Figure:
     """Draw one matrix alone."""
     figure = new_figure(_PANEL + 0.9, _PANEL)
     figure.set_layout_engine("compressed")  # the panel is square
@@ -65,7 +65,7 @@ def matrix_picture(matrix: Matrix) -> Figure:
     return figure
 
 
-def draw_matrix(ax: Axes, matrix: Matrix, title: str) -> None:
+def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
     _frame(ax, title, len(matrix.values) * matrix.step)
     rows, columns, cells = drawn_cells(matrix)
@@ -130,7 +130,7 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
     return figure
 
 
-def drawn_cells(matrix: Matrix) -> tuple[Ids, Ids, Floats]:
+def drawn_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
     """Cells (R, C) of a picture and the edges (R + 1,), (C + 1,) between them, images.
 
     A matrix of sequences has rows and columns for a few images only: each stands for the images up to the next one.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from slam.record import LoopRow, RunRecord
 from slam.report import colours
 from slam.report.alignment import anchored_truth, position_error
@@ -114,7 +114,7 @@ class RerunViewer:
             self._log_matched("loop/query", closed.image_query, closed.pixels_query)
             self._log_matched("loop/match", closed.image_match, closed.pixels_match)
 
-    def matrix(self, matrix: Matrix) -> None:
+    def matrix(self, matrix: SimilarityMatrix) -> None:
         """Show what the recogniser thinks of all pairs of images so far."""
         if len(matrix.values):
             self._recording.log("places/matrix", shapes.matrix(matrix))

@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from slam.mapping.fusion import Surface
 from slam.record import PointCloud
 from slam.report import colours
@@ -30,7 +30,7 @@ def jpeg(image: Image) -> rr.EncodedImage:
     return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
 
 
-def matrix(matrix: Matrix) -> rr.EncodedImage:
+def matrix(matrix: SimilarityMatrix) -> rr.EncodedImage:
     """Draw a matrix, row = query, column = earlier image, the larger the brighter; of many images the largest.
 
     Nine in ten of the compared pairs are dark: what is left are the lines of the revisits.

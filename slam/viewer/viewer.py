@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from slam.record import RunRecord
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ class Viewer(Protocol):
         """
         ...
 
-    def matrix(self, matrix: Matrix) -> None:
+    def matrix(self, matrix: SimilarityMatrix) -> None:
         """Show what the recogniser thinks of all pairs of images so far."""
         ...
 
@@ -118,7 +118,7 @@ class NullViewer:
     def loop(self, closed: ClosedLoop, poses: Array) -> None:
         """Do nothing."""
 
-    def matrix(self, matrix: Matrix) -> None:
+    def matrix(self, matrix: SimilarityMatrix) -> None:
         """Do nothing."""
 
     def finish(self, record: RunRecord) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
@@ -72,7 +72,7 @@ def _candidates() -> list[LoopRecord]:
     ]
 
 
-def _rows() -> MatrixRows:
-    rows = MatrixRows()
+def _rows() -> MatrixRecorder:
+    rows = MatrixRecorder()
     rows.add(2, np.array([0, 1]), np.array([0.5, 0.25]))
     return rows

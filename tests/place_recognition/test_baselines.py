@@ -8,7 +8,7 @@ from place_images import changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.hog import Hog
 from place_recognition.map.dense import DenseMap, absolute_differences, dot_products
-from place_recognition.map.present_view import PresentView, PresentViewConfig
+from place_recognition.map.present_view import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.pixel_sequences import PixelSequences, best_lines, local_contrast
 
@@ -141,26 +141,26 @@ def test_real_images_are_recognised_when_they_come_again_a_little_changed(test_d
 
 def test_the_present_ends_where_the_view_has_changed_and_waits_where_it_has_not():
     views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    present = PresentView(PresentViewConfig(least_gap=3))
+    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     past = []
     for k, image in enumerate(views[:15] + 30 * [views[15]] + views[16:]):
         present.add(k, image, WAY)
-        past.append(present.past())
+        past.append(present.count_matchable())
     assert past[14] > 5
     assert len(set(past[20:45])) == 1
     assert past[-1] > 50
 
 
 def test_the_present_reaches_as_far_back_as_the_way_demands():
-    present = PresentView(PresentViewConfig(least_gap=3, least_way=20.0))
+    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3, min_distance_m=20.0))
     for k, image in enumerate(sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))):
         present.add(k, image, 0.5 * k)
-    assert present.past() == 0  # 39 images, but 19.5 m
+    assert present.count_matchable() == 0  # 39 images, but 19.5 m
 
 
 def test_a_blank_image_does_not_end_the_present():
     views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    present = PresentView(PresentViewConfig(least_gap=3))
+    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     for k, image in enumerate(20 * [views[0]] + 5 * [np.zeros_like(views[0])] + 5 * [views[0]]):
         present.add(k, image, WAY)
-        assert present.past() == 0
+        assert present.count_matchable() == 0

@@ -62,7 +62,7 @@ def test_each_word_hit_votes_once_for_each_image_it_spans():
     words = WordMap(ExactWordIndex())
     for first, last in ((0, 1), (1, 1), (1, 2), (3, 4)):
         words.add(Words(np.zeros((1, 2), np.float32), np.array([first]), np.array([last])))
-    words.pass_until(4)
+    words.activate_until(4)
     ballot = count_votes(np.array([0, 2]), words)
     np.testing.assert_array_equal(ballot.locations, [0, 1, 2])
     np.testing.assert_array_equal(ballot.votes, [1, 2, 1])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from place_recognition.belief.bridge import Bridge, BridgeConfig
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.map.route import Route
+from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief
 
 
@@ -18,8 +18,8 @@ def features(count: int) -> LocalFeatures:
     return LocalFeatures(pixels, ones, ones, np.full((count, 4), 0.5, np.float32))
 
 
-def route(images: int, step: int = 1, blank: tuple[int, ...] = ()) -> Route:
-    made = Route()
+def route(images: int, step: int = 1, blank: tuple[int, ...] = ()) -> ImageHistory:
+    made = ImageHistory()
     for k in range(images):
         made.add(k * step, features(0 if k in blank else 20), float("nan"))
     return made

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from place_images import sliding_view, textured_world
 
-from place_recognition.evaluation.map_size import array_bytes, map_size
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.evaluation.map_size import count_array_bytes, map_size
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, excluding
@@ -28,7 +28,7 @@ def exclusions(settings):
     if not is_dataclass(settings):
         return []
     inner = [(item.name, getattr(settings, item.name)) for item in fields(settings)]
-    return [found for name, value in inner for found in ([value] if name == "exclusion" else exclusions(value))]
+    return [found for name, value in inner for found in ([value] if name == "exclusion_frames" else exclusions(value))]
 
 
 def test_the_names_are_those_of_the_command_line():
@@ -37,27 +37,27 @@ def test_the_names_are_those_of_the_command_line():
 
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(ValueError, match=r"unknown paradigm .guess.: expected one of .*tracked-words"):
-        build("guess", SharedFeatures(Surf()))
+        build("guess", FeatureCache(Surf()))
 
 
 def test_a_vocabulary_of_other_features_is_refused_with_its_file(tmp_path):
     file = tmp_path / "orb.vocabulary"
     save_vocabulary(file, Vocabulary("orb-256", np.eye(4, dtype=np.float32), np.ones(4, np.float32)))
     with pytest.raises(ValueError, match=r"orb\.vocabulary: expected a vocabulary of surf-upright-64 features"):
-        build("dynamic-sequences", SharedFeatures(Surf()), ParadigmsConfig(vocabulary=str(file)))
+        build("dynamic-sequences", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(file)))
 
 
 def test_a_damaged_vocabulary_is_refused_with_its_file(tmp_path):
     (tmp_path / "x.vocabulary").write_bytes(b"words")
     with pytest.raises(ValueError, match=r"x\.vocabulary"):
-        build("sequence-histograms", SharedFeatures(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary")))
+        build("sequence-histograms", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary")))
 
 
 def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(ValueError, match="unknown global descriptor 'magic'"):
-        build("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor="magic"))
+        build("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor="magic"))
     with pytest.raises(ValueError, match=r"none\.onnx: expected an ONNX file, found none"):
-        build("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx"))
+        build("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx"))
 
 
 def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
@@ -88,7 +88,7 @@ def two_laps():
 @pytest.mark.parametrize("name", PARADIGMS)
 def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_laps, name):
     def beliefs(images):
-        recognizer = build(name, SharedFeatures(RememberingSurf()), excluding(ParadigmsConfig(), images))
+        recognizer = build(name, FeatureCache(RememberingSurf()), excluding(ParadigmsConfig(), images))
         found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
         return found + recognizer.finish()
 
@@ -100,7 +100,7 @@ def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_
 
 @pytest.mark.parametrize("name", PARADIGMS)
 def test_a_map_grows_with_what_is_seen(two_laps, name):
-    recognizer = build(name, SharedFeatures(RememberingSurf()))
+    recognizer = build(name, FeatureCache(RememberingSurf()))
     sizes = []
     for i, image in enumerate(two_laps):
         recognizer.observe(i, image, float("nan"))
@@ -121,7 +121,7 @@ class Holder:
 
 
 def test_shared_memory_counts_once_and_circles_do_no_harm():
-    assert array_bytes(Holder()) == 805
+    assert count_array_bytes(Holder()) == 805
 
 
 def test_a_recogniser_that_knows_its_size_is_believed():

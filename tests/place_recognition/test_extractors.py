@@ -7,7 +7,7 @@ from place_images import gaussian_blob, textured_world
 
 from place_recognition.image_processing.extractors import EXTRACTORS, make_extractor
 from place_recognition.image_processing.orb import unpack_bits
-from place_recognition.image_processing.spread import SpreadConfig, strongest_spread
+from place_recognition.image_processing.spread import SpreadConfig, select_strongest
 from place_recognition.image_processing.surf import Surf, SurfConfig
 
 
@@ -72,12 +72,12 @@ def test_a_corner_full_of_strong_blobs_leaves_features_to_the_rest():
 def test_the_strongest_are_taken_where_no_square_is_crowded():
     pixels = np.stack([np.arange(40) % 8 * 80 + 40, np.arange(40) // 8 * 80 + 40], axis=1)
     responses = np.random.default_rng(0).permutation(40).astype(np.float32)
-    chosen = strongest_spread(pixels, responses, (400, 640), 10, SpreadConfig())
+    chosen = select_strongest(pixels, responses, (400, 640), 10, SpreadConfig())
     np.testing.assert_array_equal(chosen, np.argsort(-responses)[:10])
 
 
 def test_a_crowded_square_fills_up_only_where_the_others_do_not():
     crowd, rest = np.full((50, 2), 10), np.array([[100, 10], [200, 10], [300, 10]])
     responses = np.arange(53, 0, -1).astype(np.float32)
-    chosen = strongest_spread(np.vstack([crowd, rest]), responses, (80, 400), 10, SpreadConfig(80, 2.0))
+    chosen = select_strongest(np.vstack([crowd, rest]), responses, (80, 400), 10, SpreadConfig(80, 2.0))
     np.testing.assert_array_equal(chosen, [0, 1, 2, 3, 4, 5, 6, 50, 51, 52])

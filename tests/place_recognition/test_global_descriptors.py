@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_images import kitti_images, textured_world
 
-from place_recognition.image_processing.colour_histogram import ColourHistogram, ColourHistogramConfig
+from place_recognition.image_processing.colour_histogram import ColorHistogram, ColorHistogramConfig
 from place_recognition.image_processing.global_descriptors import GLOBAL_DESCRIPTORS, make_global_descriptor
 from place_recognition.image_processing.hog import Hog, HogConfig, cell_histograms
 from place_recognition.image_processing.thumbnail import (
@@ -96,22 +96,22 @@ def test_thumbnails_of_two_sizes_are_not_compared():
 def test_a_histogram_holds_the_share_of_each_colour():
     image = np.zeros((4, 4, 3), np.uint8)
     image[:1] = 255, 0, 128
-    shares = ColourHistogram(ColourHistogramConfig(bins=4)).describe(image).reshape(4, 4, 4)
+    shares = ColorHistogram(ColorHistogramConfig(bins=4)).describe(image).reshape(4, 4, 4)
     assert shares[0, 0, 0] == 0.75
     assert shares[3, 0, 2] == 0.25
     assert shares.sum() == 1
 
 
 def test_a_grey_histogram_agrees_with_numpy_and_does_not_see_where_things_are():
-    shares = ColourHistogram().describe(WORLD)
+    shares = ColorHistogram().describe(WORLD)
     np.testing.assert_allclose(shares, np.histogram(WORLD, 64, (0, 256))[0] / WORLD.size, rtol=1e-6)
-    np.testing.assert_array_equal(shares, ColourHistogram().describe(WORLD[::-1, ::-1]))
+    np.testing.assert_array_equal(shares, ColorHistogram().describe(WORLD[::-1, ::-1]))
 
 
 @pytest.mark.parametrize("image", [np.zeros((3, 3, 4), np.uint8), np.zeros((3, 3)), np.zeros((0, 3), np.uint8)])
 def test_a_histogram_refuses_what_is_no_image(image):
     with pytest.raises(ValueError, match=r"expected an image \(H, W\) or \(H, W, 3\) uint8, got \("):
-        ColourHistogram().describe(image)
+        ColorHistogram().describe(image)
 
 
 @pytest.mark.parametrize("degrees", [10, 50, 90, 130, 170])

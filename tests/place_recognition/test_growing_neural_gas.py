@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
 
-SMALL = GasConfig(nodes=40, period=100)
+SMALL = GasConfig(max_nodes=40, insertion_period=100)
 
 
 def gas_of(samples, config=SMALL, seed=1):
@@ -73,7 +73,7 @@ def test_a_denser_region_gets_more_nodes():
 
 def test_more_nodes_lie_nearer_to_the_descriptors_they_stand_for(descriptors):
     errors = [
-        quantisation_error(descriptors, gas_of(descriptors, GasConfig(nodes=nodes)).nodes) for nodes in (10, 30, 90)
+        quantisation_error(descriptors, gas_of(descriptors, GasConfig(max_nodes=nodes)).nodes) for nodes in (10, 30, 90)
     ]
     assert errors[0] > errors[1] > errors[2]
 
@@ -85,8 +85,8 @@ def test_nodes_stand_for_descriptors_better_than_picks_do(descriptors):
 
 
 def test_a_node_comes_with_each_period_and_never_more_than_allowed(descriptors):
-    assert len(gas_of(descriptors[:1000], GasConfig(period=25, oldest=10**6)).nodes) == 42
-    assert len(gas_of(descriptors[:1000], GasConfig(nodes=7)).nodes) == 7
+    assert len(gas_of(descriptors[:1000], GasConfig(insertion_period=25, max_edge_age=10**6)).nodes) == 42
+    assert len(gas_of(descriptors[:1000], GasConfig(max_nodes=7)).nodes) == 7
 
 
 def test_edges_are_named_once_and_join_different_nodes(descriptors):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
 
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.word_index import ExactWordIndex
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
@@ -49,7 +49,7 @@ class CountingIndex(ExactWordIndex):
 def drive(images, config=None, index=ExactWordIndex):
     """The recogniser, the rows and the beliefs of a drive along which no way is measured."""
     rows = Rows()
-    recognizer = HierarchicalPlaces(SharedFeatures(SURF), config, rows, index)
+    recognizer = HierarchicalPlaces(FeatureCache(SURF), config, rows, index)
     beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float("nan"))]
     return recognizer, rows, beliefs + recognizer.finish()
 
@@ -93,7 +93,7 @@ def test_all_images_belong_to_places_once_the_drive_has_ended(passes, revisit):
     places = revisit[0]._places
     located = [location for place in range(len(places)) for location in places.images(place)]
     assert located == list(range(len(passes[0]) + len(passes[1])))
-    assert revisit[0].word_count == places.words_of_first(len(places)) > 10 * len(places)
+    assert revisit[0].word_count == places.count_words_of_first(len(places)) > 10 * len(places)
 
 
 def test_the_votes_of_an_image_go_to_the_place_that_holds_its_match(passes, revisit):

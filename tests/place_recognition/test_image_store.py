@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from place_images import textured_world
 
-from place_recognition.evaluation.map_size import array_bytes
+from place_recognition.evaluation.map_size import count_array_bytes
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.image_store import ImageStore
+from place_recognition.map.image_store import FeatureStore
 
 
 def random_features(rng, count, dimension=8, width=1241):
@@ -22,7 +22,7 @@ def random_features(rng, count, dimension=8, width=1241):
 
 
 def filled_store(images, in_memory=4):
-    store = ImageStore(20, in_memory)
+    store = FeatureStore(20, in_memory)
     for features in images:
         store.add(features)
     return store
@@ -35,7 +35,7 @@ def images():
 
 
 def test_stored_features_stay_as_they_were_to_a_fiftieth_and_a_sixteenth_of_a_pixel():
-    features, store = Surf().extract(textured_world(300, seed=4)), ImageStore(100)
+    features, store = Surf().extract(textured_world(300, seed=4)), FeatureStore(100)
     store.add(features)
     error = np.linalg.norm(store[0].descriptors - features.descriptors[:100], axis=1)
     assert error.max() < 0.03
@@ -53,9 +53,9 @@ def test_images_on_disk_are_the_same_as_images_in_memory(images):
 
 def test_memory_counts_what_was_kept_there_and_not_the_room_for_more(images):
     alone, few, many = filled_store(images[:1], 100), filled_store(images, 100), filled_store(images, 4)
-    assert 0 < len(images) * array_bytes(alone) == array_bytes(few)
-    assert array_bytes(many) == 4 * array_bytes(alone)
-    assert array_bytes(many) + many.disk_bytes == array_bytes(few)
+    assert 0 < len(images) * count_array_bytes(alone) == count_array_bytes(few)
+    assert count_array_bytes(many) == 4 * count_array_bytes(alone)
+    assert count_array_bytes(many) + many.disk_bytes == count_array_bytes(few)
 
 
 def test_the_strongest_features_of_several_images_come_together(images):
@@ -68,7 +68,7 @@ def test_the_strongest_features_of_several_images_come_together(images):
 
 
 def test_pixels_of_a_very_wide_image_are_kept_coarsely_rather_than_wrongly():
-    features, store = random_features(np.random.default_rng(1), 20, width=20000), ImageStore(20)
+    features, store = random_features(np.random.default_rng(1), 20, width=20000), FeatureStore(20)
     store.add(features)
     np.testing.assert_allclose(store[0].pixels, features.pixels, atol=0.2)
 
@@ -87,7 +87,7 @@ def test_a_location_that_was_not_added_is_named(images):
     with pytest.raises(IndexError, match="expected a location below 11, got 11"):
         filled_store(images)[11]
     with pytest.raises(IndexError, match="expected a location below 0, got 0"):
-        ImageStore(20)[0]
+        FeatureStore(20)[0]
 
 
 def test_descriptors_of_another_length_are_refused(images):

@@ -8,13 +8,13 @@ from place_recognition.belief.judge import Judge
 from place_recognition.belief.proof import ProofConfig, prove, surplus_of_objects
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.image_store import ImageStore
+from place_recognition.map.image_store import FeatureStore
 
 
 @pytest.fixture(scope="module")
 def store():
     """Twenty images past ever new things, and the same again."""
-    images = ImageStore(300)
+    images = FeatureStore(300)
     lap = sliding_view(textured_world(900, seed=5), list(range(0, 580, 29)))
     for image in lap + lap:
         images.add(Surf().extract(image))
@@ -31,7 +31,7 @@ def test_one_object_counts_as_a_geometry_and_no_more():
     assert surplus_of_objects(np.concatenate([car, car + np.float32([500, 0])]), 60.0) == 2 * (60 - 7)
 
 
-def judge(store: ImageStore, tried: int = 4) -> Judge:
+def judge(store: FeatureStore, tried: int = 4) -> Judge:
     return Judge(store, ProofConfig(tried=tried), ConsistencyConfig())
 
 
@@ -55,7 +55,7 @@ def test_a_match_that_moves_on_needs_no_proposal(store):
 
 def behind(certain: float) -> list[int]:
     """What is looked at when a car that has driven the second lap falls two images behind."""
-    images, lap = ImageStore(300), sliding_view(textured_world(900, seed=5), list(range(0, 580, 29)))
+    images, lap = FeatureStore(300), sliding_view(textured_world(900, seed=5), list(range(0, 580, 29)))
     for image in [*lap, *lap[:10], lap[8]]:
         images.add(Surf().extract(image))
     one = Judge(images, ProofConfig(plenty=1000.0), ConsistencyConfig(around=0, certain=certain))

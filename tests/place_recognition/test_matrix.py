@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 
 
 def test_rows_stand_where_they_belong_and_the_rest_is_unknown():
-    rows = MatrixRows()
+    rows = MatrixRecorder()
     rows.add(3, np.array([0, 2]), np.array([5.0, 7.0]))
     values = rows.matrix(4).values
     assert values.shape == (4, 4)
@@ -16,7 +16,7 @@ def test_rows_stand_where_they_belong_and_the_rest_is_unknown():
 
 
 def test_stages_are_kept_apart():
-    rows = MatrixRows()
+    rows = MatrixRecorder()
     rows.add(1, np.array([0]), np.array([1.0]))
     rows.add(1, np.array([0]), np.array([-2.0]), "filtered")
     assert rows.stages == ("similarity", "filtered")
@@ -24,7 +24,7 @@ def test_stages_are_kept_apart():
 
 
 def test_a_stage_without_rows_is_unknown_throughout():
-    assert np.isnan(MatrixRows().matrix(3).values).all()
+    assert np.isnan(MatrixRecorder().matrix(3).values).all()
 
 
 @pytest.mark.parametrize("limit", [1, 3, 8, 100])
@@ -32,7 +32,7 @@ def test_a_long_drive_keeps_the_largest_value_of_the_images_that_share_a_cell(li
     rng = np.random.default_rng(0)
     full = np.where(rng.random((37, 37)) > 0.3, rng.normal(size=(37, 37)), np.nan).astype(np.float32)
     full[np.triu_indices(37)] = np.nan
-    rows = MatrixRows(limit)
+    rows = MatrixRecorder(limit)
     for query in range(37):
         matches = np.flatnonzero(np.isfinite(full[query]))
         rows.add(query, matches, full[query, matches].astype(np.float64))
@@ -45,7 +45,7 @@ def test_a_long_drive_keeps_the_largest_value_of_the_images_that_share_a_cell(li
 
 
 def test_rows_may_come_late_and_in_any_order():
-    rows = MatrixRows()
+    rows = MatrixRecorder()
     rows.add(9, np.array([1]), np.array([1.0]))
     rows.add(4, np.array([2]), np.array([3.0]))
     rows.add(9, np.array([1]), np.array([0.5]))

@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 from place_recognition.belief.place_votes import vote_for_places
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.places import PlaceConfig, PlaceFormation, PlaceMap
+from place_recognition.map.places import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
 from place_recognition.map.word_index import ExactWordIndex
 
 EMPTY = np.empty((0, 64), np.float32)
@@ -22,7 +22,7 @@ def looks(*which):
 
 def lengths(images, config=None):
     """Images of each place of a drive of descriptors."""
-    formation = PlaceFormation(config)
+    formation = PlaceSegmentation(config)
     ended = [formation.add(image) for image in images] + [formation.flush()]
     return [len(place) for place in ended if place]
 
@@ -37,14 +37,14 @@ def place_map(words, lasts):
     for count, last in zip(words, lasts, strict=True):
         places.add(looks(*range(begin, begin + count)), last)
         begin += count
-    places.until(lasts[-1])
+    places.activate_until(lasts[-1])
     return places
 
 
 def test_a_place_ends_when_hardly_anything_has_stayed_in_view_since_its_begin():
     drive = [looks(*range(k, k + 10)) for k in range(20)]  # one look is lost and one is new each time
-    assert lengths(drive, PlaceConfig(coherent=2)) == [9, 9, 2]
-    assert lengths(drive, PlaceConfig(coherent=4)) == [7, 7, 6]
+    assert lengths(drive, PlaceSegmentationConfig(min_coherent_matches=2)) == [9, 9, 2]
+    assert lengths(drive, PlaceSegmentationConfig(min_coherent_matches=4)) == [7, 7, 6]
 
 
 def test_what_comes_back_after_it_was_lost_does_not_count():
@@ -53,7 +53,7 @@ def test_what_comes_back_after_it_was_lost_does_not_count():
 
 
 def test_a_place_that_never_changes_is_cut_all_the_same():
-    assert lengths([looks(*range(9))] * 40, PlaceConfig(longest=15)) == [15, 15, 10]
+    assert lengths([looks(*range(9))] * 40, PlaceSegmentationConfig(max_images=15)) == [15, 15, 10]
 
 
 @pytest.mark.parametrize("blank", [EMPTY, looks(60, 61, 62, 63)], ids=["blank", "too few"])
@@ -63,20 +63,20 @@ def test_an_image_that_says_nothing_neither_ends_nor_begins_a_place(blank):
 
 
 def test_a_drive_of_blank_images_is_cut_too_and_holds_nothing():
-    formation = PlaceFormation()
+    formation = PlaceSegmentation()
     ended = [place for _ in range(31) if (place := formation.add(EMPTY))]
     assert [len(place) for place in ended] == [15, 15]
     assert sum(len(image) for place in ended for image in place) == 0
 
 
 def test_without_an_open_place_there_is_nothing_to_flush():
-    assert PlaceFormation().flush() == []
+    assert PlaceSegmentation().flush() == []
 
 
 def test_every_descriptor_of_a_place_comes_out_again():
     rng = np.random.default_rng(0)
     drive = [rng.normal(size=(rng.integers(0, 12), 64)).astype(np.float32) for _ in range(30)]
-    formation = PlaceFormation()
+    formation = PlaceSegmentation()
     ended = [image for d in drive for image in formation.add(d)] + formation.flush()
     np.testing.assert_array_equal(np.concatenate(ended), np.concatenate(drive))
 
@@ -94,7 +94,7 @@ def test_the_cut_lies_where_one_street_follows_another(test_data):
 def test_words_images_and_places_find_each_other():
     places = place_map([3, 0, 4, 2], [4, 5, 9, 14])
     assert (len(places), places.word_count) == (4, 9)
-    np.testing.assert_array_equal(places.owners(np.arange(9)), [0, 0, 0, 2, 2, 2, 2, 3, 3])
+    np.testing.assert_array_equal(places.places_of(np.arange(9)), [0, 0, 0, 2, 2, 2, 2, 3, 3])
     np.testing.assert_array_equal(places.word_counts(np.arange(4)), [3, 0, 4, 2])
     assert [places.images(p) for p in range(4)] == [range(5), range(5, 6), range(6, 10), range(10, 15)]
     assert [places.place_of(k) for k in (0, 4, 5, 6, 14)] == [0, 0, 1, 2, 3]
@@ -106,11 +106,11 @@ def test_words_are_found_only_when_their_place_may_be_matched():
     assert len(places.nearest_words(looks(0))) == 0
     for k in range(3):
         places.add(looks(k), last=10 * k)
-    assert (places.until(-1), places.until(9)) == (0, 1)
+    assert (places.activate_until(-1), places.activate_until(9)) == (0, 1)
     np.testing.assert_array_equal(places.nearest_words(looks(0, 2)), [0, 0])
-    assert places.until(25) == 3
+    assert places.activate_until(25) == 3
     np.testing.assert_array_equal(places.nearest_words(looks(0, 2)), [0, 2])
-    assert [places.words_of_first(count) for count in range(4)] == [0, 1, 2, 3]
+    assert [places.count_words_of_first(count) for count in range(4)] == [0, 1, 2, 3]
 
 
 def test_votes_are_as_improbable_as_scipy_says():

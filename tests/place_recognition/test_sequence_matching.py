@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
 
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary
 from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
@@ -24,7 +24,7 @@ class Rows(dict):
 def beliefs_of(paradigm, images, way=float("nan"), config=None):
     """Beliefs and rows of a drive; way from image to image, metres."""
     rows = Rows()
-    recognizer = paradigm(SharedFeatures(Surf()), default_vocabulary(), config, rows)
+    recognizer = paradigm(FeatureCache(Surf()), default_vocabulary(), config, rows)
     beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, way * i)]
     return beliefs + recognizer.finish(), rows
 
@@ -90,7 +90,7 @@ def test_a_drive_of_one_sequence_or_of_none_is_answered(paradigm):
 def test_words_of_other_features_are_refused(paradigm):
     words = Vocabulary("orb-256", np.eye(256, dtype=np.float32), np.ones(256, np.float32))
     with pytest.raises(ValueError, match="expected a vocabulary of surf-upright-64 features, found one of orb-256"):
-        paradigm(SharedFeatures(Surf()), words)
+        paradigm(FeatureCache(Surf()), words)
 
 
 def test_an_unknown_score_is_refused():

@@ -8,9 +8,9 @@ from place_images import changed, gaussian_blob, kitti_images, textured_world
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.surf import Surf, layer_sizes
-from place_recognition.image_processing.surf_blobs import find_blobs, top_of_parabola
+from place_recognition.image_processing.surf_blobs import find_blobs, fit_peak
 from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
-from place_recognition.image_processing.surf_hessian import determinant_row, take_apart
+from place_recognition.image_processing.surf_hessian import deinterleave, determinant_row
 from place_recognition.image_processing.surf_orientation import describe_oriented, orientation
 
 TURN = np.array([[0.98, -0.05, 9.0], [0.04, 1.02, -6.0], [2e-5, 1e-5, 1.0]])
@@ -32,7 +32,7 @@ def box(image, top, bottom, left, right):
 
 def determinants(image, size, step=1):
     """Those of all rows, step pixels apart."""
-    planes = take_apart(cv2.integral(image), step)
+    planes = deinterleave(cv2.integral(image), step)
     out = np.ones((-(-image.shape[0] // step), planes.shape[2] - 1), np.float32)
     work = np.empty((4, out.shape[1]), np.int32)
     for y, row in enumerate(out):
@@ -73,10 +73,10 @@ def test_blobs_are_where_a_plain_search_over_all_layers_finds_them():
     for level, y, x in np.argwhere(layers > 10):
         cube = layers[level - 1 : level + 2, y - 1 : y + 2, x - 1 : x + 2]
         if level in (1, 2) and layers[level, y, x] == cube.max() and np.sum(cube == cube.max()) == 1:
-            offset = np.array(top_of_parabola(cube.astype(float)))
+            offset = np.array(fit_peak(cube.astype(float)))
             if np.abs(offset).max() <= 1:
                 expected.add(tuple(np.round(offset + np.array([x, y, level]), 2)))
-    found = find_blobs(take_apart(cv2.integral(image), 1), sizes, 10.0)
+    found = find_blobs(deinterleave(cv2.integral(image), 1), sizes, 10.0)
     assert len(expected) > 50
     assert {tuple(row) for row in np.round(found[:, :3].astype(float), 2)} == expected
 
@@ -86,8 +86,8 @@ def test_the_top_of_a_parabola_is_found_and_a_plane_has_none():
     top = np.array([0.3, -0.2, 0.4])
     steps = np.stack(np.meshgrid(*3 * [[-1, 0, 1]], indexing="ij"), axis=-1)[..., ::-1] - top
     cube = 100 + 0.5 * np.einsum("...i,ij,...j", steps, curvature, steps)
-    np.testing.assert_allclose(top_of_parabola(cube), top)
-    assert top_of_parabola(np.full((3, 3, 3), 7.0)) == (0, 0, 0)
+    np.testing.assert_allclose(fit_peak(cube), top)
+    assert fit_peak(np.full((3, 3, 3), 7.0)) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("sigma", [2.3, 3.0, 3.6, 5.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
 
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.tracked_words import TrackedWords
 
@@ -18,7 +18,7 @@ class Rows(dict):
 
 def beliefs_of(images, way=None):
     rows = Rows()
-    recognizer = TrackedWords(SharedFeatures(Surf()), rows=rows)
+    recognizer = TrackedWords(FeatureCache(Surf()), rows=rows)
     ways = np.full(len(images), np.nan) if way is None else way
     beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(ways[i]))]
     return rows, beliefs + recognizer.finish()

@@ -7,7 +7,7 @@ from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.growing import GrowingArray
-from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap, Words, count_covering
+from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap, Words, count_spans
 from place_recognition.map.word_index import ExactWordIndex
 
 GUIDED = GuidedTrackingConfig()
@@ -59,7 +59,7 @@ def test_a_lost_track_is_continued_by_nothing():
 def test_a_word_is_the_mean_of_its_tracks_descriptors_and_spans_its_images():
     image = textured_world(200, seed=2, height=200)
     looks = np.array([[1.0, 0.0], [0.96, 0.28], [0.8, 0.6]], np.float32)
-    tracks = FeatureTracks(TrackConfig(least_length=3))
+    tracks = FeatureTracks(TrackConfig(min_length_frames=3))
     for look in looks:
         assert len(tracks.advance(image, features_at([[100, 100]], [look]))) == 0
     words = tracks.advance(image, features_at([], np.empty((0, 2))))
@@ -69,7 +69,7 @@ def test_a_word_is_the_mean_of_its_tracks_descriptors_and_spans_its_images():
 
 def test_a_track_that_is_too_short_leaves_no_word():
     image = textured_world(200, seed=2, height=200)
-    tracks = FeatureTracks(TrackConfig(least_length=3))
+    tracks = FeatureTracks(TrackConfig(min_length_frames=3))
     lasting = [[40, 40], [150, 40]]
     tracks.advance(image, features_at(lasting, np.eye(3)[:2]))
     for _ in range(2):
@@ -80,7 +80,7 @@ def test_a_track_that_is_too_short_leaves_no_word():
 
 def test_where_nothing_stays_long_two_images_make_a_word():
     image = textured_world(200, seed=2, height=200)
-    tracks = FeatureTracks(TrackConfig(least_length=3))
+    tracks = FeatureTracks(TrackConfig(min_length_frames=3))
     for _ in range(2):
         tracks.advance(image, features_at([[100, 100]], [[1, 0]]))
     assert len(tracks.advance(image, features_at([], np.empty((0, 2))))) == 1
@@ -88,7 +88,7 @@ def test_where_nothing_stays_long_two_images_make_a_word():
 
 def test_ended_tracks_make_room_for_the_strongest_unused_features():
     image = textured_world(200, seed=2, height=200)
-    tracks = FeatureTracks(TrackConfig(points=2))
+    tracks = FeatureTracks(TrackConfig(max_points=2))
     tracks.advance(image, features_at([[50, 50], [100, 100]], [[1, 0], [0, 1]]))
     tracks.advance(image, features_at([[150, 150], [100, 100], [20, 20]], [[1, 0], [0, 1], [1, 0]]))
     np.testing.assert_array_equal(tracks.descriptors, [[0, 1], [1, 0]])
@@ -100,19 +100,19 @@ def test_one_track_that_never_ends_does_not_count_as_the_longest():
     for _ in range(12):
         passing = rng.uniform(0, 90, (40, 2))
         tracks.advance(image, features_at([[150, 150], *passing], np.eye(41)))
-    assert tracks.longest < 12
+    assert tracks.longest_frames < 12
 
 
 def test_words_are_found_once_the_horizon_has_passed_them():
     words = WordMap(ExactWordIndex())
     words.add(words_ending([4, 4]))
     words.add(words_ending([6]))
-    assert (len(words), words.past) == (3, 0)
-    assert len(words.hit(np.ones((1, 2), np.float32))) == 0
+    assert (len(words), words.active_count) == (3, 0)
+    assert len(words.lookup(np.ones((1, 2), np.float32))) == 0
     past = []
     for location in (3, 4, 5, 6, 5):
-        words.pass_until(location)
-        past.append(words.past)
+        words.activate_until(location)
+        past.append(words.active_count)
     assert past == [0, 2, 2, 3, 3]
     np.testing.assert_array_equal(words.spans(np.array([2, 0])), [[2, 6], [0, 4]])
 
@@ -120,8 +120,8 @@ def test_words_are_found_once_the_horizon_has_passed_them():
 def test_several_descriptors_hit_a_word_once():
     words = WordMap(ExactWordIndex())
     words.add(Words(np.eye(3, dtype=np.float32), np.zeros(3, np.int64), np.full(3, 2)))
-    words.pass_until(2)
-    np.testing.assert_array_equal(words.hit(np.float32([[0, 0, 1], [0.1, 0, 1], [1, 0, 0]])), [0, 2])
+    words.activate_until(2)
+    np.testing.assert_array_equal(words.lookup(np.float32([[0, 0, 1], [0.1, 0, 1], [1, 0, 0]])), [0, 2])
 
 
 def test_the_words_that_cover_a_location_are_counted_as_they_come():
@@ -130,14 +130,14 @@ def test_the_words_that_cover_a_location_are_counted_as_they_come():
     spans = [(rng.integers(max(end - 30, 0), end + 1, 5), np.full(5, end)) for end in last]
     for first, end in spans:
         words.add(Words(np.ones((5, 2), np.float32), first, end))
-    words.pass_until(150)
+    words.activate_until(150)
     first, end = (np.concatenate([span[k] for span in spans if span[1][0] <= 150]) for k in (0, 1))
     covered = [int(np.sum((first <= location) & (location <= end))) for location in range(end.max() + 1)]
-    np.testing.assert_array_equal(words.covering(np.arange(end.max() + 1)), covered)
+    np.testing.assert_array_equal(words.words_at(np.arange(end.max() + 1)), covered)
 
 
 def test_locations_know_how_many_spans_cover_them():
-    counts = count_covering(np.array([0, 1, 3]), np.array([1, 1, 4]), 6)
+    counts = count_spans(np.array([0, 1, 3]), np.array([1, 1, 4]), 6)
     np.testing.assert_array_equal(counts, [1, 2, 0, 1, 1, 0])
 
 

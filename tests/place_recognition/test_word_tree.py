@@ -7,8 +7,8 @@ from place_images import textured_world
 from place_recognition.image_processing.spread import SpreadConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.word_index import ExactWordIndex
-from place_recognition.map.word_tree import GrowingWordIndex, WordTree, beam
-from place_recognition.map.word_tree_kernels import CAPACITY, LEAST_FILL
+from place_recognition.map.word_tree import HybridWordIndex, WordTree, beam_width
+from place_recognition.map.word_tree_kernels import CAPACITY, MIN_FILL
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,10 @@ def words():
     """Real descriptors, shortened as means of tracks are."""
     images = [textured_world(1200, seed, height=500) for seed in range(12)]
     descriptors = np.concatenate(
-        [Surf(SurfConfig(features=2000, spread=SpreadConfig(bucket=10))).extract(image).descriptors for image in images]
+        [
+            Surf(SurfConfig(features=2000, spread=SpreadConfig(bucket_px=10))).extract(image).descriptors
+            for image in images
+        ]
     )
     return 0.95 * np.random.default_rng(0).permutation(descriptors)
 
@@ -53,7 +56,7 @@ def test_cells_are_neither_overfull_nor_nearly_empty(tree):
     nodes = tree._nodes
     used, root = int(nodes.shape[0]), int(nodes.shape[1])
     assert np.all(nodes.counts[:used] < CAPACITY)
-    assert np.all(np.delete(nodes.counts[:used], root) >= LEAST_FILL)
+    assert np.all(np.delete(nodes.counts[:used], root) >= MIN_FILL)
 
 
 def test_words_added_one_by_one_are_found_like_words_added_together(words):
@@ -71,12 +74,12 @@ def test_equal_words_split_without_end_in_sight():
 def test_few_words_are_all_compared(words):
     few = words[:600]
     np.testing.assert_array_equal(
-        filled(GrowingWordIndex(exact=600), few).nearest(words), filled(ExactWordIndex(), few).nearest(words)
+        filled(HybridWordIndex(max_exact_words=600), few).nearest(words), filled(ExactWordIndex(), few).nearest(words)
     )
 
 
 def test_an_index_that_outgrows_comparing_all_still_finds_every_word_itself(words):
-    index = filled(GrowingWordIndex(exact=300), words[:2000])
+    index = filled(HybridWordIndex(max_exact_words=300), words[:2000])
     assert len(index) == 2000
     assert np.mean(index.nearest(words[:2000]) == np.arange(2000)) > 0.99
 
@@ -88,4 +91,4 @@ def test_words_of_other_lengths_are_found_too():
 
 
 def test_more_words_take_more_cells():
-    assert [beam(count) for count in (0, 1000, 65536, 2**20, 2**24)] == [16, 16, 16, 32, 64]
+    assert [beam_width(count) for count in (0, 1000, 65536, 2**20, 2**24)] == [16, 16, 16, 32, 64]

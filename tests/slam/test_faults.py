@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from place_recognition.map.record_file import RecordFile
+from place_recognition.map.record_file import SpillFile
 from slam import cli, run
 from slam.errors import OutputError
 from slam.storage.metrics import read_metrics
@@ -108,7 +108,7 @@ def test_whoever_writes_a_recording_never_waits_for_a_full_disk(tmp_path: Path) 
 
 def test_a_temporary_disk_that_is_full_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     def remember() -> None:
-        file = RecordFile(np.dtype([("x", "f8", 100)]), in_memory=2)
+        file = SpillFile(np.dtype([("x", "f8", 100)]), in_memory=2)
         for _ in range(10):
             file.append(np.zeros((), file.dtype))
 

@@ -11,7 +11,7 @@ import pytest
 from odometry import se3
 from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from slam.loop_closing import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
 from slam.loop_geometry import SAME_UNIT, GeometryConfig, compare_units, relative_pose
 
@@ -79,7 +79,7 @@ def world(seed: int = 0, count: int = 600) -> World:
 
 
 def closer_over(scene: World, poses: list[np.ndarray], config: LoopCloserConfig | None = None) -> LoopCloser:
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), scene, config)
+    closer = LoopCloser(CAMERA, FeatureCache(scene), scene, config)
     for index, pose in enumerate(poses):
         image = scene.look(pose)
         closer.add_frame(index, image, image)
@@ -119,7 +119,7 @@ def test_more_noise_makes_a_larger_covariance() -> None:
 
 def test_a_disparity_bias_stays_within_the_covariance() -> None:
     scene = world()
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(lambda *view: scene.disparity(*view) + 0.4))
+    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(lambda *view: scene.disparity(*view) + 0.4))
     for index, pose in enumerate([np.eye(4), MOTION]):
         image = scene.look(pose)
         closer.add_frame(index, image, image)
@@ -200,7 +200,7 @@ def test_landmarks_come_back_in_the_camera_frame() -> None:
     scene = world()
     scene.noise = 0.0
     image = scene.look(MOTION)
-    landmarks = LoopCloser(CAMERA, SharedFeatures(scene), scene).add_frame(7, image, image)
+    landmarks = LoopCloser(CAMERA, FeatureCache(scene), scene).add_frame(7, image, image)
     seen = CAMERA.project(landmarks.points.astype(np.float64))
     np.testing.assert_allclose(seen[:, [0, 2]], landmarks.pixels, atol=1e-2)
     assert landmarks.points.dtype == landmarks.pixels.dtype == np.float32
@@ -215,7 +215,7 @@ def test_features_without_disparity_are_no_landmarks() -> None:
     def every_other(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         return np.where(np.arange(len(pixels)) % 2, np.nan, scene.disparity(left, right, pixels))
 
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(every_other))
+    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(every_other))
     assert len(closer.add_frame(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
 
 
@@ -288,7 +288,7 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
     ]
     height, width = images[0][0].shape
     camera = StereoCamera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline, width, height)
-    closer = LoopCloser(camera, SharedFeatures(Sift()), Depth(tracked_disparity))
+    closer = LoopCloser(camera, FeatureCache(Sift()), Depth(tracked_disparity))
     for k, (left, right) in zip((0, 3, 20, 23), images, strict=True):
         closer.add_frame(k, left, right)
     poses = [se3.pose(row[:, :3], row[:, 3]) for row in rows]
@@ -309,7 +309,7 @@ def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
         return scene.disparity(left, left, pixels) * (unit if left[0, 0] == 1 else 1.0)
 
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), Depth(depths_in_own_unit, has_metric_scale=False))
+    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_in_own_unit, has_metric_scale=False))
     for index, pose in enumerate([np.eye(4), MOTION]):
         closer.add_frame(index, scene.look(pose), None)
     loop = closer.verify(1, 0)

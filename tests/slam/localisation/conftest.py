@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.config import RunConfig, to_toml
 from slam.datasets.open import open_drive
 from slam.drive_log import RunLog
@@ -24,7 +24,7 @@ MAPPED = range(0, 90, 2)  # frames of the drive that are in the map
 def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the map lies; whoever changes the file takes a copy."""
     path = tmp_path_factory.mktemp("map") / "map.db"
-    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRows(500), RunLog()
+    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRecorder(500), RunLog()
     slam = Slam(build_components(drive.camera, config, rows))
     source = {"source": str(circle_drive), "versions": {"revisit-slam": "0"}}
     session = Session(0, 0, "circle", drive.camera, to_toml(config), source)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.paradigms.catalogue import PARADIGMS
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset, Frame
@@ -46,14 +46,14 @@ def drive(circle_drive: Path) -> Every:
 @dataclass(frozen=True)
 class End:
     slam: Slam
-    rows: MatrixRows
+    rows: MatrixRecorder
     log: RunLog
     optimized: Optimized
 
 
 def drive_on(drive: Every, config: RunConfig, recorder: SessionRecorder, stop: int | None = None) -> End | None:
     """Drive from where the recorder stopped to the end, or stop after so many frames."""
-    rows, log = MatrixRows(1000), RunLog()
+    rows, log = MatrixRecorder(1000), RunLog()
     slam = Slam(build_components(drive.drive.camera, config, rows))
     for index in range(recorder.restore(slam, rows, log), len(drive)):
         result = slam.process(drive[index])

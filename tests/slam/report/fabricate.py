@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from odometry import se3
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
 from slam.mapping.fusion import Surface
@@ -148,7 +148,7 @@ def with_evidence(whole, seed=5):
         events=tuple(events),
         matched=tuple(matched(row, rng) for row in sought),
         curve=precision_recall(beliefs, truth),
-        matrices={"similarity": Matrix(matrix)},
+        matrices={"similarity": SimilarityMatrix(matrix)},
     )
 
 

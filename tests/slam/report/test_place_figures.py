@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
 from slam.report.figures import png, save_png
@@ -13,10 +13,10 @@ from slam.report.place_figures import drawn_cells, places_picture, precision_rec
 from slam.report.recall_table import SETS, RecallTable, as_latex, as_picture, as_text
 
 
-def thin_diagonal(size: int) -> Matrix:
+def thin_diagonal(size: int) -> SimilarityMatrix:
     values = np.where(np.tri(size, k=-1) > 0, 0.0, np.nan).astype(np.float32)
     values[np.arange(size // 2, size), np.arange(size - size // 2)] = 1.0
-    return Matrix(values)
+    return SimilarityMatrix(values)
 
 
 @pytest.mark.parametrize("size", [7, 601, 1999])
@@ -31,14 +31,14 @@ def test_a_line_of_one_image_is_drawn_however_large_the_matrix(size: int) -> Non
 def test_a_matrix_of_sequences_fills_the_images_of_each() -> None:
     values = np.full((40, 40), np.nan, np.float32)
     values[np.ix_([10, 20, 30], [0, 10])] = np.arange(6).reshape(3, 2)
-    rows, columns, cells = drawn_cells(Matrix(values))
+    rows, columns, cells = drawn_cells(SimilarityMatrix(values))
     assert rows.tolist() == [0, 10, 20, 30, 40]
     assert columns.tolist() == [0, 10, 20]
     assert cells[1:].tolist() == [[0, 1], [2, 3], [4, 5]]
 
 
 def test_cells_of_a_folded_matrix_are_in_images() -> None:
-    rows, _, _ = drawn_cells(Matrix(np.zeros((5, 5), np.float32), step=4))
+    rows, _, _ = drawn_cells(SimilarityMatrix(np.zeros((5, 5), np.float32), step=4))
     assert rows.tolist() == [0, 4, 8, 12, 16, 20]
 
 
@@ -57,7 +57,7 @@ def test_there_is_a_panel_for_each_matrix_the_detections_and_the_truth(
 
 
 def test_a_drive_in_which_nothing_was_compared_can_be_drawn(tmp_path: Path) -> None:
-    nothing = Matrix(np.full((1, 1), np.nan, np.float32))
+    nothing = SimilarityMatrix(np.full((1, 1), np.nan, np.float32))
     save_png(places_picture("x", {"similarity": nothing}, np.empty((0, 2), np.int64), None), tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 0
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from odometry.camera import StereoCamera
-from place_recognition.evaluation.matrix import Matrix
+from place_recognition.evaluation.matrix import SimilarityMatrix
 from slam.errors import OutputError
 from slam.viewer import shapes
 from slam.viewer.rerun_viewer import RerunViewer
@@ -42,7 +42,7 @@ def drive(viewer, record, seed=1):
             row = rows[index]
             closed = ClosedLoop(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
             viewer.loop(closed, record.online[: index + 1])
-    viewer.matrix(Matrix(rng.random((len(rows), len(rows)), np.float32)))
+    viewer.matrix(SimilarityMatrix(rng.random((len(rows), len(rows)), np.float32)))
     viewer.finish(record)
     viewer.close()
 
@@ -130,7 +130,7 @@ def test_a_revisit_shows_in_the_matrix_however_many_images_share_a_cell(size):
     rows_, columns = np.tril_indices(size, -1)
     values[rows_, columns] = 1.0
     values[size - 1, size // 3] = 50.0
-    data = shapes.matrix(Matrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
+    data = shapes.matrix(SimilarityMatrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
     image = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image.shape[0] == image.shape[1] <= 500
     if size > 1:
