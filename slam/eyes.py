@@ -10,7 +10,7 @@ from odometry.camera import StereoCamera
 from odometry.mono import MonoOdometry
 from odometry.motion import Motion
 from odometry.stereo import StereoOdometry
-from place_recognition.evaluation.map_size import array_bytes
+from place_recognition.evaluation.map_size import count_array_bytes
 from slam.datasets.dataset import Frame
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ class StereoVisualOdometry:
 
     def array_bytes(self) -> int:
         """Memory of all arrays held, bytes."""
-        return array_bytes(self._odometry)
+        return count_array_bytes(self._odometry)
 
     def state(self) -> dict[str, Any]:
         """State of the odometry."""
@@ -115,7 +115,7 @@ class MonocularVisualOdometry:
 
     def array_bytes(self) -> int:
         """Memory of all arrays held, bytes."""
-        return array_bytes(self._odometry)
+        return count_array_bytes(self._odometry)
 
     def state(self) -> dict[str, Any]:
         """State of the odometry."""

@@ -10,9 +10,9 @@ def held_mb(components: Components) -> dict[str, float | None]:
     """Megabytes of the arrays that each component holds, by stage; `map` is the landmark map."""
     held = {
         "odometry": components.odometry.array_bytes(),
-        "features": array_bytes(components.features),
-        "landmarks": array_bytes(components.loop_closer),
+        "features": count_array_bytes(components.features),
+        "landmarks": count_array_bytes(components.loop_closer),
         "place recognition": map_size(components.recognizer).bytes,
-        "map": array_bytes(components.landmarks),
+        "map": count_array_bytes(components.landmarks),
     }
     return {stage: size / 1e6 for stage, size in held.items()} | {"pose graph": None}

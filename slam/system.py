@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.image_processing.features import FeatureCache
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.clock import StageTimer
 from slam.datasets.dataset import Frame
@@ -179,7 +179,7 @@ class Slam:
         with self.timer.stage("features"):
             features = self.describe(frame).features
         assert features is not None
-        self.components.features.give(frame.index, features)
+        self.components.features.put(frame.index, features)
         with self.timer.stage("landmarks"):
             return self.components.loop_closer.add_frame(frame.index, frame.left, frame.right)
 

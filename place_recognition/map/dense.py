@@ -56,12 +56,12 @@ class DenseMap:
 
     def state(self) -> dict[str, Any]:
         """All descriptors, for a checkpoint."""
-        return {"vectors": self._vectors.state(), "lengths": self._lengths.state()}
+        return {"vectors": self._vectors.state(), "lengths": self._norms.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._vectors.restore(state["vectors"])
-        self._lengths.restore(state["lengths"])
+        self._norms.restore(state["lengths"])
 
 
 def _norm(vector: NDArray[np.int8]) -> float:

@@ -1,5 +1,7 @@
 """Ids and path lengths of all images, by which the exclusion windows of all recognisers know what is far behind."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,3 +67,12 @@ class ImageTimeline:
         if location == len(self) or self.ids[location] != image_id:
             raise ValueError(f"expected the id of an image that was observed, got {image_id}")
         return location
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"image_ids": self._ids.state(), "distances_m": self._distances_m.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._ids.restore(state["image_ids"])
+        self._distances_m.restore(state["distances_m"])

@@ -168,7 +168,7 @@ class PlaceMap:
         return {
             "index": self._index.state(),
             "last_images": self._last.state(),
-            "words_until": self._words_until.state(),
+            "words_until": self._word_ends.state(),
             "waiting": list(self._waiting),
         }
 
@@ -176,5 +176,5 @@ class PlaceMap:
         """Continue from a state."""
         self._index.restore(state["index"])
         self._last.restore(state["last_images"])
-        self._words_until.restore(state["words_until"])
+        self._word_ends.restore(state["words_until"])
         self._waiting = deque(state["waiting"])

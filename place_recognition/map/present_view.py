@@ -96,12 +96,11 @@ class ExclusionWindow:
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"image_ids": self._ids.state(), "distances_m": self._ways.state(), "view": list(self._view)}
+        return {"timeline": self._timeline.state(), "view": list(self._view)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._ids.restore(state["image_ids"])
-        self._ways.restore(state["distances_m"])
+        self._timeline.restore(state["timeline"])
         self._view = deque(state["view"])
 
 

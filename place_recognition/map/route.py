@@ -126,14 +126,12 @@ class ImageHistory:
         """Everything that changes from image to image, for a checkpoint."""
         return {
             "features": self.images.state(),
-            "image_ids": self._ids.state(),
-            "distances_m": self._ways.state(),
+            "timeline": self._timeline.state(),
             "view_begin": self._view_begin,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self.images.restore(state["features"])
-        self._ids.restore(state["image_ids"])
-        self._ways.restore(state["distances_m"])
+        self._timeline.restore(state["timeline"])
         self._view_begin = state["view_begin"]

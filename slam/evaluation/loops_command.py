@@ -84,7 +84,6 @@ def _check(options: LoopsOptions) -> None:
         "--max-angle": rule.max_angle_deg,
         "--min-time-gap": rule.min_time_gap_s,
         "--min-distance": rule.min_path_length_m,
-    ,
     }
     for name, value in numbers.items():
         if not 0 <= value < np.inf:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import FeatureExtractor, LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
@@ -37,10 +37,10 @@ class SessionStart:
     distance_m: float = 0.0
 
 
-class SessionFeatures(SharedFeatures):
+class SessionFeatures(FeatureCache):
     """The feature cache of a map, addressed by the frames of one session."""
 
-    def __init__(self, cache: SharedFeatures, first_image: int) -> None:
+    def __init__(self, cache: FeatureCache, first_image: int) -> None:
         self._cache, self._first_image = cache, first_image
 
     @property
@@ -55,11 +55,11 @@ class SessionFeatures(SharedFeatures):
 
     def give(self, image_id: int, features: LocalFeatures) -> None:
         """Put the features of a frame of the session into the cache."""
-        self._cache.give(self._first_image + image_id, features)
+        self._cache.put(self._first_image + image_id, features)
 
     def of(self, image_id: int, image: Image) -> LocalFeatures:
         """Features of a frame of the session."""
-        return self._cache.of(self._first_image + image_id, image)
+        return self._cache.get(self._first_image + image_id, image)
 
 
 class SessionLoopCloser:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from place_recognition.evaluation.matrix import MatrixRows
+from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.config import RunConfig, parse_config
 from slam.datasets.dataset import Dataset
 from slam.drive_log import RunLog
@@ -158,7 +158,7 @@ class RestoredSession:
 
 
 def restore_session(
-    store: MapDatabase, session: Session, slam: Slam, matrix: MatrixRows, run_log: RunLog
+    store: MapDatabase, session: Session, slam: Slam, matrix: MatrixRecorder, run_log: RunLog
 ) -> RestoredSession:
     """Restore a new system, its similarity matrix and its log to where a session stopped.
 
@@ -182,7 +182,7 @@ def restore_session(
     return RestoredSession(_restore_checkpoint(store, session, slam.components, matrix), num_loops)
 
 
-def system_state(components: Components, matrix: MatrixRows) -> dict[str, Any]:
+def system_state(components: Components, matrix: MatrixRecorder) -> dict[str, Any]:
     """State of what changes with each image and cannot be rebuilt from frame records, for a checkpoint."""
     return {
         "odometry": components.odometry.state(),
@@ -199,7 +199,7 @@ def session_start(store: MapDatabase, session: Session) -> SessionStart:
     return SessionStart(session.first_image, distance_m + _SESSION_GAP_M * session.number)
 
 
-def _restore_checkpoint(store: MapDatabase, session: Session, components: Components, matrix: MatrixRows) -> int:
+def _restore_checkpoint(store: MapDatabase, session: Session, components: Components, matrix: MatrixRecorder) -> int:
     """Restore the state of the session, else the recogniser's of the one before; frames processed of this one."""
     own = store.checkpoint(session.number)
     if own is not None:
@@ -213,7 +213,7 @@ def _restore_checkpoint(store: MapDatabase, session: Session, components: Compon
     if earlier is not None:
         with store.reading():
             components.recognizer.restore(earlier.state["recognizer"])
-        matrix.begin_anew(session.first_image)
+        matrix.restart(session.first_image)
     return 0
 
 

@@ -45,7 +45,7 @@ def read_map(path: Path) -> None:
             checkpoint = store.checkpoint(session.number)
             if checkpoint is not None:
                 with store.reading():
-                    MatrixRows().restore(checkpoint.state["similarity_matrix"])
+                    MatrixRecorder().restore(checkpoint.state["similarity_matrix"])
         for frame in store.frames():
             if frame.landmarks.points.shape != (len(frame.landmarks), 3):
                 raise DataError("landmarks without a place")

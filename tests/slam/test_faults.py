@@ -126,7 +126,7 @@ def test_other_errors_of_the_system_keep_their_traceback() -> None:
 
 
 def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with largest_file(2000), run.run_log(tmp_path / "run.log"):
+    with largest_file(2000), run.log_to_file(tmp_path / "run.log"):
         for _ in range(100):
             run.log.info("frame 1: motion predicted")
     assert (tmp_path / "run.log").stat().st_size <= 2000
