@@ -222,3 +222,76 @@ def test_unknown_errors_all_have_the_reason() -> None:
     errors = unknown_errors("there is no ground truth")
     assert set(errors.as_metrics().values()) == {None}
     assert errors.reasons == dict.fromkeys(errors.as_metrics(), "there is no ground truth")
+
+
+def moved(poses: np.ndarray, T: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    """The same trajectory in another world frame and another unit."""
+    out = T @ poses
+    out[:, :3, 3] *= scale
+    return out
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, scale=st.floats(0.1, 10.0))
+def test_no_error_depends_on_the_world_frame_of_the_estimate(seed: int, scale: float) -> None:
+    """Nor, with sim3, on its unit."""
+    truth, T = walk(seed, 150), se3.exp(np.random.default_rng(seed).normal(size=6))
+    estimate = walk(seed, 150) @ se3.exp(np.array([0.0, 0.01, 0.0, 0.1, 0.0, 0.0]))
+    estimate[:, 0, 3] += np.linspace(0.0, 3.0, 150)
+    for alignment, other in (("se3", moved(estimate, T)), ("sim3", moved(estimate, T, scale))):
+        expected = trajectory_errors(estimate, truth, alignment).as_metrics()
+        found = trajectory_errors(other, truth, alignment).as_metrics()
+        assert found.pop("ate_alignment") == expected.pop("ate_alignment") == alignment
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_a_free_scale_never_makes_the_ate_larger(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = walk(seed, 60)
+    estimate = moved(truth, np.eye(4), rng.uniform(0.5, 2.0))
+    estimate[:, :3, 3] += rng.normal(size=(60, 3))
+    rigid, similar = (absolute_trajectory_error(estimate, truth, alignment) for alignment in ("se3", "sim3"))
+    assert similar <= rigid + 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_no_small_motion_improves_the_alignment(seed: int) -> None:
+    """The alignment is a minimum: finite steps in all six directions make the squared error larger."""
+    rng = np.random.default_rng(seed)
+    source, target = rng.normal(size=(2, 20, 3))
+    fit = umeyama(source, target)
+    aligned = fit.apply(source)
+    best = ((aligned - target) ** 2).sum()
+    for direction in np.concatenate([np.eye(6), -np.eye(6)]):
+        other = se3.transform(se3.exp(1e-3 * direction), aligned)
+        assert ((other - target) ** 2).sum() > best
+
+
+@pytest.mark.parametrize("scale", [0.9, 0.97, 1.05])
+def test_t_rel_of_a_straight_drive_is_its_error_of_scale(scale: float) -> None:
+    truth = straight(900)
+    errors = kitti_errors(moved(truth, np.eye(4), scale), truth)
+    assert errors is not None
+    # A segment ends at the first frame beyond its length, here one metre later.
+    assert errors.t_rel_percent == pytest.approx(100.0 * abs(scale - 1.0), rel=0.011)
+    assert errors.r_rel_deg_per_100m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_rotation_error_has_no_rounding_noise_at_small_angles() -> None:
+    """Ground truth of seven digits, as KITTI's: arccos of the trace would give 0.06 degrees."""
+    truth = walk(3, 300)
+    rounded = truth.astype(np.float32).astype(np.float64)
+    errors = kitti_errors(rounded, truth)
+    assert errors is not None
+    assert errors.r_rel_deg_per_100m < 1e-4
+
+
+@given(seed=seeds, count=st.integers(2, 40))
+def test_path_length_is_additive_and_has_the_unit_of_the_poses(seed: int, count: int) -> None:
+    poses, cut = walk(seed, count + 1), count // 2
+    assert path_length(poses) == pytest.approx(path_length(poses[: cut + 1]) + path_length(poses[cut:]))
+    assert path_length(moved(poses, np.eye(4), 3.0)) == pytest.approx(3.0 * path_length(poses))
+    assert path_length(poses) >= np.linalg.norm(poses[-1, :3, 3] - poses[0, :3, 3]) - 1e-9
