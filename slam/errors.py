@@ -1,23 +1,23 @@
-"""What can go wrong for a user, as one family that the command line turns into one line and an exit code."""
+"""Errors that a user can fix, as one family that the command line turns into one line and an exit code."""
 
 import re
 
-_LONGEST = 1000  # characters of a message: a damaged file can hold words of any length
+_MAX_LENGTH = 1000  # characters of a message: a damaged file can hold words of any length
 
 
 class RevisitError(Exception):
-    """Something the user can mend. The message names the file, what was expected and found, and the remedy.
+    """An error that the user can fix. The message names the file, what was expected and found, and what to do.
 
-    It is one line that a terminal shows as it is, whatever a file brought into it.
+    It is one line of printable characters, whatever a damaged file has brought into it.
     """
 
     def __str__(self) -> str:
         """The message."""
         line = re.sub(r"\s*[\r\n]\s*", " ", super().__str__())
         shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in line)
-        if len(shown) <= _LONGEST:
+        if len(shown) <= _MAX_LENGTH:
             return shown
-        return f"{shown[: _LONGEST - 300]} ... {shown[-200:]}"  # the remedy stands at the end
+        return f"{shown[: _MAX_LENGTH - 300]} ... {shown[-200:]}"  # the remedy stands at the end
 
 
 class DataError(RevisitError):
@@ -29,7 +29,7 @@ class OutputError(RevisitError):
 
 
 class ConfigError(RevisitError):
-    """A parameter has a value that cannot work."""
+    """A setting has an invalid value."""
 
 
 class GraphError(RevisitError):

@@ -24,7 +24,7 @@ class FrameRecord:
         T_world_odometry: (4, 4) pose by odometry alone.
         T_world_online: (4, 4) online estimate at the moment when the frame was processed.
         landmarks: features with depth, in the camera's frame.
-        key_frame: True where the landmarks joined the map.
+        is_key_frame: True where the landmarks joined the map.
         stage_ms: milliseconds by stage.
         T_world_camera: (4, 4) corrected pose; None until the session has ended.
         unit: unit of length of the frame, as a multiple of that of the first frame.
@@ -36,7 +36,7 @@ class FrameRecord:
     T_world_odometry: Array
     T_world_online: Array
     landmarks: Landmarks
-    key_frame: bool
+    is_key_frame: bool
     stage_ms: Mapping[str, float]
     T_world_camera: Array | None = None
     unit: float = 1.0

@@ -1,9 +1,8 @@
 """The pipeline: one dataset from its images to its results, with the viewer, the map database and the files."""
 
-import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
@@ -32,17 +31,16 @@ from slam.map_store.resuming import (
     reopen_run_folder,
 )
 from slam.parts import build_components, check_names, read_checked_config
+from slam.pipeline.event_log import log, log_frame, log_loops, log_to_file
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.report.tables import summary
 from slam.results import PipelineResult, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder
-from slam.system import FrameResult, LoopCandidate, Slam
+from slam.system import FrameResult, Slam
 from slam.viewer.viewer import NullViewer, Viewer
 from slam.watching import RunVisualizer
-
-log = logging.getLogger("revisit")
 
 _WARM_UP_FRAMES = 3  # the first frame with a motion, and one after it
 _MATRIX_ROWS = 1500  # of the recogniser's similarity matrix, for a picture of it: 9 MB
@@ -306,21 +304,18 @@ def process_dataset(
     visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()
     num_restored = recorder.restore(slam, matrix, run_log)
     visualizer.restore(run_log)
-    with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(dataset, begin=num_restored, prepare=slam.describe), slam.timer):
-            result = slam.process(frame)
-            log_frame(result)
-            run_log.add(result, visualizer.show(result))
-            recorder.add(result, run_log.stage_ms[-1])
-            progress(frame.index + 1, len(dataset))
-            if stop.requested:
-                messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
-                break
+
+    def handle(result: FrameResult) -> None:
+        log_frame(result)
+        run_log.add(result, visualizer.show(result))
+        recorder.add(result, run_log.stage_ms[-1])
+
+    interrupted = _process_frames(slam, dataset, num_restored, handle, messages)
     recorder.write_checkpoint()
     late, optimized = slam.finish(config.robust)
     log_loops(late)
     run_log.add_loops(late)
-    session = recorder.finish(late, optimized, ended=not stop.requested)
+    session = recorder.finish(late, optimized, ended=not interrupted)
     return PipelineResult(
         dataset=dataset,
         config=config,
@@ -328,11 +323,25 @@ def process_dataset(
         run_log=run_log,
         matrix=matrix,
         optimized=session.optimized,
-        interrupted=stop.requested,
+        interrupted=interrupted,
         wall_seconds=time.perf_counter() - start,
         num_restored=num_restored,
         merge=session.merge,
     )
+
+
+def _process_frames(
+    slam: Slam, dataset: Dataset, begin: int, handle: Callable[[FrameResult], None], messages: Console
+) -> bool:
+    """Process the frames from an index on, and hand on each result; whether the user interrupted."""
+    with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
+        for frame in timed(prefetch(dataset, begin=begin, prepare=slam.describe), slam.timer):
+            handle(slam.process(frame))
+            progress(frame.index + 1, len(dataset))
+            if stop.requested:
+                messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
+                return True
+    return False
 
 
 def warm_up(dataset: Dataset, config: RunConfig, build: Build = build_components) -> None:
@@ -340,40 +349,3 @@ def warm_up(dataset: Dataset, config: RunConfig, build: Build = build_components
     slam = Slam(build(dataset.camera, config, None))
     for index in range(min(_WARM_UP_FRAMES, len(dataset))):
         slam.process(dataset[index])
-
-
-def log_frame(result: FrameResult) -> None:
-    """Log what is out of the ordinary about a frame."""
-    if result.motion.predicted:
-        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
-    log_loops(result.candidates)
-
-
-def log_loops(candidates: Sequence[LoopCandidate]) -> None:
-    """Log what became of each loop that was proposed."""
-    for candidate in candidates:
-        if candidate.reason:
-            outcome = "closed" if candidate.closed else "not closed"
-            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
-
-
-@contextmanager
-def log_to_file(path: Path) -> Iterator[None]:
-    """Send the log to a file while the block runs."""
-    handler = _LogFile(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        with suppress(OSError):
-            handler.close()
-
-
-class _LogFile(logging.FileHandler):
-    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Go on."""

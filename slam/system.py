@@ -152,7 +152,7 @@ class Slam:
         self._advance(record.motion)
         self.components.loop_closer.restore_frame(record.image, record.landmarks)
         candidates = tuple(self._add_to_graph(loop.belief, loop.geometry) for loop in loops)
-        if record.key_frame:
+        if record.is_key_frame:
             self._add_landmarks(record.image, record.landmarks)
         return candidates
 

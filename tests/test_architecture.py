@@ -178,3 +178,16 @@ def test_help_loads_no_heavy_library():
         "sys.exit(f'loaded: {heavy}' if heavy else 0)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_the_system_knows_no_files_no_sessions_and_no_viewer():
+    known = {module_name(path): path for path in sources()}
+    reached, waiting = set(), ["slam.system"]
+    while waiting:
+        module = waiting.pop()
+        if module in known and module not in reached:
+            reached.add(module)
+            waiting += imports(known[module])
+    folders = ("slam.map_store", "slam.map_database", "slam.storage", "slam.io", "slam.viewer", "slam.pipeline")
+    assert not [module for module in reached if module.startswith(folders)]
+    assert "slam.sessions" not in reached

@@ -39,9 +39,9 @@ def info(
 
     Example: revisit info runs/kitti05
     """
-    from slam.map_store.summary import as_json, as_table, summarise
+    from slam.map_store.summary import as_json, as_table, summarize
 
-    summary = summarise(map)
+    summary = summarize(map)
     shown = as_json(summary) if json else as_table(summary)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
 

@@ -1,4 +1,4 @@
-"""The images that are to be placed: one, a folder of them, a video, or what the left camera of a drive saw."""
+"""The images to be localized: one, a folder, a video, or the left images of a dataset."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from slam.errors import DataError
 
 Image = NDArray[np.uint8]
 
-_ALIKE = 0.01  # share of the image's width by which two descriptions of one camera may differ
+_CAMERA_TOLERANCE = 0.01  # share of the image's width by which two calibrations of one camera may differ
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Queries:
     """Images of the camera of a map.
 
     Attributes:
-        images: one after the other; that they follow one another is not made use of.
-        camera: of the map.
+        images: the images; their order is not used.
+        camera: camera of the map.
     """
 
     images: ImageRecording
@@ -73,7 +73,7 @@ def open_queries(source: Source, camera: StereoCamera) -> Queries:
 
 def _compare(path: Path, found: StereoCamera, expected: StereoCamera) -> None:
     numbers = [np.array([camera.fx, camera.fy, camera.cx, camera.cy]) for camera in (found, expected)]
-    if np.abs(numbers[0] - numbers[1]).max() > _ALIKE * expected.width:
+    if np.abs(numbers[0] - numbers[1]).max() > _CAMERA_TOLERANCE * expected.width:
         shown = [", ".join(f"{value:.1f}" for value in each) for each in numbers]
         raise DataError(
             f"{path}: expected the camera of the map, fx, fy, cx, cy = {shown[1]}, found {shown[0]};"

@@ -1,7 +1,7 @@
-"""Which key frames of a map an image is like, by visual words.
+"""Retrieval: the key frames of a map that an image resembles, by a bag of visual words.
 
-The words are landmarks of the map itself, drawn by lot: nothing is trained, and they are of whatever features the map
-is made of. Sivic, Zisserman, 'Video Google', ICCV 2003.
+The words are descriptors of the map itself, drawn at random: nothing is trained, and they are of whatever features the
+map is made of. Sivic, Zisserman, 'Video Google', ICCV 2003.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,11 +22,11 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class IndexConfig:
-    """How images are compared.
+    """Settings of the retrieval.
 
     Attributes:
-        words: how many, at most.
-        seed: of the lot.
+        words: maximum number of words.
+        seed: seed of their random choice.
     """
 
     words: int = 10000
@@ -35,12 +35,12 @@ class IndexConfig:
 
 @dataclass(frozen=True)
 class PlaceIndex:
-    """Key frames by their words.
+    """Bags of words of the key frames.
 
     Attributes:
-        search: finds the word of a descriptor.
-        shares: (W,) of the key frames, that have each word.
-        profiles: (F, W), each key frame's words by their weights, of unit length.
+        search: index that finds the word of a descriptor.
+        shares: (W,) share of the key frames in which each word occurs.
+        profiles: (F, W) weighted words of each key frame, rows of unit length.
     """
 
     search: WordIndex
@@ -49,11 +49,11 @@ class PlaceIndex:
 
     @classmethod
     def build(cls, frames: Callable[[], Iterable[Floats]], config: IndexConfig) -> Self:
-        """Draw words from the descriptors (N, D) of each key frame, and look all of them up.
+        """Draw words from the descriptors (N, D) of all key frames, then index the key frames by them.
 
         Args:
-            frames: gives the key frames' descriptors anew each time; at least one in all.
-            config: how many words.
+            frames: returns an iterator over the descriptors of each key frame; at least one in all. Called twice.
+            config: settings.
         """
         sample = DescriptorSample(config.words, config.seed)
         for descriptors in frames():
@@ -71,11 +71,11 @@ class PlaceIndex:
         return cls(search, np.asarray(shares, np.float64), profiles)
 
     def likeness(self, descriptors: Floats) -> Array:
-        """How alike each key frame (F,) is to an image by its descriptors (N, D): a correlation, at most 1."""
+        """Similarity (F,) of each key frame to an image with descriptors (N, D): a correlation, at most 1."""
         if len(descriptors) == 0:
             return np.zeros(self.profiles.shape[0])
         words, weights = _distinct(self.search, descriptors), -np.log(self.shares)
-        query = -self.shares * weights  # what most of the map shows, tells no place from another
+        query = -self.shares * weights  # words that most key frames show carry no information
         query[words] += weights[words]
         return np.asarray(self.profiles @ query) / max(float(np.linalg.norm(weights[words])), 1e-12)
 

@@ -103,10 +103,10 @@ class Localizer:
             DataError: the map is of other features.
         """
         features = self._extractor.extract(image)
-        if features.descriptors.shape[1] != self._saved.numbers and len(features):
+        if features.descriptors.shape[1] != self._saved.descriptor_size and len(features):
             raise DataError(
                 f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
-                f" {self._saved.numbers} numbers; run again with these features"
+                f" {self._saved.descriptor_size} numbers; run again with these features"
             )
         coarse = [self._verify(features, place, self._config.coarse_offsets) for place in self._candidates(features)]
         coarse.sort(key=lambda hypothesis: -len(hypothesis))
@@ -138,7 +138,7 @@ class Localizer:
 
     def _verify(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
         saved, base = self._saved, int(self._saved.key_frames[place])
-        matches = match_local_map(saved, base, saved.beside(place, offsets), features, self._config.local_map)
+        matches = match_local_map(saved, base, saved.neighbors(place, offsets), features, self._config.local_map)
         pose = estimate_camera_pose(saved.camera, matches, self._config.pose)
         agreeing = np.empty(0, np.int64) if pose is None else np.unique(matches.features[pose.inliers])
         return Hypothesis(place, base, agreeing, pose)

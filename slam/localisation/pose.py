@@ -1,6 +1,6 @@
-"""The pose of one camera from pixels and the points of a map that they show, and how sure it is.
+"""Absolute pose of one camera from 2D-3D matches with a map, and its covariance.
 
-Errors live in pixels of the image: its own noise, and what the noise of the map's points amounts to there.
+Errors are measured in pixels of the image: the noise of the pixel, and that of the map's point projected into it.
 """
 
 from dataclasses import dataclass
@@ -17,22 +17,23 @@ Mask = NDArray[np.bool_]
 
 _MEDIAN_2 = 1.386  # median of chi-square, 2 degrees of freedom
 _LIMIT_2 = 13.82  # its 99.9 % quantile
-_ROUNDS = 15  # of reweighting at most
-_SETTLED = 1e-5  # rad and m: a step below this ends it
-_NEAREST = 0.3  # m; nothing is seen closer
-_POLISH = 2  # steps of plain least squares on the inliers
+_MAX_ITERATIONS = 15  # of reweighted least squares
+_CONVERGED = 1e-5  # rad and m: a smaller step ends the iteration
+_MIN_DEPTH_M = 0.3  # nothing is seen closer
+_FINAL_ITERATIONS = 2  # of plain least squares on the inliers
 
 
 @dataclass(frozen=True)
 class PoseConfig:
-    """What matches of an image with a map are expected to look like.
+    """Noise model of the matches, and settings of RANSAC.
 
     Attributes:
-        ransac_error_px: reprojection error of an inlier of the first guess.
-        ransac_iterations: enough for 20 % inliers and 4 points at 0.98.
-        sigma_px: noise of a pixel.
-        systematic_rad: error of the rotation that more points do not average out (calibration), one sigma, radians.
-        systematic_m: likewise of the translation, metres.
+        ransac_error_px: maximum reprojection error of an inlier of RANSAC, pixels.
+        ransac_iterations: number of samples; enough for 20 % inliers and 4 points with probability 0.98.
+        sigma_px: standard deviation of a pixel, pixels.
+        systematic_rad: standard deviation of a rotation error that more points do not average out (calibration),
+            radians.
+        systematic_m: standard deviation of such an error of the translation, metres.
     """
 
     ransac_error_px: float = 4.0
@@ -44,13 +45,13 @@ class PoseConfig:
 
 @dataclass(frozen=True)
 class MapMatches:
-    """Pixels of an image, and the points of the map that they may show.
+    """2D-3D matches: pixels of an image, and the points of the map that they may show.
 
     Attributes:
-        pixels: (K, 2).
-        points_base: (K, 3) in the frame of a base camera.
+        pixels: (K, 2) pixels in the image.
+        points_base: (K, 3) points in the frame of a base camera.
         noise_base: (K, 3, 3) covariance of the points.
-        features: (K,) which feature of the image; one may have been found in several key frames.
+        features: (K,) index of the feature; one feature may match several key frames.
     """
 
     pixels: Array
@@ -62,18 +63,18 @@ class MapMatches:
         return len(self.pixels)
 
     def only(self, chosen: Mask) -> "MapMatches":
-        """Some of them, chosen by (K,) bool."""
+        """The matches chosen by a mask (K,)."""
         return MapMatches(self.pixels[chosen], self.points_base[chosen], self.noise_base[chosen], self.features[chosen])
 
 
 @dataclass(frozen=True)
 class CameraPose:
-    """A pose that matches agree on.
+    """Pose of a camera relative to a base camera of the map.
 
     Attributes:
-        T_base_camera: (4, 4) in the frame of the base camera.
-        covariance: (6, 6) of its right perturbation, rotation first.
-        inliers: (K,) bool over the matches.
+        T_base_camera: (4, 4) pose in the frame of the base camera.
+        covariance: (6, 6) covariance of its right perturbation, rotation first.
+        inliers: (K,) bool, matches that agree.
     """
 
     T_base_camera: Array
@@ -92,30 +93,30 @@ def estimate_camera_pose(camera: PinholeCamera, matches: MapMatches, config: Pos
 def refine_pose(
     camera: PinholeCamera, matches: MapMatches, T_base_camera: Array, config: PoseConfig
 ) -> CameraPose | None:
-    """The pose near a first guess (4, 4) that most matches agree with.
+    """Refine a pose (4, 4): iteratively reweighted least squares, then plain least squares on the inliers.
 
-    Reweighted least squares, then a plain one on the inliers for an honest covariance.
+    The plain steps make the covariance consistent: the weights only chose the inliers.
     """
     if len(matches) < MIN_LANDMARKS:
         return None
     system = _ReprojectionSystem(camera, matches, config)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         chi2 = system.linearize(T_base_camera)
         step = system.step(1.0 / (1.0 + chi2))  # Cauchy's weights
         T_base_camera = T_base_camera @ se3.exp(step)
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < _CONVERGED:
             break
     chi2 = system.linearize(T_base_camera)
-    # The better half tells the noise; where most matches are wrong it tells nothing, hence the bound.
+    # The median gives the noise level; where most matches are wrong it gives none, hence the bounds.
     inliers = chi2 < _LIMIT_2 * np.clip(np.median(chi2) / _MEDIAN_2, 1.0, 4.0)
     if np.sum(inliers) < MIN_LANDMARKS:
         return None
     weights = inliers * _feature_weights(matches.features, inliers)
-    for _ in range(_POLISH):
+    for _ in range(_FINAL_ITERATIONS):
         T_base_camera = T_base_camera @ se3.exp(system.step(weights))
         chi2 = system.linearize(T_base_camera)
     if not np.isfinite(chi2[inliers]).all():
-        return None  # the last steps have turned away from what they were to fit
+        return None  # the last steps have diverged
     variance = float(chi2[inliers] @ weights[inliers]) / max(2 * float(weights.sum()) - 6, 1.0)
     systematic = np.repeat(np.square([config.systematic_rad, config.systematic_m]), 3)
     covariance = max(variance, 1.0) * np.linalg.pinv(system.information(weights)) + np.diag(systematic)
@@ -125,23 +126,23 @@ def refine_pose(
 
 
 def _feature_weights(features: NDArray[np.int64], inliers: Mask) -> Array:
-    """One over how often each match's feature is an inlier: what was seen twice was measured once."""
+    """Weight (K,) of each match: one over the number of inliers of its feature, which was measured only once."""
     counts = np.bincount(features, inliers, int(features.max()) + 1)
     return 1.0 / np.maximum(counts[features], 1.0)
 
 
 class _ReprojectionSystem:
-    """The linearised errors of matches, whitened."""
+    """Whitened reprojection errors of matches and their Jacobians."""
 
     def __init__(self, camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> None:
         self._camera, self._matches = camera, matches
         self._noise = config.sigma_px**2 * np.eye(2)
 
     def linearize(self, T_base_camera: Array) -> Array:
-        """Errors and Jacobians at a pose; returns chi-square (K,), infinite for points that it cannot see."""
+        """Errors and Jacobians at a pose; returns chi-square (K,), infinite for points behind the camera."""
         points = se3.transform(se3.inverse(T_base_camera), self._matches.points_base)
-        ahead = points[:, 2] > _NEAREST
-        points[~ahead] = [0.0, 0.0, _NEAREST]  # anything that can be seen: it does not count
+        ahead = points[:, 2] > _MIN_DEPTH_M
+        points[~ahead] = [0.0, 0.0, _MIN_DEPTH_M]  # any visible point: its weight is zero
         pixels, J = _project(self._camera, points)
         rotated = J @ T_base_camera[:3, :3].T
         covariance = self._noise + rotated @ self._matches.noise_base @ np.swapaxes(rotated, 1, 2)

@@ -36,20 +36,29 @@ def deserialize(structure: Any, arrays: list[NDArray[Any]]) -> Any:
 
 
 def _encode(value: object, arrays: list[NDArray[Any]]) -> Any:
-    if isinstance(
-        value, np.ndarray | np.generic
-    ):  # before float: numpy's float64 is one, and must come back as numpy's
+    if isinstance(value, np.ndarray | np.generic):  # before float, which numpy's float64 is
         arrays.append(np.asarray(value))
         return {"array" if isinstance(value, np.ndarray) else "scalar": len(arrays) - 1}
-    if isinstance(value, float):
-        return value if math.isfinite(value) else {"float": repr(value)}  # JSON knows no NaN
-    if isinstance(value, _PLAIN):
+    if isinstance(value, float) and not math.isfinite(value):  # JSON knows no NaN
+        return {"float": repr(value)}
+    if isinstance(value, (float, *_PLAIN)):
         return value
     if isinstance(value, list | tuple):
         return [_encode(item, arrays) for item in value]
-    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return {"fields": {key: _encode(item, arrays) for key, item in value.items()}}
-    raise TypeError(f"expected plain values, arrays, lists and dicts with text keys, got {type(value).__name__}")
+    if isinstance(value, dict):
+        return {"fields": {_key(key): _encode(item, arrays) for key, item in value.items()}}
+    raise _unexpected(value)
+
+
+def _key(key: object) -> str:
+    if not isinstance(key, str):
+        raise _unexpected(key)
+    return key
+
+
+def _unexpected(value: object) -> TypeError:
+    kind = type(value).__name__
+    return TypeError(f"expected plain values, arrays, lists and dicts with text keys, got {kind}")
 
 
 def _decode(encoded: Any, arrays: list[NDArray[Any]]) -> Any:

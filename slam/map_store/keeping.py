@@ -245,6 +245,6 @@ def _frame_record(result: FrameResult, image: int, stage_ms: dict[str, float]) -
         T_world_odometry=result.T_world_camera_odometry,
         T_world_online=result.T_world_camera,
         landmarks=result.landmarks,
-        key_frame=result.is_key_frame,
+        is_key_frame=result.is_key_frame,
         stage_ms=stage_ms,
     )

@@ -1,4 +1,4 @@
-"""`revisit info`: what a saved map holds, and where its bytes are."""
+"""`revisit info`: contents of a map database, and its size by table."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,24 +17,24 @@ from slam.map_store.store import MapDatabase, Session, map_file
 
 @dataclass(frozen=True)
 class SessionSummary:
-    """One drive of a map.
+    """One session of a map in numbers.
 
     Attributes:
-        number: from 0.
-        name: of the recording.
-        source: that it was read from; empty where that is not known.
+        number: number of the session, from 0.
+        name: name of the dataset.
+        source: path that it was read from; empty where it is not known.
         map_id: sessions of one map id are in one frame of reference.
-        first_image: number of its first image through all drives.
-        frames: how many there are.
-        finished: it was driven to its end, and the poses are corrected.
-        way_m: length of the way, metres, or the unit of a map that one camera has made.
-        key_frames: whose landmarks make the map.
-        landmarks: of these.
-        answers: of the recogniser, those with a match.
-        accepted: of these, taken for revisits.
-        closed: of these, those that geometry proved.
-        kept: of these, those that stand in the corrected map; None until the drive has ended.
-        versions: of what it was made with.
+        first_image: number of its first image, counted through all sessions.
+        frames: number of frames.
+        finished: True where it has come to its end and the poses are corrected.
+        path_length_m: length of the trajectory, metres, or the unit of a map that one camera has made.
+        key_frames: number of frames whose landmarks make the map.
+        landmarks: number of landmarks of the key frames.
+        candidates: number of beliefs with a match.
+        accepted: number of those that the recogniser accepted.
+        verified: number of those with a relative pose.
+        kept: number of those in the corrected graph; None until the session has ended.
+        versions: versions of the libraries that it was made with.
     """
 
     number: int
@@ -44,50 +44,50 @@ class SessionSummary:
     first_image: int
     frames: int
     finished: bool
-    way_m: float
+    path_length_m: float
     key_frames: int
     landmarks: int
-    answers: int
+    candidates: int
     accepted: int
-    closed: int
+    verified: int
     kept: int | None
     versions: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A map in numbers.
+    """A map database in numbers.
 
     Attributes:
-        path: of the store.
-        version: of its tables.
-        bytes: of the file, and of what waits in its log.
-        tables: bytes of what each holds.
-        drives: in order.
+        path: path of the file.
+        version: version of its tables.
+        bytes: size of the file and of its write-ahead log.
+        tables: bytes of the rows of each table.
+        sessions: its sessions, in order.
     """
 
     path: str
     version: int
     bytes: int
     tables: Mapping[str, int]
-    drives: tuple[SessionSummary, ...]
+    sessions: tuple[SessionSummary, ...]
 
 
-def summarise(path: Path) -> Summary:
-    """What a map store holds, or that of the run in a folder.
+def summarize(path: Path) -> Summary:
+    """Contents of a map database, or of that of the run in a folder.
 
     Raises:
         DataError: there is none, or it is damaged.
     """
     file = map_file(path)
     with MapDatabase.open(file) as store:
-        drives = tuple(_drive(store, session) for session in store.sessions())
+        sessions = tuple(_session_summary(store, session) for session in store.sessions())
         files = (file, file.with_name(f"{file.name}-wal"))
         size = sum(one.stat().st_size for one in files if one.is_file())
-        return Summary(str(file), schema.VERSION, size, _bytes_by_table(store), drives)
+        return Summary(str(file), schema.VERSION, size, _bytes_by_table(store), sessions)
 
 
-def _drive(store: MapDatabase, session: Session) -> SessionSummary:
+def _session_summary(store: MapDatabase, session: Session) -> SessionSummary:
     frames = store.images(session.number)
     images = (session.first_image, session.first_image + frames)
     steps = np.diff(store.poses()[slice(*images), :3, 3], axis=0)
@@ -96,7 +96,7 @@ def _drive(store: MapDatabase, session: Session) -> SessionSummary:
         " WHERE key_frame AND session = ?",
         session.number,
     )
-    (answers,) = store.ask(
+    (counts,) = store.ask(
         "SELECT count(match), total(accepted), total(outcome = 'closed'), total(kept) FROM candidate"
         " WHERE query >= ? AND query < ?",
         *images,
@@ -111,13 +111,13 @@ def _drive(store: MapDatabase, session: Session) -> SessionSummary:
         first_image=session.first_image,
         frames=frames,
         finished=session.finished,
-        way_m=float(np.linalg.norm(steps, axis=1).sum()),
+        path_length_m=float(np.linalg.norm(steps, axis=1).sum()),
         key_frames=seen[0],
         landmarks=int(seen[1]),
-        answers=answers[0],
-        accepted=int(answers[1]),
-        closed=int(answers[2]),
-        kept=int(answers[3]) if session.finished else None,
+        candidates=counts[0],
+        accepted=int(counts[1]),
+        verified=int(counts[2]),
+        kept=int(counts[3]) if session.finished else None,
         versions=versions if isinstance(versions, dict) else {},
     )
 
@@ -136,9 +136,9 @@ def as_table(summary: Summary) -> Group:
     """The numbers for people."""
     shown: list[str | Table] = [escape(f"{summary.path}: {_mb(summary.bytes)}")]
     shown.append(_listed((name, _mb(size)) for name, size in summary.tables.items()))
-    for drive in summary.drives:
-        state = "finished" if drive.finished else f"stopped after {drive.frames} frames"
-        shown += [escape(f"drive {drive.number}: {drive.name}, {state}"), _listed(_rows(drive))]
+    for session in summary.sessions:
+        state = "finished" if session.finished else f"stopped after {session.frames} frames"
+        shown += [escape(f"session {session.number}: {session.name}, {state}"), _listed(_rows(session))]
     return Group(*shown)
 
 
@@ -149,16 +149,16 @@ def _listed(rows: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
-def _rows(drive: SessionSummary) -> Iterator[tuple[str, str]]:
-    if drive.source:
-        yield "source", drive.source
-    yield "frames", f"{drive.frames}, from image {drive.first_image}, in map {drive.map_id}"
-    yield "way", f"{drive.way_m:.1f} m"
-    yield "map", f"{drive.landmarks} landmarks in {drive.key_frames} key frames"
-    kept = "" if drive.kept is None else f", {drive.kept} kept"
-    yield "loops", f"{drive.answers} answers, {drive.accepted} accepted, {drive.closed} closed{kept}"
-    if drive.versions:
-        yield "made with", ", ".join(f"{name} {version}" for name, version in drive.versions.items())
+def _rows(session: SessionSummary) -> Iterator[tuple[str, str]]:
+    if session.source:
+        yield "source", session.source
+    yield "frames", f"{session.frames}, from image {session.first_image}, in map {session.map_id}"
+    yield "path length", f"{session.path_length_m:.1f} m"
+    yield "map", f"{session.landmarks} landmarks in {session.key_frames} key frames"
+    kept = "" if session.kept is None else f", {session.kept} kept"
+    yield "loops", f"{session.candidates} candidates, {session.accepted} accepted, {session.verified} verified{kept}"
+    if session.versions:
+        yield "made with", ", ".join(f"{name} {version}" for name, version in session.versions.items())
 
 
 def _mb(size: int) -> str:

@@ -34,7 +34,7 @@ def test_what_agrees_everywhere_is_believed(saved: SavedMap, features: LocalFeat
 
 
 @pytest.mark.parametrize(
-    ("localized", "words"),
+    ("found", "words"),
     [
         (hypothesis(3, range(0, 100, 5)), "20 features agree"),
         (hypothesis(3, range(0, 30)), "% of the picture is explained"),

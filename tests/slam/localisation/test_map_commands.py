@@ -15,7 +15,7 @@ from slam.inspection.finding import MapUse, Status
 from slam.inspection.map import inspect_map, is_map
 from slam.localisation.saved_map import SavedMap
 from slam.map_store.store import MapDatabase
-from slam.map_store.summary import as_json, summarise
+from slam.map_store.summary import as_json, summarize
 
 
 def faults(path: Path) -> dict[str, str]:
@@ -35,21 +35,21 @@ def change(path: Path, statement: str, *values: object) -> None:
 
 
 def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
-    summary = summarise(map_path)
+    summary = summarize(map_path)
     with MapDatabase.open(map_path) as store:
         frames, candidates = list(store.frames()), list(store.candidates())
-    (drive,) = summary.drives
-    keys = [frame for frame in frames if frame.key_frame]
+    (drive,) = summary.sessions
+    keys = [frame for frame in frames if frame.is_key_frame]
     assert (drive.frames, drive.key_frames) == (len(frames), len(keys))
     assert drive.landmarks == sum(len(frame.landmarks) for frame in keys)
-    assert drive.answers == sum(candidate.belief.match is not None for candidate in candidates)
-    assert drive.way_m == pytest.approx(2.0 * (len(frames) - 1), rel=0.05)  # every second metre of the drive
+    assert drive.candidates == sum(candidate.belief.match is not None for candidate in candidates)
+    assert drive.path_length_m == pytest.approx(2.0 * (len(frames) - 1), rel=0.05)  # every second metre of the drive
     assert drive.finished
     assert summary.bytes == map_path.stat().st_size
     assert 0.5 * summary.bytes < sum(summary.tables.values()) < summary.bytes
     sizes = {"landmark": sum(len(f.landmarks) * (8 + 12 + 1 + 2 * 64) for f in frames)}
     assert summary.tables["landmark"] == pytest.approx(sizes["landmark"], abs=len(frames) * 4)
-    assert json.loads(as_json(summary))["drives"][0]["versions"] == {"revisit-slam": "0"}
+    assert json.loads(as_json(summary))["sessions"][0]["versions"] == {"revisit-slam": "0"}
 
 
 def test_a_sound_map_serves_for_everything(map_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_what_is_no_map_is_told_in_a_line(damaged: Path, kind: str) -> None:
         read_all(path)
     assert "\n" not in str(error.value)
     with pytest.raises(DataError, match=words):
-        summarise(path)
+        summarize(path)
 
 
 def test_flipped_bytes_never_end_in_a_traceback(damaged: Path) -> None:
@@ -168,14 +168,14 @@ def test_flipped_bytes_never_end_in_a_traceback(damaged: Path) -> None:
         damaged.write_bytes(content.tobytes())
         inspect_map(damaged)
         with suppress(DataError):
-            summarise(damaged)
+            summarize(damaged)
 
 
 def test_a_map_is_read_while_it_is_written(damaged: Path) -> None:
     with MapDatabase.open(damaged, writable=True) as writer, writer.writing():
-        writer.forget_answers(0)
+        writer.delete_loops_from(0)
         assert faults(damaged) == {}
-        assert summarise(damaged).drives[0].frames == 45
+        assert summarize(damaged).sessions[0].frames == 45
 
 
 def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +186,7 @@ def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeyp
     monkeypatch.undo()
     with MapDatabase.open(damaged, writable=True) as writer:
         with writer.writing():
-            writer.forget_answers(0)
+            writer.delete_loops_from(0)
         monkeypatch.setattr("os.access", lambda path, mode: False)
         with MapDatabase.open(damaged) as store:
             assert store.count("candidate") == 0  # what still waits in the log is read
