@@ -55,13 +55,13 @@ def noisy(poses: np.ndarray, seed: int, sigma: float = 1e-3) -> np.ndarray:
 
 def devkit(estimate: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """The KITTI rule, frame by frame: t_rel [%] and r_rel [deg / 100 m]."""
-    way = [0.0]
+    distances = [0.0]
     for a, b in pairwise(truth):
-        way.append(way[-1] + float(np.linalg.norm(b[:3, 3] - a[:3, 3])))
+        distances.append(distances[-1] + float(np.linalg.norm(b[:3, 3] - a[:3, 3])))
     translations, rotations = [], []
     for first in range(0, len(truth), 10):
         for length in range(100, 900, 100):
-            last = next((k for k in range(first, len(truth)) if way[k] > way[first] + length), None)
+            last = next((k for k in range(first, len(truth)) if distances[k] > distances[first] + length), None)
             if last is None:
                 continue
             true = np.linalg.inv(truth[first]) @ truth[last]
@@ -155,7 +155,7 @@ def test_a_degree_too_much_every_hundred_metres_is_one() -> None:
     assert kitti_errors(estimate, straight(400, 0.5)).r_rel_deg_per_100m == pytest.approx(1.0, rel=1e-2)
 
 
-def test_a_segment_needs_more_way_than_its_length() -> None:
+def test_a_segment_needs_a_longer_path_than_its_length() -> None:
     assert kitti_errors(straight(101), straight(101)) is None
     assert kitti_errors(straight(102), straight(102)) is not None
 
@@ -174,7 +174,7 @@ def test_end_error_compares_last_positions_from_equal_starts() -> None:
     assert (errors.end_error_m, errors.end_error_percent) == (pytest.approx(3.0), pytest.approx(30.0))
 
 
-def test_one_camera_is_judged_after_scaling() -> None:
+def test_one_camera_is_evaluated_after_scaling() -> None:
     truth = walk(5, 300)
     estimate = truth.copy()
     estimate[:, :3, 3] *= 0.2
@@ -195,7 +195,7 @@ def test_a_single_pose_is_aligned_perfectly(alignment: str) -> None:
     assert absolute_trajectory_error(walk(0, 9)[8:], straight(1), alignment) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_way_is_the_sum_of_the_steps() -> None:
+def test_the_path_length_is_the_sum_of_the_steps() -> None:
     assert path_length(straight(11, 0.5)) == pytest.approx(5.0)
     assert path_length(straight(1)) == 0.0
 
