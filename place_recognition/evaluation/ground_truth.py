@@ -1,6 +1,6 @@
-"""Which images show the same place: matrices from poses or from the files that authors publish.
+"""Ground truth of revisits: matrices from poses, or from the files that authors publish.
 
-A truth matrix is (N, N) bool, row = query, column = an earlier image, True = the same place; all else is False.
+A truth matrix is (N, N) bool, row = query, column = an earlier image, True = the same place; the rest is False.
 """
 
 from dataclasses import dataclass
@@ -16,58 +16,59 @@ from place_recognition.evaluation.matlab import read_positive
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
 
+_BLOCK = 256  # rows computed at a time: all N^2 distances of a long drive at once would need a gigabyte
+
 
 @dataclass(frozen=True)
-class SamePlace:
-    """The rule by which two poses count as one place: the one that runs and the simulation are judged by as well.
+class RevisitRule:
+    """The rule by which two poses count as one place, for published drives, runs and simulations alike.
 
-    The figures of the literature move with this rule, so it is one object with every number in it.
+    The figures of the literature depend on this rule, so it is one object with every number in it.
 
     Attributes:
-        radius: greatest distance of the positions, metres. In the matrices of the chapter's authors half of the pairs
-            that look the same way are one place up to 16 m (KITTI 00), 11 m (05) and 6 m (02, 06).
-        heading: greatest angle between the viewing directions, degrees; 180 lets every direction pass.
-        gap: least time between the images, seconds; 40 in most papers. 0 asks for no times.
-        way: least way driven between the images, metres. Neighbours on the road never count, and a stop is no
-            revisit, however short the recording.
-        one_to_one: of the band of earlier images that the rest lets pass, only the nearest is the same place.
+        max_distance_m: maximum distance of the positions. In the matrices of the chapter's authors half of the pairs
+            with one viewing direction are one place up to 16 m (KITTI 00), 11 m (05) and 6 m (02, 06).
+        max_angle_deg: maximum angle between the viewing directions; 180 admits every direction.
+        min_time_gap_s: minimum time between the images; 40 in most papers. 0 needs no times.
+        min_path_length_m: minimum length of the path between the images. Neighbours on the road never count, and a stop
+            is no revisit, however short the recording.
+        is_one_to_one: whether only the nearest of the earlier images that the rest admits is the same place.
     """
 
-    radius: float = 10.0
-    heading: float = 45.0
-    gap: float = 0.0
-    way: float = 20.0
-    one_to_one: bool = False
+    max_distance_m: float = 10.0
+    max_angle_deg: float = 45.0
+    min_time_gap_s: float = 0.0
+    min_path_length_m: float = 20.0
+    is_one_to_one: bool = False
 
 
-def truth_from_poses(T_world_camera: Array, timestamps: Array | None = None, rule: SamePlace | None = None) -> Truth:
-    """Truth matrix (N, N) of poses (N, 4, 4), metres, under a rule. The viewing direction is the camera's z axis.
+def truth_from_poses(T_world_camera: Array, timestamps: Array | None = None, rule: RevisitRule | None = None) -> Truth:
+    """Compute the truth matrix (N, N) of poses under a rule; the viewing direction is the camera's z axis.
 
     Args:
-        T_world_camera: finite.
-        timestamps: (N,) seconds; not needed by a rule without `gap`.
-        rule: what counts as one place.
+        T_world_camera: (N, 4, 4) finite poses, metres.
+        timestamps: (N,) seconds; not needed by a rule without `min_time_gap_s`.
+        rule: definition of one place; None for the default.
 
     Raises:
-        ValueError: poses that are none, another number of times, or no times where the rule needs them.
+        ValueError: the poses are not finite matrices of 4 x 4, there are more or fewer times than poses, or there are
+            no times but the rule needs them.
     """
-    rule = rule or SamePlace()
+    rule = rule or RevisitRule()
     poses = _checked(T_world_camera)
     positions, directions = poses[:, :3, 3], poses[:, :3, 2]
-    ways, times = _ways(positions), _times(timestamps, len(poses), rule)
+    path_lengths_m, times = _path_lengths_m(positions), _checked_times(timestamps, len(poses), rule)
     truth = np.zeros((len(poses), len(poses)), np.bool_)
-    for first in range(0, len(poses), _BLOCK):  # all N^2 distances of a long drive at once would need a gigabyte
+    for first in range(0, len(poses), _BLOCK):
         query = np.arange(first, min(first + _BLOCK, len(poses)))
         earlier = np.arange(query[-1] + 1)
         distances = cdist(positions[query], positions[earlier])
-        same = (distances <= rule.radius) & (earlier < query[:, None])
-        same &= directions[query] @ directions[earlier].T >= np.cos(np.radians(rule.heading)) - 1e-12
-        same &= (ways[query, None] - ways[earlier] >= rule.way) & (times[query, None] - times[earlier] >= rule.gap)
-        truth[first : first + len(query), : len(earlier)] = _nearest(same, distances) if rule.one_to_one else same
+        same = (distances <= rule.max_distance_m) & (earlier < query[:, None])
+        same &= directions[query] @ directions[earlier].T >= np.cos(np.radians(rule.max_angle_deg)) - 1e-12
+        same &= path_lengths_m[query, None] - path_lengths_m[earlier] >= rule.min_path_length_m
+        same &= times[query, None] - times[earlier] >= rule.min_time_gap_s
+        truth[first : first + len(query), : len(earlier)] = _nearest(same, distances) if rule.is_one_to_one else same
     return truth
-
-
-_BLOCK = 256  # rows at a time
 
 
 def _checked(T_world_camera: Array) -> Array:
@@ -77,10 +78,12 @@ def _checked(T_world_camera: Array) -> Array:
     return poses
 
 
-def _times(timestamps: Array | None, count: int, rule: SamePlace) -> Array:
+def _checked_times(timestamps: Array | None, count: int, rule: RevisitRule) -> Array:
     if timestamps is None:
-        if rule.gap > 0:
-            raise ValueError(f"expected the times of the {count} poses for a gap of {rule.gap:g} s, got none")
+        if rule.min_time_gap_s > 0:
+            raise ValueError(
+                f"expected the times of the {count} poses for a gap of {rule.min_time_gap_s:g} s, got none"
+            )
         return np.zeros(count)
     times = np.asarray(timestamps, np.float64)
     if times.shape != (count,):
@@ -88,18 +91,18 @@ def _times(timestamps: Array | None, count: int, rule: SamePlace) -> Array:
     return times
 
 
-def _ways(positions: Array) -> Array:
+def _path_lengths_m(positions: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])[: len(positions)]
 
 
 def _nearest(same: Truth, distances: Array) -> Truth:
-    """Of each row's True cells, only the one of the smallest distance."""
+    """Keep only the True cell of the smallest distance in each row."""
     nearest = np.argmin(np.where(same, distances, np.inf), axis=1)
     return same & (np.arange(same.shape[1]) == nearest[:, None])
 
 
 def load_truth(path: Path) -> Truth:
-    """Truth matrix (N, N) from a file: .npz with `truth`, or a MATLAB .mat with one square matrix.
+    """Read a truth matrix (N, N) from a file: .npz with `truth`, or a MATLAB .mat with one square matrix.
 
     A matrix for both directions of time keeps its lower triangle; one with an upper triangle only is turned.
 

@@ -140,7 +140,7 @@ def evaluate_loops(
 
     Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
     """
-    from place_recognition.evaluation.ground_truth import SamePlace
+    from place_recognition.evaluation.ground_truth import RevisitRule
     from slam.evaluation.loops_command import LoopsOptions
     from slam.evaluation.loops_command import evaluate_loops as evaluate
 
@@ -148,8 +148,12 @@ def evaluate_loops(
         matches=matches,
         truth=truth,
         frame_tolerance=frame_tolerance,
-        rule=SamePlace(
-            radius=max_distance, heading=max_angle, gap=min_time_gap, way=min_distance, one_to_one=one_to_one
+        rule=RevisitRule(
+            max_distance_m=max_distance,
+            max_angle_deg=max_angle,
+            min_time_gap_s=min_time_gap,
+            min_path_length_m=min_distance,
+            is_one_to_one=one_to_one,
         ),
         fps=fps,
         out=out,

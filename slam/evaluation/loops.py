@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import SamePlace, truth_from_poses
+from place_recognition.evaluation.ground_truth import RevisitRule, truth_from_poses
 from slam.record import LoopRow
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class LoopRule:
     max_distance_m: float = 10.0
     max_translation_m: float = 3.0
     max_rotation_deg: float = 10.0
-    revisit: SamePlace = field(default_factory=SamePlace)
+    revisit: RevisitRule = field(default_factory=RevisitRule)
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.boo
 
     Args:
         truth: true poses T_world_camera (N, 4, 4), metres.
-        rule: what counts as a revisit; `rule.revisit.gap` must be 0, because no times are given.
+        rule: what counts as a revisit; `rule.revisit.min_time_gap_s` must be 0, because no times are given.
     """
     return truth_from_poses(truth, rule=(rule or LoopRule()).revisit)
 

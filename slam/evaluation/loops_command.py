@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.evaluation.ground_truth import SamePlace
+from place_recognition.evaluation.ground_truth import RevisitRule
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
@@ -43,7 +43,7 @@ class LoopsOptions:
     matches: Path
     truth: Path
     frame_tolerance: int | None = None
-    rule: SamePlace = field(default_factory=SamePlace)
+    rule: RevisitRule = field(default_factory=RevisitRule)
     fps: float | None = None
     out: Path | None = None
     overwrite: bool = False
@@ -80,10 +80,10 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
 def _check(options: LoopsOptions) -> None:
     rule = options.rule
     numbers = {
-        "--max-distance": rule.radius,
-        "--max-angle": rule.heading,
-        "--min-time-gap": rule.gap,
-        "--min-distance": rule.way,
+        "--max-distance": rule.max_distance_m,
+        "--max-angle": rule.max_angle_deg,
+        "--min-time-gap": rule.min_time_gap_s,
+        "--min-distance": rule.min_path_length_m,
     }
     for name, value in numbers.items():
         if not 0 <= value < np.inf:

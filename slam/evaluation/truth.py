@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import SamePlace, load_truth, truth_from_poses
+from place_recognition.evaluation.ground_truth import RevisitRule, load_truth, truth_from_poses
 from slam.errors import ConfigError, DataError
 from slam.storage.trajectory import read_trajectory
 
@@ -32,7 +32,7 @@ class RevisitTruth:
         return self.matrix
 
 
-def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | None = None) -> RevisitTruth:
+def read_revisit_truth(path: Path, rule: RevisitRule | None = None, fps: float | None = None) -> RevisitTruth:
     """Read the ground truth of revisits from a matrix (.mat, .npz), or from poses (KITTI, TUM) under a rule.
 
     Args:
@@ -49,19 +49,20 @@ def read_revisit_truth(path: Path, rule: SamePlace | None = None, fps: float | N
             return RevisitTruth(load_truth(path), str(path))
         except ValueError as error:
             raise DataError(f"{error}; choose the truth of this drive") from error
-    rule = rule or SamePlace()
+    rule = rule or RevisitRule()
     times, poses = read_trajectory(path)
     if times is None and fps is not None:
         times = np.arange(len(poses)) / fps
-    if rule.gap > 0 and times is None:
+    if rule.min_time_gap_s > 0 and times is None:
         raise ConfigError(
-            f"{path}: expected times for --min-time-gap {rule.gap:g}, found none; give --fps, or poses as TUM"
+            f"{path}: expected times for --min-time-gap {rule.min_time_gap_s:g}, found none;"
+            " give --fps, or poses as TUM"
         )
     return revisit_truth_from_poses(poses, str(path), rule, times)
 
 
 def revisit_truth_from_poses(
-    poses: NDArray[np.float64], origin: str, rule: SamePlace | None = None, times: NDArray[np.float64] | None = None
+    poses: NDArray[np.float64], origin: str, rule: RevisitRule | None = None, times: NDArray[np.float64] | None = None
 ) -> RevisitTruth:
     """Compute the ground truth of revisits from poses T_world_camera (N, 4, 4), metres, under a rule.
 
@@ -71,7 +72,7 @@ def revisit_truth_from_poses(
         rule: what counts as a revisit; None for the default rule.
         times: (N,) seconds, for a rule with a minimum time.
     """
-    rule = rule or SamePlace()
+    rule = rule or RevisitRule()
     return RevisitTruth(truth_from_poses(poses, times, rule), f"{origin} under {describe_rule(rule)}")
 
 
@@ -84,10 +85,11 @@ def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
         )
 
 
-def describe_rule(rule: SamePlace) -> str:
+def describe_rule(rule: RevisitRule) -> str:
     """Describe the rule with all its numbers."""
-    gap = f", {rule.gap:g} s apart" if rule.gap else ""
-    pairs = "the nearest image" if rule.one_to_one else "all images"
+    gap = f", {rule.min_time_gap_s:g} s apart" if rule.min_time_gap_s else ""
+    pairs = "the nearest image" if rule.is_one_to_one else "all images"
     return (
-        f"the rule: {pairs} within {rule.radius:g} m and {rule.heading:g} degrees, {rule.way:g} m of path{gap} between"
+        f"the rule: {pairs} within {rule.max_distance_m:g} m and {rule.max_angle_deg:g} degrees,"
+        f" {rule.min_path_length_m:g} m of path{gap} between"
     )

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import SamePlace, truth_from_poses
+from place_recognition.evaluation.ground_truth import RevisitRule, truth_from_poses
 
 Array = NDArray[np.float64]
 
 # The rule by which runs are judged, but for a longer way in between.
-RULE = SamePlace(way=50.0)
+RULE = RevisitRule(min_path_length_m=50.0)
 
 
 def loop_truth(T_world_camera: Array) -> NDArray[np.uint8]:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from place_recognition.evaluation.ground_truth import SamePlace, load_truth, truth_from_poses
+from place_recognition.evaluation.ground_truth import RevisitRule, load_truth, truth_from_poses
 from place_recognition.evaluation.precision_recall import accepted_counts, judge, precision_recall
 from place_recognition.recognizer import Belief
 
@@ -27,7 +27,9 @@ def circle(laps, images, radius):
 
 
 def test_a_second_lap_sees_the_places_of_the_first():
-    truth = truth_from_poses(circle(2, 201, 50)[:-1], np.arange(200.0), SamePlace(radius=1, gap=40))
+    truth = truth_from_poses(
+        circle(2, 201, 50)[:-1], np.arange(200.0), RevisitRule(max_distance_m=1, min_time_gap_s=40)
+    )
     np.testing.assert_array_equal(np.argwhere(truth), [[i, i - 100] for i in range(100, 200)])
 
 
@@ -36,12 +38,14 @@ def test_the_way_back_is_the_same_place_only_if_headings_do_not_matter():
     back = poses[::-1].copy()
     back[:, :3, 2] *= -1
     both, times = np.concatenate([poses, back]), np.arange(60.0)
-    assert not truth_from_poses(both, times, SamePlace(1, 90 - 1e-6, 5)).any()
-    assert truth_from_poses(both, times, SamePlace(1, 180, 5)).any()
+    assert not truth_from_poses(both, times, RevisitRule(1, 90 - 1e-6, 5)).any()
+    assert truth_from_poses(both, times, RevisitRule(1, 180, 5)).any()
 
 
 def test_the_time_between_is_kept():
-    truth = truth_from_poses(np.tile(np.eye(4), (10, 1, 1)), 10.0 * np.arange(10), SamePlace(1, 45, 40, way=0))
+    truth = truth_from_poses(
+        np.tile(np.eye(4), (10, 1, 1)), 10.0 * np.arange(10), RevisitRule(1, 45, 40, min_path_length_m=0)
+    )
     query, match = np.nonzero(truth)
     assert (query - match).min() == 4
 
@@ -54,7 +58,7 @@ def test_truth_agrees_with_a_plain_loop_over_all_pairs(seed):
     angles, times = rng.uniform(0, 6, len(poses)), np.sort(rng.uniform(0, 60, len(poses)))
     poses[:, 0, 3], poses[:, 2, 3] = rng.uniform(0, 9, (2, len(poses)))
     poses[:, 0, 2], poses[:, 2, 2] = np.sin(angles), np.cos(angles)
-    rule = SamePlace(radius=4, heading=50, gap=3, way=15)
+    rule = RevisitRule(max_distance_m=4, max_angle_deg=50, min_time_gap_s=3, min_path_length_m=15)
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
     truth = truth_from_poses(poses, times, rule)
     for q, m in np.ndindex(truth.shape):
@@ -64,7 +68,7 @@ def test_truth_agrees_with_a_plain_loop_over_all_pairs(seed):
 
 
 def test_blocks_of_rows_join_without_a_seam():
-    truth = truth_from_poses(circle(3, 901, 60)[:-1], rule=SamePlace(radius=0.5))
+    truth = truth_from_poses(circle(3, 901, 60)[:-1], rule=RevisitRule(max_distance_m=0.5))
     np.testing.assert_array_equal(
         np.argwhere(truth), [[i, j] for i in range(900) for j in range(i % 300, i, 300) if i - j >= 300]
     )
@@ -72,8 +76,8 @@ def test_blocks_of_rows_join_without_a_seam():
 
 def test_one_to_one_keeps_the_nearest_image_of_each_band():
     poses = circle(2, 201, 50)[:-1]
-    band = truth_from_poses(poses, rule=SamePlace(radius=7))
-    nearest = truth_from_poses(poses, rule=SamePlace(radius=7, one_to_one=True))
+    band = truth_from_poses(poses, rule=RevisitRule(max_distance_m=7))
+    nearest = truth_from_poses(poses, rule=RevisitRule(max_distance_m=7, is_one_to_one=True))
     assert (band[150:].sum(axis=1) > 1).all()
     np.testing.assert_array_equal(nearest.any(axis=1), band.any(axis=1))
     np.testing.assert_array_equal(np.argwhere(nearest[120:]), [[i, i + 20] for i in range(80)])
@@ -88,7 +92,7 @@ def test_poses_without_as_many_times_are_refused():
     with pytest.raises(ValueError, match="expected as many times as there are poses, 2, got"):
         truth_from_poses(poses, np.arange(3.0))
     with pytest.raises(ValueError, match="expected the times of the 2 poses for a gap of 40 s"):
-        truth_from_poses(poses, None, SamePlace(gap=40))
+        truth_from_poses(poses, None, RevisitRule(min_time_gap_s=40))
     with pytest.raises(ValueError, match="expected finite poses"):
         truth_from_poses(np.full((2, 4, 4), np.nan))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import SamePlace
+from place_recognition.evaluation.ground_truth import RevisitRule
 from slam import cli
 from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.loops_command import LoopsOptions, evaluate_loops
@@ -65,17 +65,17 @@ def test_the_text_names_the_rules_and_the_truth(tmp_path: Path, truth: Path) -> 
 def test_poses_are_a_truth_too(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"poses.{suffix}"
     write_kitti(path, laps()) if suffix == "txt" else write_tum(path, np.arange(2.0 * LAP), laps())
-    rules = evaluated(table(tmp_path, "50,10,9", "60,21,8"), path, rule=SamePlace(radius=1.0))
+    rules = evaluated(table(tmp_path, "50,10,9", "60,21,8"), path, rule=RevisitRule(max_distance_m=1.0))
     assert (rules["tolerance_0"]["truth_rows"], rules["tolerance_0"]["true_positives"]) == (LAP, 1)
 
 
 def test_a_gap_needs_times_and_changes_the_truth(tmp_path: Path) -> None:
     write_kitti(tmp_path / "poses.txt", laps())
-    matches, rule = table(tmp_path, "50,10,9"), SamePlace(gap=41.0)
+    matches, rule = table(tmp_path, "50,10,9"), RevisitRule(min_time_gap_s=41.0)
     with pytest.raises(ConfigError, match=r"poses\.txt: expected times for --min-time-gap 41, found none; give --fps"):
         evaluated(matches, tmp_path / "poses.txt", rule=rule)
     with pytest.raises(DataError, match="expected at least one revisit, found none"):
-        evaluated(matches, tmp_path / "poses.txt", rule=SamePlace(gap=500.0), fps=1.0)
+        evaluated(matches, tmp_path / "poses.txt", rule=RevisitRule(min_time_gap_s=500.0), fps=1.0)
     assert evaluated(matches, tmp_path / "poses.txt", rule=rule, fps=0.5)["tolerance_0"]["truth_rows"] > 30
 
 

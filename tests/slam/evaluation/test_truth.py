@@ -78,7 +78,7 @@ def test_the_description_has_every_number_of_the_rule(laps: np.ndarray) -> None:
     names = [name for name, value in vars(rule).items() if isinstance(value, float)]
     changed = replace(rule, **{name: 3.25 + number for number, name in enumerate(names)})
     assert set(re.findall(r"\d+\.25", describe_rule(changed))) == {f"{3.25 + n}" for n in range(len(names))}
-    assert "nearest image" in describe_rule(replace(rule, one_to_one=True))
+    assert "nearest image" in describe_rule(replace(rule, is_one_to_one=True))
     assert describe_rule(rule) in revisit_truth_from_poses(laps, "poses").origin
 
 
