@@ -1,9 +1,9 @@
-"""A sweep by one process and by three on loopback, one of which is killed: how long, and are the results the same?
+"""Time and results of a sweep with one process, with three, and with three of which one is killed.
 
 python benchmarks/cluster.py sweep.toml
 
-The ideal is the processor time of the single process divided by the cores there are. It takes a machine with nothing
-else to do, and runs enough that the start of three processes, and the work that dies with one, are a small part:
+The ideal is the processor time of the single process divided by the number of cores. Use a machine without other work,
+and enough runs that the start of three processes, and the work lost with one of them, are a small part:
 
     revisit simulate circle --laps 2 --length 160 --width 620 --height 188 --seed 3 --out data/small
 
@@ -46,8 +46,8 @@ class Measured:
     """A sweep that has been run.
 
     Attributes:
-        wall, processor: seconds; the processor's are those of all processes.
-        results: by run and file, what must not depend on who did it.
+        wall, processor: wall-clock time and processor time of all processes, seconds.
+        results: results by run and file, without times and memory.
     """
 
     wall: float
@@ -74,13 +74,13 @@ def measure(config: Path, out: Path, executor: Executor) -> Measured:
 
 
 def processor_seconds() -> float:
-    """Of this process, and of those it has started that have ended."""
+    """Processor time of this process and of its children that have ended, seconds."""
     return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 @contextmanager
 def one_killed(seconds: float) -> Iterator[None]:
-    """Kill after so many seconds the process that has worked most of those started meanwhile."""
+    """Kill the busiest child process after some seconds."""
     timer = threading.Timer(seconds, kill_busiest)
     timer.start()
     try:
@@ -90,14 +90,14 @@ def one_killed(seconds: float) -> Iterator[None]:
 
 
 def kill_busiest() -> None:
-    """Kill the process below this one that has worked most: one of the workers."""
+    """Kill the child process with the most processor time, which is one of the workers."""
     workers = psutil.Process().children(recursive=True)
     busiest = max(workers, key=lambda process: sum(process.cpu_times()[:2]))
     os.kill(busiest.pid, signal.SIGKILL)
 
 
 def main() -> None:
-    """Run three times, compare, print a line for each."""
+    """Run the sweep three times, compare the results, and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", type=Path)
     config, cores = parser.parse_args().config, len(os.sched_getaffinity(0))
@@ -108,9 +108,14 @@ def main() -> None:
         table.add_row("one process", f"{alone.wall:.1f}", f"{alone.processor:.1f}", "", "", "")
 
         def tell(name: str, found: Measured) -> None:
-            told = ", ".join(differing(alone.results, found.results)[:3]) or "none"
+            unequal = ", ".join(differing(alone.results, found.results)[:3]) or "none"
             table.add_row(
-                name, f"{found.wall:.1f}", f"{found.processor:.1f}", f"{ideal:.1f}", f"{found.wall / ideal:.3f}", told
+                name,
+                f"{found.wall:.1f}",
+                f"{found.processor:.1f}",
+                f"{ideal:.1f}",
+                f"{found.wall / ideal:.3f}",
+                unequal,
             )
 
         whole = measure(config, Path(folder) / "whole", DaskExecutor(WORKERS, None))

@@ -64,7 +64,7 @@ def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> Recognised:
 
 def line(paradigm: str, runs: list[Recognised], truth: RevisitTruth) -> str:
     """The figures of one paradigm."""
-    section = evaluate_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).metrics
+    section = evaluate_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
     names = ("recall_at_100_precision", "average_precision")
     ratios = " ".join(f"{'-' if section[name] is None else f'{section[name]:.4f}':>7}" for name in names)
     counts = " ".join(f"{section[name] if section[name] is not None else '-':>5}" for name in _COUNTS)

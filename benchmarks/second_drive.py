@@ -38,20 +38,20 @@ def revisit(*words: object) -> None:
 
 
 def cut(drive: Path, frames: range, out: Path) -> Path:
-    """Some frames of a drive as a drive of its own, its images linked."""
-    for eye in ("image_0", "image_1"):
-        (out / SEQUENCE / eye).mkdir(parents=True)
+    """Make a drive of some frames of another one, with links to its images."""
+    for camera in ("image_0", "image_1"):
+        (out / SEQUENCE / camera).mkdir(parents=True)
         for number, frame in enumerate(frames):
-            image = drive.resolve() / SEQUENCE / eye / f"{frame:06d}.png"
-            (out / SEQUENCE / eye / f"{number:06d}.png").symlink_to(image)
+            image = drive.resolve() / SEQUENCE / camera / f"{frame:06d}.png"
+            (out / SEQUENCE / camera / f"{number:06d}.png").symlink_to(image)
     (out / SEQUENCE / "calib.txt").write_text((drive / SEQUENCE / "calib.txt").read_text())
     times = (drive / SEQUENCE / "times.txt").read_text().splitlines()
     (out / SEQUENCE / "times.txt").write_text("".join(f"{times[frame]}\n" for frame in frames))
     return out
 
 
-def chosen(drive: Path, frames: Array, out: Path) -> Path:
-    """A folder with some of a drive's left images."""
+def link_images(drive: Path, frames: Array, out: Path) -> Path:
+    """Make a folder with links to some left images of a drive."""
     out.mkdir()
     for frame in frames:
         (out / f"{frame:06d}.png").symlink_to(drive.resolve() / SEQUENCE / "image_0" / f"{frame:06d}.png")
@@ -59,24 +59,26 @@ def chosen(drive: Path, frames: Array, out: Path) -> Path:
 
 
 def errors(answers: Iterable[QueryResult], mapped: Array, truth: Array) -> tuple[Array, Array]:
-    """Metres and degrees of those found, once the map's poses (M, 4, 4) were laid on the truth of the first frames."""
-    laid = umeyama(mapped[:, :3, 3], truth[: len(mapped), :3, 3])
+    """Errors of the localised images, metres and degrees, after alignment of the map poses (M, 4, 4) with the truth."""
+    alignment = umeyama(mapped[:, :3, 3], truth[: len(mapped), :3, 3])
     found = [
         (answer.found, truth[int(Path(answer.name).stem)])
         for answer in answers
         if isinstance(answer.found, LocalizationResult)
     ]
-    metres = [np.linalg.norm(laid.apply(at.T_world_camera[:3, 3]) - T[:3, 3]) for at, T in found]
-    turns = [(laid.R @ at.T_world_camera[:3, :3]).T @ T[:3, :3] for at, T in found]
+    metres = [np.linalg.norm(alignment.apply(at.T_world_camera[:3, 3]) - T[:3, 3]) for at, T in found]
+    turns = [(alignment.R @ at.T_world_camera[:3, :3]).T @ T[:3, :3] for at, T in found]
     return np.array(metres), np.degrees(Rotation.from_matrix(np.array(turns)).magnitude())
 
 
 def main() -> None:
-    """Drive twice, place, and print what came of it."""
+    """Run both drives, localise the images, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drive", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="a folder that does not exist yet")
-    parser.add_argument("--images", type=int, default=200, help="of the second half that are placed")
+    parser.add_argument(
+        "--images", type=int, default=200, help="number of images of the second half that are localised"
+    )
     arguments = parser.parse_args()
     drive, out = arguments.drive, arguments.out
     truth = read_kitti(drive / "poses/00.txt")
@@ -84,20 +86,20 @@ def main() -> None:
     one, other = cut(drive, range(middle), out / "one"), cut(drive, range(middle, len(truth)), out / "other")
     revisit("run", one, "--out", out / "first", "--no-record")
     revisit("run", other, "--map", out / "first", "--out", out / "second", "--no-record")
-    asked = np.linspace(middle, len(truth) - 1, arguments.images).astype(int)
-    asked_for = LocateOptions(out / "first", Source(chosen(drive, asked, out / "asked")))
-    answers = locate(asked_for, Console(stderr=True))
-    told = json.loads((out / "second/metrics.json").read_text())["map"]
+    queries = np.linspace(middle, len(truth) - 1, arguments.images).astype(int)
+    options = LocateOptions(out / "first", Source(link_images(drive, queries, out / "queries")))
+    answers = locate(options, Console(stderr=True))
+    merge = json.loads((out / "second/metrics.json").read_text())["map"]
     with MapDatabase.open(map_file(out / "second")) as store:
         both = store.poses()
     with MapDatabase.open(map_file(out / "first")) as store:
         mapped = store.poses()
-    ate, way = absolute_trajectory_error(both, truth), path_length(truth)
-    print(f"joined: {told['joined']}, by {told['kept']} loops; ATE of both {ate:.3f} m of {way:.0f} m")
+    ate, length_m = absolute_trajectory_error(both, truth), path_length(truth)
+    print(f"joined: {merge['joined']}, by {merge['kept']} loops; ATE of both {ate:.3f} m of {length_m:.0f} m")
     metres, degrees = errors(answers, mapped, truth)
     near = int(((metres <= NEAR_M) & (degrees <= NEAR_DEG)).sum())
     print(
-        f"placed {len(metres)} of {len(asked)}, {near} within {NEAR_M} m and {NEAR_DEG} degrees,"
+        f"localised {len(metres)} of {len(queries)}, {near} within {NEAR_M} m and {NEAR_DEG} degrees,"
         f" {int((metres > WRONG_M).sum())} off by over {WRONG_M} m; largest error {metres.max():.2f} m"
     )
 

@@ -43,7 +43,7 @@ def licences(distribution: str = DISTRIBUTION) -> list[Licence]:
 
 
 def declared_licence(about: metadata.PackageMetadata) -> str:
-    """Read the licence from the metadata of a package: from its expression, its classifiers or its first line of text."""
+    """Read the licence from the metadata of a package: its expression, its classifiers or its first line of text."""
     fields = about.get_all("Classifier") or []
     classified = [field.split(" :: ")[-1] for field in fields if field.startswith("License :: OSI Approved ::")]
     text = (about.get_all("License") or [""])[0].strip()

@@ -210,7 +210,7 @@ def _measured(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
         "loops": loops.as_metrics(),
-        "places": places.metrics,
+        "places": places.section,
         "graph": _graph_metrics(record, errors, result.optimized),
         **_map_metrics(result.merge),
         "timing_ms": timing_ms(record.stage_ms),

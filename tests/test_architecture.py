@@ -132,6 +132,11 @@ def circles(graph: dict[str, set[str]]) -> set[frozenset[str]]:
     return {nodes for nodes in together.values() if len(nodes) > 1}
 
 
+def test_benchmarks_and_the_product_do_not_import_tests():
+    for path in (*sources(), *sorted((ROOT / "benchmarks").glob("*.py")), *sorted((ROOT / "examples").glob("*.py"))):
+        assert not {name.split(".")[0] for name in imports(path)} & {"tests", "benchmarks"}, path
+
+
 def test_circles_are_found():
     assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == set()
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == {frozenset({"b", "c"})}

@@ -50,7 +50,7 @@ def numbers(function: Callable[..., Any]) -> dict[str, str]:
     """The parameters of a command that are numbers, each with its help text."""
     parameters = inspect.signature(function).parameters.values()
     hints = {parameter.name: get_args(parameter.annotation) for parameter in parameters}
-    return {name: told.help for name, (kind, told, *_) in hints.items() if {int, float} & {kind, *get_args(kind)}}
+    return {name: option.help for name, (kind, option, *_) in hints.items() if {int, float} & {kind, *get_args(kind)}}
 
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)

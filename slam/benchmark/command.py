@@ -66,6 +66,7 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
     """
     sweep, executor, out = read_sweep(options.config), options.make_executor(), options.out.resolve()
     jobs = make_jobs(sweep, out)
+    # All jobs are checked before anything is written, so that a wrong sweep leaves the folder as it was.
     for job in jobs:
         check_job(job)
     _prepare(out)
@@ -77,7 +78,7 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
     except KeyboardInterrupt:
         messages.print("Interrupted: finished runs are kept; the same command continues.")
         raise
-    _clear(out)
+    _clear(out)  # also here: processes that died during this command leave folders
     write_json(out, rows, ("benchmark", str(options.config), "--out", str(options.out)))
     write_latex(out, rows)
     write_benchmark_report(out, options.config.stem, rows)

@@ -149,7 +149,11 @@ def evaluate_loops(
         truth=truth,
         frame_tolerance=frame_tolerance,
         rule=RevisitRule(
-            max_distance_m=max_distance, max_angle_deg=max_angle, min_time_gap_s=min_time_gap, min_path_length_m=min_distance, is_one_to_one=one_to_one
+            max_distance_m=max_distance,
+            max_angle_deg=max_angle,
+            min_time_gap_s=min_time_gap,
+            min_path_length_m=min_distance,
+            is_one_to_one=one_to_one,
         ),
         fps=fps,
         out=out,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+# 130 is what shells report for a program that was ended by Ctrl-C.
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 # Written out here because the registries are slow to import, and help must answer at once. A test compares these lists

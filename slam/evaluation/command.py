@@ -72,6 +72,7 @@ def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
 
 def _associate(times: Array, reference: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     # Each pose is paired with the reference nearest in time; of several poses with one reference the nearest stays.
+    # `order` because a reference need not be sorted by time.
     order = np.argsort(reference, kind="stable")
     after = np.clip(np.searchsorted(reference[order], times), 1, max(len(reference) - 1, 1))
     candidates = order[np.clip(np.stack([after - 1, after]), 0, len(reference) - 1)]

@@ -76,6 +76,7 @@ def is_true_loop(truth: Array, query: int, match: int, T_match_query: Array, rul
     measurement of it is a correct edge of the graph. Use `is_same_place` for loops without metric scale.
     """
     rule = rule or LoopRule()
+    # Motion that is left over: measured query frame to true query frame.
     error = se3.inverse(T_match_query) @ se3.inverse(truth[match]) @ truth[query]
     near = float(np.linalg.norm(error[:3, 3])) <= rule.max_translation_m
     similar = np.degrees(se3.angle(error)) <= rule.max_rotation_deg
@@ -116,6 +117,7 @@ def count_loops(
         return LoopCounts(proposed, verified, len(kept), None, None, None, None, reasons)
     true = [row for row in kept if _is_true(row, truth, rule)]
     revisits = np.intersect1d(np.flatnonzero(find_revisits(truth, rule)), queries)
+    # By frames, not by loops: a revisit with two true loops counts once.
     found = np.intersect1d(revisits, [row.query for row in true])
     reasons = {} if kept else {"precision": "no loop was kept"}
     if len(revisits) == 0:

@@ -11,7 +11,7 @@ from place_recognition.evaluation.precision_recall import PrecisionRecall, preci
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
 from slam.evaluation.truth import RevisitTruth, read_revisit_truth
-from slam.place_metrics import TOLERANCE_FRAMES, match_metrics
+from slam.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
 from slam.storage.matches import read_matches, write_curve
 from slam.storage.metrics import metrics_text, write_metrics
 from slam.storage.run_folder import RunFolder
@@ -64,8 +64,8 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
     _check_queries(options.matches, beliefs, truth)
-    tolerances = dict.fromkeys((0, TOLERANCE_FRAMES, options.frame_tolerance or 0))
-    results = {tolerance: match_metrics(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
+    tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.frame_tolerance or 0))
+    results = {tolerance: measure_scores(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
         "matches": str(options.matches),
         "ground_truth": truth.origin,
@@ -122,7 +122,7 @@ def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, di
 def _title(tolerance: int) -> str:
     rules = {
         0: "Exact ground truth (rule of the chapter's authors)",
-        TOLERANCE_FRAMES: f"Tolerance of {TOLERANCE_FRAMES} images (rule of iBoW-LCD and others)",
+        COMMON_TOLERANCE_IMAGES: f"Tolerance of {COMMON_TOLERANCE_IMAGES} images (rule of iBoW-LCD and others)",
     }
     return rules.get(tolerance, f"Tolerance of {tolerance} images (--frame-tolerance)")
 

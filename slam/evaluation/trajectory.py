@@ -20,6 +20,7 @@ from slam.errors import DataError
 Array = NDArray[np.float64]
 Alignment = Literal["se3", "sim3"]
 
+# Lengths and step of the segments as in the devkit of the KITTI odometry benchmark.
 SEGMENT_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 SEGMENT_STEP_FRAMES = 10  # frames between the starts of segments
 
@@ -145,6 +146,7 @@ def umeyama(source: Array, target: Array, alignment: Alignment = "se3") -> Simil
     signs = np.ones(len(singular))
     signs[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     R = (U * signs) @ Vt
+    # Eq. 42: the scale is the trace of D S over the variance of the source; without variance it is undefined.
     variance = float((spread**2).sum() / len(source))
     scale = float(singular @ signs) / variance if alignment == "sim3" and variance > 0 else 1.0
     return Similarity(R, mean_target - scale * R @ mean_source, scale)
@@ -176,6 +178,7 @@ def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
         return None
     motion_truth = se3.inverse(truth[starts]) @ truth[ends]
     motion_estimate = se3.inverse(estimate[starts]) @ estimate[ends]
+    # Relative motions need no alignment: a world transformation of the estimate cancels.
     errors = se3.inverse(motion_estimate) @ motion_truth
     translation = np.linalg.norm(errors[:, :3, 3], axis=1) / lengths
     rotation = np.degrees(_angles(errors)) / lengths

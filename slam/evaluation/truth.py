@@ -55,7 +55,8 @@ def read_revisit_truth(path: Path, rule: RevisitRule | None = None, fps: float |
         times = np.arange(len(poses)) / fps
     if rule.min_time_gap_s > 0 and times is None:
         raise ConfigError(
-            f"{path}: expected times for --min-time-gap {rule.min_time_gap_s:g}, found none; give --fps, or poses as TUM"
+            f"{path}: expected times for --min-time-gap {rule.min_time_gap_s:g}, found none;"
+            " give --fps, or poses as TUM"
         )
     return revisit_truth_from_poses(poses, str(path), rule, times)
 

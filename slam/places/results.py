@@ -67,7 +67,7 @@ def _measured(done: Recognised, result: PlaceMetrics, truth: RevisitTruth) -> di
     return {
         "frames": done.images,
         "ground_truth": truth.origin,
-        "places": result.metrics,
+        "places": result.section,
         "timing_ms": timing_ms(stage_times(done)),
         "frames_per_second": done.images / done.wall_seconds,
         "wall_seconds": done.wall_seconds,
@@ -100,7 +100,7 @@ def write_results(folder: Path, record: PlacesRecord) -> None:
 
 def summary(record: PlacesRecord) -> Table:
     """Sum up a drive: recall, counts and speed. What is not known is a dash."""
-    places, timing = record.result.metrics, record.metrics["timing_ms"]
+    places, timing = record.result.section, record.metrics["timing_ms"]
     tolerant = places["tolerance_10"]
     table = Table(title=escape(record.name), caption=_caption(record), caption_justify="left")
     for heading in ("rule", "R@P100", "AP", "accepted true", "false", "revisits"):
@@ -120,7 +120,7 @@ def _cells(section: dict[str, object]) -> list[str]:
 
 
 def _caption(record: PlacesRecord) -> str:
-    places, speed = record.result.metrics, record.metrics["frames_per_second"]
+    places, speed = record.result.section, record.metrics["frames_per_second"]
     size = float(str(places["map_bytes"] or 0)) / 1e6
     words = "" if places["words"] is None else f", {places['words']} words"
     lines = [

@@ -1,4 +1,4 @@
-"""The doctor names what is missing and the line that mends it."""
+"""The doctor names what is missing and the command that installs it."""
 
 import pytest
 
@@ -16,7 +16,7 @@ def test_a_missing_library_is_named_with_its_package(monkeypatch: pytest.MonkeyP
     assert check.remedy.endswith("apt-get install --yes --no-install-recommends libnowhere9")
 
 
-def test_who_may_not_install_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_without_rights_the_command_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setattr(doctor, "SYSTEM_LIBRARIES", {"libnowhere.so.9": "libnowhere9"})
     monkeypatch.setattr(doctor.os, "geteuid", lambda: 1000)
     assert doctor.install_libraries() == 1

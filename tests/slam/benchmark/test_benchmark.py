@@ -150,11 +150,13 @@ def test_a_run_that_is_stopped_leaves_nothing_and_stops_the_benchmark(tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_dask_the_line_to_type_is_told(sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+def test_without_dask_the_message_has_the_command_that_installs_it(
+    sweep: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = ["benchmark", str(sweep), "--out", str(sweep.parent / "none"), "--workers", "2"]
     assert cli._exit_code(lambda: cli.app(arguments)) == cli.EXIT_USAGE
-    told = capsys.readouterr().err
-    assert "pip install 'revisit-slam[cluster]'" in told
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "pip install 'revisit-slam[cluster]'" in message
+    assert message.count("\n") == 1
     assert not (sweep.parent / "none").exists()

@@ -70,7 +70,7 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("sources = 3", "sources"),
         ("", "sources"),
@@ -105,10 +105,10 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         ('[[sources]]\nsimulate = "circle"\nlaps = 1' + 400 * "0", "int too large"),
     ],
 )
-def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Path, text: str, told: str):
+def test_a_fault_is_one_line_that_names_the_file_and_what_was_found(tmp_path: Path, text: str, message: str):
     with pytest.raises(ConfigError) as error:
         read_sweep(written(tmp_path, text))
-    assert told in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in " ".join(str(error.value).splitlines())
 
 
@@ -132,7 +132,7 @@ sweeps = st.fixed_dictionaries(
 
 @settings(max_examples=300, deadline=None)
 @given(sweeps)
-def test_whatever_the_file_holds_it_is_a_sweep_or_a_fault_that_is_told(values: dict):
+def test_whatever_the_file_holds_it_gives_a_sweep_or_a_message(values: dict):
     with contextlib.suppress(ConfigError):
         sweep = parse_sweep(values, Path("/folder/sweep.toml"))
         jobs = make_jobs(sweep, Path("/out"))

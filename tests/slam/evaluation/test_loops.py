@@ -89,7 +89,7 @@ def test_standing_still_is_no_revisit() -> None:
     assert not find_revisits(line(np.concatenate([np.arange(50.0), np.full(100, 49.0)]))).any()
 
 
-def test_coming_back_the_other_way_is_no_revisit() -> None:
+def test_coming_back_in_the_opposite_direction_is_no_revisit() -> None:
     out, back = np.arange(0.0, 50.0), np.arange(50.0, 0.0, -1.0)
     z, turned = np.concatenate([out, back]), np.repeat([0.0, np.pi], 50)
     assert not find_revisits(line(z, turned)).any()
@@ -103,11 +103,11 @@ def test_backing_over_fifty_metres_is_a_revisit() -> None:
 
 def test_revisits_are_those_of_a_plain_loop() -> None:
     truth = circle(8.0, 2.5, 150)
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
+    path_m = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))])
     expected = [
         any(
             np.linalg.norm(truth[q, :3, 3] - truth[m, :3, 3]) <= 10.0
-            and way[q] - way[m] >= 20.0
+            and path_m[q] - path_m[m] >= 20.0
             and truth[q, :3, 2] @ truth[m, :3, 2] >= np.cos(np.radians(45.0))
             for m in range(q)
         )
@@ -124,11 +124,11 @@ def test_kitti_has_the_revisits_it_is_known_for(test_data: Path, sequence: str, 
 
 def test_the_reverse_revisits_of_kitti_08_do_not_count(test_data: Path) -> None:
     truth = read_kitti(test_data / "kitti_poses" / "08.txt")
-    either_way = find_revisits(truth, LoopRule(revisit=RevisitRule(max_angle_deg=180.0)))
-    assert find_revisits(truth).sum() < 0.1 * either_way.sum()
+    both_directions = find_revisits(truth, LoopRule(revisit=RevisitRule(max_angle_deg=180.0)))
+    assert find_revisits(truth).sum() < 0.1 * both_directions.sum()
 
 
-def test_counts_of_a_ledger() -> None:
+def test_counts_of_a_loop_log() -> None:
     truth = circle(50.0, 2, 401)
     rows = [
         row(250, 50),
@@ -144,7 +144,7 @@ def test_counts_of_a_ledger() -> None:
     assert counts.recall == pytest.approx(2 / find_revisits(truth).sum())
 
 
-def test_the_verdict_of_the_ledger_is_kept() -> None:
+def test_the_truth_of_the_loop_log_is_kept() -> None:
     truth = circle(50.0, 2, 401)
     counts = count_loops([row(250, 50, truth=False), row(251, 51, truth=True)], np.arange(401), truth)
     assert (counts.true, counts.false) == (1, 1)

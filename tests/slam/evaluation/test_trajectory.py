@@ -55,13 +55,13 @@ def noisy(poses: np.ndarray, seed: int, sigma: float = 1e-3) -> np.ndarray:
 
 def devkit(estimate: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """The KITTI rule, frame by frame: t_rel [%] and r_rel [deg / 100 m]."""
-    way = [0.0]
+    distances = [0.0]
     for a, b in pairwise(truth):
-        way.append(way[-1] + float(np.linalg.norm(b[:3, 3] - a[:3, 3])))
+        distances.append(distances[-1] + float(np.linalg.norm(b[:3, 3] - a[:3, 3])))
     translations, rotations = [], []
     for first in range(0, len(truth), 10):
         for length in range(100, 900, 100):
-            last = next((k for k in range(first, len(truth)) if way[k] > way[first] + length), None)
+            last = next((k for k in range(first, len(truth)) if distances[k] > distances[first] + length), None)
             if last is None:
                 continue
             true = np.linalg.inv(truth[first]) @ truth[last]
@@ -155,7 +155,7 @@ def test_a_degree_too_much_every_hundred_metres_is_one() -> None:
     assert kitti_errors(estimate, straight(400, 0.5)).r_rel_deg_per_100m == pytest.approx(1.0, rel=1e-2)
 
 
-def test_a_segment_needs_more_way_than_its_length() -> None:
+def test_a_segment_needs_a_longer_path_than_its_length() -> None:
     assert kitti_errors(straight(101), straight(101)) is None
     assert kitti_errors(straight(102), straight(102)) is not None
 
@@ -174,7 +174,7 @@ def test_end_error_compares_last_positions_from_equal_starts() -> None:
     assert (errors.end_error_m, errors.end_error_percent) == (pytest.approx(3.0), pytest.approx(30.0))
 
 
-def test_one_camera_is_judged_after_scaling() -> None:
+def test_one_camera_is_evaluated_after_scaling() -> None:
     truth = walk(5, 300)
     estimate = truth.copy()
     estimate[:, :3, 3] *= 0.2
@@ -195,7 +195,7 @@ def test_a_single_pose_is_aligned_perfectly(alignment: str) -> None:
     assert absolute_trajectory_error(walk(0, 9)[8:], straight(1), alignment) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_way_is_the_sum_of_the_steps() -> None:
+def test_the_path_length_is_the_sum_of_the_steps() -> None:
     assert path_length(straight(11, 0.5)) == pytest.approx(5.0)
     assert path_length(straight(1)) == 0.0
 
@@ -222,3 +222,76 @@ def test_unknown_errors_all_have_the_reason() -> None:
     errors = unknown_errors("there is no ground truth")
     assert set(errors.as_metrics().values()) == {None}
     assert errors.reasons == dict.fromkeys(errors.as_metrics(), "there is no ground truth")
+
+
+def moved(poses: np.ndarray, T: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    """The same trajectory in another world frame and another unit."""
+    out = T @ poses
+    out[:, :3, 3] *= scale
+    return out
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, scale=st.floats(0.1, 10.0))
+def test_no_error_depends_on_the_world_frame_of_the_estimate(seed: int, scale: float) -> None:
+    """Nor, with sim3, on its unit."""
+    truth, T = walk(seed, 150), se3.exp(np.random.default_rng(seed).normal(size=6))
+    estimate = walk(seed, 150) @ se3.exp(np.array([0.0, 0.01, 0.0, 0.1, 0.0, 0.0]))
+    estimate[:, 0, 3] += np.linspace(0.0, 3.0, 150)
+    for alignment, other in (("se3", moved(estimate, T)), ("sim3", moved(estimate, T, scale))):
+        expected = trajectory_errors(estimate, truth, alignment).as_metrics()
+        found = trajectory_errors(other, truth, alignment).as_metrics()
+        assert found.pop("ate_alignment") == expected.pop("ate_alignment") == alignment
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_a_free_scale_never_makes_the_ate_larger(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = walk(seed, 60)
+    estimate = moved(truth, np.eye(4), rng.uniform(0.5, 2.0))
+    estimate[:, :3, 3] += rng.normal(size=(60, 3))
+    rigid, similar = (absolute_trajectory_error(estimate, truth, alignment) for alignment in ("se3", "sim3"))
+    assert similar <= rigid + 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds)
+def test_no_small_motion_improves_the_alignment(seed: int) -> None:
+    """The alignment is a minimum: finite steps in all six directions make the squared error larger."""
+    rng = np.random.default_rng(seed)
+    source, target = rng.normal(size=(2, 20, 3))
+    fit = umeyama(source, target)
+    aligned = fit.apply(source)
+    best = ((aligned - target) ** 2).sum()
+    for direction in np.concatenate([np.eye(6), -np.eye(6)]):
+        other = se3.transform(se3.exp(1e-3 * direction), aligned)
+        assert ((other - target) ** 2).sum() > best
+
+
+@pytest.mark.parametrize("scale", [0.9, 0.97, 1.05])
+def test_t_rel_of_a_straight_drive_is_its_error_of_scale(scale: float) -> None:
+    truth = straight(900)
+    errors = kitti_errors(moved(truth, np.eye(4), scale), truth)
+    assert errors is not None
+    # A segment ends at the first frame beyond its length, here one metre later.
+    assert errors.t_rel_percent == pytest.approx(100.0 * abs(scale - 1.0), rel=0.011)
+    assert errors.r_rel_deg_per_100m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_rotation_error_has_no_rounding_noise_at_small_angles() -> None:
+    """Ground truth of seven digits, as KITTI's: arccos of the trace would give 0.06 degrees."""
+    truth = walk(3, 300)
+    rounded = truth.astype(np.float32).astype(np.float64)
+    errors = kitti_errors(rounded, truth)
+    assert errors is not None
+    assert errors.r_rel_deg_per_100m < 1e-4
+
+
+@given(seed=seeds, count=st.integers(2, 40))
+def test_path_length_is_additive_and_has_the_unit_of_the_poses(seed: int, count: int) -> None:
+    poses, cut = walk(seed, count + 1), count // 2
+    assert path_length(poses) == pytest.approx(path_length(poses[: cut + 1]) + path_length(poses[cut:]))
+    assert path_length(moved(poses, np.eye(4), 3.0)) == pytest.approx(3.0 * path_length(poses))
+    assert path_length(poses) >= np.linalg.norm(poses[-1, :3, 3] - poses[0, :3, 3]) - 1e-9

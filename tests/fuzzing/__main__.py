@@ -1,8 +1,8 @@
-"""Whether any file can make a reader crash, hang, use a gigabyte, or refuse with words that help nobody.
+"""Fuzzing of all readers of files: no input may crash or hang one, take a gigabyte, or give a useless message.
 
-Run from the root, for all that a machine has time for:
+Run from the root, with as many inputs as there is time for:
 
-    PYTHONPATH=. python benchmarks/fuzz_readers.py --inputs 1000000 --out runs/fuzz
+    python -m tests.fuzzing --inputs 1000000 --out runs/fuzz
 
 Every reader of `tests/fuzzing/readers.py` gets its share of the inputs, in processes of its own, made in three ways:
 valid files that were damaged, files put together by hypothesis, and files that atheris found to reach new lines of the
@@ -22,7 +22,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tests.fuzzing.tally import Tally
+from .tally import Tally
 
 ENGINES = {"damaged": 0.5, "generated": 0.05, "guided": 0.45}  # share of the inputs
 
@@ -36,7 +36,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     tallies: dict[str, Tally] = {}
     for engine in ENGINES:
-        command = [sys.executable, __file__, "--engine", engine, "--inputs", str(options.inputs), "--seed"]
+        command = [sys.executable, "-m", "tests.fuzzing", "--engine", engine, "--inputs", str(options.inputs), "--seed"]
         subprocess.run([*command, str(options.seed), "--out", str(options.out), *options.readers], check=True)
         found = json.loads((options.out / f"{engine}.json").read_text())
         for name, values in found.items():
@@ -57,12 +57,12 @@ def _options() -> argparse.Namespace:
 
 def _run_engine(options: argparse.Namespace) -> None:
     """Try every reader on the inputs of one engine; the tallies go to a file."""
-    from tests.fuzzing.watching import watched
+    from .watching import watched
 
     guided = options.engine == "guided" and importlib.util.find_spec("atheris") is not None
     with watched(guided):
-        from tests.fuzzing.process import fuzz_apart
-        from tests.fuzzing.readers import READERS
+        from .process import fuzz_apart
+        from .readers import READERS
 
     engine = "damaged" if options.engine == "guided" and not guided else options.engine
     seed = options.seed + 1_000_000 * list(ENGINES).index(options.engine)

@@ -1,6 +1,6 @@
 """How large the report of a long drive is, how long it takes to write, and how long a browser takes to open it.
 
-Run from the root: `PYTHONPATH=. python benchmarks/report_size.py [FOLDER_OF_IMAGES]`. The drive is fabricated: 5,000
+Run from the root: `python -m tests.slam.report.measure_size [FOLDER_OF_IMAGES]`. The drive is fabricated: 5,000
 frames, and 2,000 rows in the ledger that show 4,000 different images. The images are noise that compresses like
 photographs, or those of a folder, one after the other, shifted so that each is different.
 """
@@ -20,8 +20,9 @@ from rich.table import Table
 from slam.record import LoopRow, RunRecord
 from slam.report.evidence import album
 from slam.report.page import write_report
-from tests.slam.report import fabricate
-from tests.slam.report.browser import NO_BROWSER, Browser, browser, has_browser
+
+from . import fabricate
+from .browser import NO_BROWSER, Browser, browser, has_browser
 
 FRAMES, ROWS = 5000, 2000
 INLIERS = 150
