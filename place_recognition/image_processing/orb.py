@@ -25,14 +25,14 @@ class OrbConfig:
     """Number and contrast of the corners.
 
     Attributes:
-        features: maximum number of features of an image.
-        contrast: minimum contrast of a corner to the circle around it, gray levels.
+        max_features: maximum number of features of an image.
+        min_contrast: minimum contrast of a corner to the circle around it, gray levels.
         levels: number of pyramid levels, each 1.2 times smaller than the one before.
         spread: distribution of the features over the image.
     """
 
-    features: int = 500
-    contrast: int = 10
+    max_features: int = 500
+    min_contrast: int = 10
     levels: int = 8
     spread: SpreadConfig = field(default_factory=SpreadConfig)
 
@@ -48,9 +48,9 @@ class Orb:
     def __init__(self, config: OrbConfig | None = None) -> None:
         self.config = config or OrbConfig()
         self._orb = cv2.ORB.create(
-            CANDIDATES * self.config.features,
+            CANDIDATES * self.config.max_features,
             nlevels=self.config.levels,
-            fastThreshold=self.config.contrast,
+            fastThreshold=self.config.min_contrast,
             patchSize=PATCH,
         )
 
@@ -61,7 +61,7 @@ class Orb:
         descriptors = unpack_bits(np.empty((0, BITS // 8), np.uint8) if described is None else described)
         # the circle of comparisons ends at about three sigmas of the smoothing that a blob of its size would need
         found = convert_keypoints(points, descriptors, sigmas_per_size=1 / 6)
-        return select_spread(found, image.shape, self.config.features, self.config.spread)
+        return select_spread(found, image.shape, self.config.max_features, self.config.spread)
 
 
 def unpack_bits(packed: NDArray[np.uint8]) -> Floats:

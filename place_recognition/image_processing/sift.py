@@ -21,15 +21,15 @@ class SiftConfig:
     """Number and contrast of the blobs, and the size of the image.
 
     Attributes:
-        features: maximum number of features of an image.
-        contrast: minimum difference of Gaussians, as OpenCV scales it.
+        max_features: maximum number of features of an image.
+        min_contrast: minimum difference of Gaussians, as OpenCV scales it.
         shrink: factor by which the image is reduced first. Two takes a third of the time, and leaves as many correct
             matches of 1241 x 376 images, since the smallest blobs change most.
         spread: distribution of the features over the image.
     """
 
-    features: int = 500
-    contrast: float = 0.02
+    max_features: int = 500
+    min_contrast: float = 0.02
     shrink: float = 2.0
     spread: SpreadConfig = field(default_factory=SpreadConfig)
 
@@ -43,8 +43,8 @@ class Sift:
         self.config = config or SiftConfig()
         # without the precise upscale all features lie a quarter of a pixel off
         self._sift = cv2.SIFT.create(
-            CANDIDATES * self.config.features,
-            contrastThreshold=self.config.contrast,
+            CANDIDATES * self.config.max_features,
+            contrastThreshold=self.config.min_contrast,
             enable_precise_upscale=True,
         )
 
@@ -59,7 +59,7 @@ class Sift:
         lengths = np.linalg.norm(described, axis=1, keepdims=True)
         found = convert_keypoints(points, described / np.maximum(lengths, 1e-12), sigmas_per_size=0.5)
         return select_spread(
-            _enlarged(found, small.shape, image.shape), image.shape, self.config.features, self.config.spread
+            _enlarged(found, small.shape, image.shape), image.shape, self.config.max_features, self.config.spread
         )
 
 

@@ -30,17 +30,17 @@ class SurfConfig:
     """Number, size and strength of the blobs.
 
     Attributes:
-        features: maximum number of features of an image.
+        max_features: maximum number of features of an image.
         octaves: number of doublings of scale; two reach sigmas from 1.6 to 6 pixels, three to 12.
-        threshold: minimum determinant of the Hessian, (gray levels / pixel^2)^2 over the filter's area.
+        min_determinant: minimum determinant of the Hessian, (gray levels / pixel^2)^2 over the filter's area.
         spread: distribution of the features over the image.
         oriented: whether each blob is described in its own direction, for cameras that roll. A level camera then has an
             eighth fewer matches, at twice the time.
     """
 
-    features: int = 500
+    max_features: int = 500
     octaves: int = 2
-    threshold: float = 10.0
+    min_determinant: float = 10.0
     spread: SpreadConfig = field(default_factory=SpreadConfig)
     oriented: bool = False
 
@@ -72,13 +72,13 @@ class Surf:
         """Find the strongest blobs, strongest first: (N, 4) x, y and scale in pixels, determinant."""
         shape = (integral.shape[0] - 1, integral.shape[1] - 1)
         found = np.concatenate([self._find_in_octave(integral, octave) for octave in range(self.config.octaves)])
-        return found[select_strongest(found[:, :2], found[:, 3], shape, self.config.features, self.config.spread)]
+        return found[select_strongest(found[:, :2], found[:, 3], shape, self.config.max_features, self.config.spread)]
 
     def _find_in_octave(self, integral: Ints, octave: int) -> Floats:
         """Find all blobs of one octave (N, 4): x, y, scale, determinant."""
         # Larger filters change slowly from pixel to pixel: each octave samples every second pixel of the one before.
         sizes, step = layer_sizes(octave), 2**octave
-        found = find_blobs(deinterleave(integral, step), sizes, self.config.threshold)
+        found = find_blobs(deinterleave(integral, step), sizes, self.config.min_determinant)
         found[:, :2] *= step
         found[:, 2] = SIGMA_PER_SIZE * (sizes[0] + found[:, 2] * (sizes[1] - sizes[0]))
         return found

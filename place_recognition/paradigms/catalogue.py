@@ -92,7 +92,7 @@ def local_features(config: ParadigmsConfig) -> FeatureExtractor:
     """
     if config.features == "surf":
         return Surf(config.surf)
-    return make_extractor(config.features, config.surf.features)
+    return make_extractor(config.features, config.surf.max_features)
 
 
 def build(

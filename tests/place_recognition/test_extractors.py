@@ -65,7 +65,7 @@ def test_orb_descriptors_are_as_far_apart_as_their_bits_differ():
 def test_a_corner_full_of_strong_blobs_leaves_features_to_the_rest():
     image = textured_world(640, seed=5) // 4 + 90
     image[:80, :80] = textured_world(80, seed=6, height=80)
-    inside = (Surf(SurfConfig(features=200)).extract(image).pixels < 80).all(axis=1)
+    inside = (Surf(SurfConfig(max_features=200)).extract(image).pixels < 80).all(axis=1)
     assert inside.sum() < 60
 
 

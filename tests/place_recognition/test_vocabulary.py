@@ -104,3 +104,14 @@ def test_the_shipped_words_tell_real_streets_apart(test_data: Path):
     first = np.array([vector(street) for street in streets])
     second = np.array([vector(changed(street, k)) for k, street in enumerate(streets)])
     assert (second @ first.T).argmax(axis=1).tolist() == [0, 1, 2, 3, 4, 5]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(0, 40))
+@settings(deadline=None, max_examples=40)
+def test_of_binary_words_at_one_hamming_distance_the_first_is_taken(seed: int, words: int, count: int):
+    rng = np.random.default_rng(seed)
+    bits, centres = rng.random((count, 256)) < 0.5, rng.random((words, 256)) < 0.5
+    signs = [np.where(rows, 1 / 16, -1 / 16).astype(np.float32) for rows in (bits, centres)]
+    assigned = Vocabulary("orb-256", signs[1], np.ones(words, np.float32)).assign(signs[0])
+    distances = (bits[:, None] != centres[None]).sum(axis=2)
+    np.testing.assert_array_equal(assigned, distances.argmin(axis=1) if count else np.empty(0, np.int64))

@@ -17,7 +17,7 @@ def words():
     images = [textured_world(1200, seed, height=500) for seed in range(12)]
     descriptors = np.concatenate(
         [
-            Surf(SurfConfig(features=2000, spread=SpreadConfig(bucket_px=10))).extract(image).descriptors
+            Surf(SurfConfig(max_features=2000, spread=SpreadConfig(bucket_px=10))).extract(image).descriptors
             for image in images
         ]
     )
