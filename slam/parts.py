@@ -7,8 +7,8 @@ from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, local_features
-from place_recognition.recognizer import PlaceRecognizer, RowSink
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, make_feature_extractor, make_recognizer
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
 from slam.eyes import Eyes, OneEye, TwoEyes
@@ -59,7 +59,7 @@ def read_checked(path: Path) -> RunConfig:
 
 
 def build_recognizer(
-    name: str, features: SharedFeatures, config: ParadigmsConfig, rows: RowSink | None = None
+    name: str, features: SharedFeatures, config: ParadigmsConfig, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
     """Build the recogniser of a paradigm whose name has been checked.
 
@@ -67,17 +67,17 @@ def build_recognizer(
         DataError: its vocabulary or its descriptor is missing, damaged or of another kind.
     """
     try:
-        return build(name, features, config, rows)
+        return make_recognizer(name, features, config, rows)
     except (OSError, ValueError) as error:  # place_recognition knows nothing of this family
         raise DataError(str(error)) from error
 
 
-def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
+def build_parts(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Parts:
     """All parts for one camera, of a configuration whose names have been checked.
 
     The rows of the recogniser's matrix go to `rows`, where there is one.
     """
-    features = SharedFeatures(local_features(config.places))
+    features = SharedFeatures(make_feature_extractor(config.places))
     eyes: Eyes
     if config.mono:
         eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), compare_units

@@ -1,4 +1,4 @@
-"""How well places were recognised: the section `places` of metrics.json, of a run and of `revisit places`."""
+"""Metrics of place recognition: the section `places` of metrics.json, for `revisit run` and `revisit places`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,9 +10,10 @@ from place_recognition.evaluation.map_size import MapSize
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
 from place_recognition.recognizer import Belief
 
-OTHERS_TOLERANCE = 10  # columns; the rule of iBoW-LCD and its kin, while the chapter's authors allow none
+# Images by which a match may be off, in the rule of iBoW-LCD and similar systems; the chapter's authors allow none.
+COMMON_TOLERANCE_IMAGES = 10
 
-_MEASURED = (
+_SCORE_NAMES = (
     "recall_at_100_precision",
     "average_precision",
     "threshold_at_100_precision",
@@ -23,13 +24,13 @@ _MEASURED = (
 
 
 @dataclass(frozen=True)
-class PlaceResult:
-    """How good the beliefs of a drive are.
+class PlaceMetrics:
+    """Metrics of the beliefs of a run.
 
     Attributes:
-        section: for metrics.json.
-        notes: why a value in it is null, by its dotted name.
-        curve: by the rule of the chapter's authors (no tolerance); None without ground truth.
+        section: the section `places` of metrics.json.
+        notes: for each null value in it, by its dotted name, the reason.
+        curve: precision-recall curve by the rule of the chapter's authors (no tolerance); None without ground truth.
     """
 
     section: dict[str, object]
@@ -37,33 +38,35 @@ class PlaceResult:
     curve: PrecisionRecall | None = None
 
 
-def judge_places(
+def evaluate_places(
     paradigm: str, beliefs: Sequence[Belief], truth: NDArray[np.bool_] | None, size: MapSize | None = None
-) -> PlaceResult:
-    """Measure beliefs.
+) -> PlaceMetrics:
+    """Measure beliefs against the ground truth.
 
     Args:
         paradigm: name of the recogniser.
-        beliefs: one a query.
-        truth: (N, N), row = query, column = earlier image, or None.
-        size: of the recogniser's map, where it is known.
+        beliefs: one belief per query.
+        truth: (N, N) True where two images show one place, row = query, column = earlier image; None if unknown.
+        size: size of the recogniser's map; None if unknown.
     """
     words = None if size is None else size.words
-    held: dict[str, object] = {"words": words, "map_bytes": None if size is None else size.bytes}
+    map_size: dict[str, object] = {"words": words, "map_bytes": None if size is None else size.bytes}
     notes = {} if words is not None else {"places.words": f"{paradigm} counts no words"}
     section = {"paradigm": paradigm, "queries": len(beliefs)}
     if truth is None or not truth.any():
         reason = "there is no ground truth" if truth is None else "no image is a revisit by ground truth"
-        missing = (*_MEASURED, "tolerance_10")
-        unknown = section | dict.fromkeys(missing) | held
-        return PlaceResult(unknown, notes | {f"places.{name}": reason for name in missing})
+        missing = (*_SCORE_NAMES, "tolerance_10")
+        unknown = section | dict.fromkeys(missing) | map_size
+        return PlaceMetrics(unknown, notes | {f"places.{name}": reason for name in missing})
     curve = precision_recall(beliefs, truth)
-    tolerant = {"tolerance_10": score(beliefs, truth, OTHERS_TOLERANCE)}
-    return PlaceResult(section | score(beliefs, truth, 0) | tolerant | held, notes | _threshold_note(curve), curve)
+    tolerant = {"tolerance_10": measure_scores(beliefs, truth, COMMON_TOLERANCE_IMAGES)}
+    return PlaceMetrics(
+        section | measure_scores(beliefs, truth, 0) | tolerant | map_size, notes | _threshold_note(curve), curve
+    )
 
 
-def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
-    """R@P100, average precision and counts under a tolerance (see `precision_recall.judge`), as in metrics.json."""
+def measure_scores(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+    """Return R@P100, average precision and counts for a tolerance in images, named as in metrics.json."""
     curve = precision_recall(beliefs, truth, tolerance)
     values = (
         curve.recall_at_full_precision,
@@ -72,11 +75,11 @@ def score(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -
         *accepted_counts(beliefs, truth, tolerance),
         curve.truth_rows,
     )
-    return dict(zip(_MEASURED, values, strict=True))
+    return dict(zip(_SCORE_NAMES, values, strict=True))
 
 
 def _threshold_note(curve: PrecisionRecall) -> dict[str, str]:
     if curve.threshold_at_full_precision is not None:
         return {}
-    reason = "even the surest detection is false" if len(curve.thresholds) else "nothing was detected"
+    reason = "the detection of the highest score is false" if len(curve.thresholds) else "nothing was detected"
     return {"places.threshold_at_100_precision": reason}

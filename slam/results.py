@@ -29,7 +29,7 @@ from slam.ledger import Judge, matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure
 from slam.map_store.ending import Met
 from slam.memory import UNKNOWN, held_mb
-from slam.place_metrics import PlaceResult, judge_places
+from slam.place_metrics import PlaceMetrics, evaluate_places
 from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
 from slam.report.figures import before_after, save_png
@@ -191,7 +191,7 @@ def _write_maps(folder: Path, record: DriveRecord) -> None:
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: DriveRecord, finished: Finished, places: PlaceResult) -> dict[str, object]:
+def _measured(record: DriveRecord, finished: Finished, places: PlaceMetrics) -> dict[str, object]:
     errors = {
         name: _errors(getattr(record, name), record.ground_truth, finished.alignment)
         for name in ("odometry", "online", "corrected")
@@ -226,11 +226,11 @@ def _map_metrics(met: Met | None) -> dict[str, object]:
     return {"map": said}
 
 
-def _places(finished: Finished, ground_truth: Array | None) -> PlaceResult:
+def _places(finished: Finished, ground_truth: Array | None) -> PlaceMetrics:
     truth = None if ground_truth is None else revisit_matrix(ground_truth)
     beliefs = [attempt.belief for attempt in finished.drive_log.attempts]
     size = map_size(finished.slam.parts.recognizer)
-    return judge_places(finished.config.paradigm, beliefs, truth, size)
+    return evaluate_places(finished.config.paradigm, beliefs, truth, size)
 
 
 def _errors(estimate: Array, truth: Array | None, alignment: Alignment) -> TrajectoryErrors:

@@ -25,7 +25,7 @@ class Matrix:
 
 
 class MatrixRows:
-    """Keeps the rows of a recogniser's matrix (a RowSink).
+    """Keeps the rows of a recogniser's matrix (a MatrixSink).
 
     Image ids count from 0. A drive of more than `rows` images does not outgrow the memory: each time the limit is
     reached, two neighbouring images come to share a row and a column, where the larger value stays.
@@ -46,7 +46,7 @@ class MatrixRows:
         self._stages = {}
 
     def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
-        """Take one row; ids and values as in `RowSink`. Rows may come late and more than once."""
+        """Take one row; ids and values as in `MatrixSink`. Rows may come late and more than once."""
         if query < self._first:
             return
         query, matches = query - self._first, np.asarray(matches, np.int64) - self._first

@@ -35,11 +35,11 @@ def places(
     Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
     """
     settings = {name: value for name, value in locals().items() if name not in ("json", "topic")}
-    from slam.places.command import recognise_places
+    from slam.places.command import recognize_places
     from slam.places.options import PlacesOptions
 
     options = PlacesOptions(**settings, topics=tuple(topic or ()))
-    interrupted = recognise_places(options, Console(stderr=True), Console(), json)
+    interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 

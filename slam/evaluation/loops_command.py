@@ -11,7 +11,7 @@ from place_recognition.evaluation.precision_recall import PrecisionRecall, preci
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
 from slam.evaluation.truth import KnownTruth, read_truth
-from slam.place_metrics import OTHERS_TOLERANCE, score
+from slam.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
 from slam.storage.matches import read_matches, write_curve
 from slam.storage.metrics import metrics_text, write_metrics
 from slam.storage.run_folder import RunFolder
@@ -63,8 +63,8 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
     _check_queries(options.matches, beliefs, truth)
-    tolerances = dict.fromkeys((0, OTHERS_TOLERANCE, options.tolerance or 0))
-    results = {tolerance: score(beliefs, truth.known, tolerance) for tolerance in tolerances}
+    tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.tolerance or 0))
+    results = {tolerance: measure_scores(beliefs, truth.known, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
         "matches": str(options.matches),
         "ground_truth": truth.origin,
@@ -114,7 +114,7 @@ def _lines(truth: KnownTruth, beliefs: Sequence[Belief], results: dict[int, dict
 
 
 def _title(tolerance: int) -> str:
-    rules = {0: "Rule of the chapter's authors: no tolerance", OTHERS_TOLERANCE: "Rule of others: +-10 columns"}
+    rules = {0: "Rule of the chapter's authors: no tolerance", COMMON_TOLERANCE_IMAGES: "Rule of others: +-10 columns"}
     return rules.get(tolerance, f"Your rule: +-{tolerance} columns")
 
 
@@ -124,11 +124,11 @@ def _text(value: object) -> str:
 
 def _write(options: LoopsOptions, out: Path, metrics: dict[str, object], curve: PrecisionRecall) -> None:
     from slam.report.figures import save_png
-    from slam.report.place_figures import precision_recall_picture
+    from slam.report.place_figures import plot_precision_recall
 
     with RunFolder.create(out, options.overwrite) as folder:
         write_metrics(folder.path / "metrics.json", metrics)
         write_curve(folder.path / "precision_recall.csv", curve)
-        picture = precision_recall_picture({"all matches": curve}, options.matches.name)
+        picture = plot_precision_recall({"all matches": curve}, options.matches.name)
         save_png(picture, folder.path / "precision_recall.png")
         folder.commit()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from place_recognition.recognizer import RowSink
+from place_recognition.recognizer import MatrixSink
 from slam.config import RunConfig
 from slam.datasets.dataset import Frame
 from slam.datasets.source import Source
@@ -23,7 +23,7 @@ from slam.system import Parts
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Build = Callable[[StereoCamera, RunConfig, RowSink | None], Parts]
+Build = Callable[[StereoCamera, RunConfig, MatrixSink | None], Parts]
 
 
 class RememberedEyes:
@@ -95,7 +95,7 @@ def remembering(path: Path) -> Build:
     with MapStore.open(map_file(path)) as store:
         frames = list(store.frames())
 
-    def build(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Parts:
+    def build(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Parts:
         parts = build_parts(camera, config, rows)
         return replace(
             parts,

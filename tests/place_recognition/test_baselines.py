@@ -16,7 +16,7 @@ WAY = float("nan")
 
 
 class Collected:
-    """Keeps the rows of each stage (a RowSink)."""
+    """Keeps the rows of each stage (a MatrixSink)."""
 
     def __init__(self):
         self.rows = {"similarity": {}, "filtered": {}}

@@ -8,7 +8,7 @@ from place_images import sliding_view, textured_world
 
 from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
 from place_recognition.recognizer import Belief
 
 STEP = 2.0  # metres from image to image
@@ -37,7 +37,7 @@ class RememberingSurf(Surf):
 @pytest.fixture(scope="module", params=PARADIGMS)
 def make(request):
     """Makes a recogniser that has seen nothing."""
-    return lambda: build(request.param, SharedFeatures(RememberingSurf()))
+    return lambda: make_recognizer(request.param, SharedFeatures(RememberingSurf()))
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
+from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
+from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
 
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
 from place_recognition.paradigms.sequence_matching import MatchingConfig
 
 PARADIGMS = pytest.mark.parametrize("paradigm", [SequenceHistograms, DynamicSequences])
