@@ -1,8 +1,8 @@
 """Distances and similarities of descriptor vectors: equations 4.1 to 4.3 and 4.6 of the chapter.
 
 All functions of two vectors take (..., n) that broadcast against each other: one (n,) against many (K, n) gives (K,).
-The paradigms of sequences use `l2_score_of_cosine` and `scaled_l2_score_of_cosine`. The functions of two vectors are for
-the chapter; no paradigm uses them.
+The paradigms of sequences use `l2_score_of_cosine` and `scaled_l2_score_of_cosine`. The functions of two vectors are
+for the chapter; no paradigm uses them.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def cosine_similarity(first: ArrayLike, second: ArrayLike) -> Array:
 
 
 def cosine_distance(first: ArrayLike, second: ArrayLike) -> Array:
-    """Return 1 - cosine (...) of vectors (..., n) (eq. 4.3): 0 for one direction, 1 for a right angle or a zero vector."""
+    """Return 1 - cosine (...) of vectors (..., n) (eq. 4.3): 0 for equal directions, 1 for a right angle or a zero."""
     return 1.0 - cosine_similarity(first, second)
 
 
@@ -56,7 +56,10 @@ def l2_score_of_cosine(cosine: ArrayLike) -> Array:
 
 
 def scaled_l2_score_of_cosine(cosine: ArrayLike) -> Array:
-    """Return the L2 score stretched to [0, 1] for vectors without negative components, as DBoW2: 1 - sqrt(1 - cosine)."""
+    """Return the L2 score stretched to [0, 1] for vectors without negative components, as DBoW2 does.
+
+    It is 1 - sqrt(1 - cosine).
+    """
     return 1.0 - np.sqrt(np.maximum(1.0 - np.asarray(cosine, np.float64), 0.0))
 
 

@@ -1,6 +1,6 @@
 """Training of the 3x3 matrix filter by logistic regression, from matrices with known revisits (eq. 4.9 to 4.11).
 
-A sample is a cell of the normalised matrix with its eight neighbours; its label says whether the cell is a revisit. With
+A sample is a cell of the normalised matrix with its eight neighbours; its label is whether the cell is a revisit. With
 theta_0 for the constant, h(m) = 1 / (1 + exp(-m theta)) is the probability of a revisit. It is at least 1/2 where the
 filter's response is at least -theta_0, so that is the threshold. The chapter's equation 4.11 lacks the minus in the
 exponent.

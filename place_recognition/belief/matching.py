@@ -32,8 +32,8 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
 def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M), always summed in the same order.
 
-    A compiled loop over contiguous memory instead of a BLAS: so small a product gains little from BLAS threads and waits
-    for them on a busy machine, and the bits of a BLAS result depend on the number of threads.
+    A compiled loop over contiguous memory instead of a BLAS: so small a product gains little from BLAS threads and
+    waits for them on a busy machine, and the bits of a BLAS result depend on the number of threads.
     """
     whole = len(vector) - len(vector) % 4
     for k in range(0, whole, 4):  # four rows a pass: out is read and written once for four

@@ -1,8 +1,8 @@
 """Geometric verification of candidate images, scored by how unlikely the agreement is by chance (a contrario).
 
 A candidate is verified in three steps: its features are matched with the query's, one fundamental matrix is fitted to
-the matches, and the number of inliers becomes an evidence in powers of ten (Moisan and Stival, IJCV 2004). The formula
-is derived in docs/math_place_recognition.md; why the settings are what they are: docs/decisions/candidate_verification.md.
+the matches, and the number of inliers becomes an evidence in powers of ten (Moisan and Stival, IJCV 2004). Derivation
+of the formula: docs/math_place_recognition.md. Reasons of the settings: docs/decisions/candidate_verification.md.
 """
 
 import math
@@ -112,7 +112,7 @@ class ImagePairMatches:
 def rank_candidates(
     images: ImageStore, query: int, candidates: Sequence[int], config: CandidateVerificationConfig
 ) -> list[int]:
-    """Return the `max_verified` candidate locations with the most feature matches, best first; ties keep their order."""
+    """Return the `max_verified` candidates with the most feature matches, best first; ties keep their order."""
     if len(candidates) == 0:
         return []
     descriptors = images[query].strongest(config.ranking_features).quantised
@@ -156,8 +156,8 @@ def count_surplus_inliers(pixels: Floats, radius_px: float) -> int:
 def a_contrario_evidence(inliers: int, matches: int, random_agreement: float) -> float:
     """Return -log10 of the number of false alarms (NFA), at least 0.
 
-    The NFA is the expected number of fundamental matrices with which as many of the matches agree by chance: Moisan and
-    Stival, IJCV 57(3) 2004, equation 15, 3 (n - 7) C(n, k) C(k, 7) p^(k - 7). Derivation: docs/math_place_recognition.md.
+    The NFA is the expected number of fundamental matrices with which as many of the matches agree by chance: Moisan
+    and Stival, IJCV 57(3) 2004, equation 15, 3 (n - 7) C(n, k) C(k, 7) p^(k - 7).
 
     Args:
         inliers: k, at most n.

@@ -63,9 +63,9 @@ class Votes:
 def count_votes(hit: Indices, words: WordMap) -> Votes:
     """Count the votes of an image: each word that it hits votes once for each location where the word was seen.
 
-    A location is hit with probability p = its words / all words (eq. 5), so its votes are binomial (eq. 4). In the paper
-    a word votes as often as it is hit. But many descriptors of an image hit one word for one reason, a repeated window
-    or the sky, and the binomial test would take them for independent trials.
+    A location is hit with probability p = its words / all words (eq. 5), so its votes are binomial (eq. 4). In the
+    paper a word votes as often as it is hit. But many descriptors of an image hit one word for one reason, a repeated
+    window or the sky, and the binomial test would take them for independent trials.
 
     Args:
         hit: (N,) distinct indices of the words hit.

@@ -197,7 +197,7 @@ class HierarchicalPlaces:
         )
 
     def _propose(self, votes: PlaceVotes, count: int) -> list[int]:
-        """Candidate locations in the likeliest of the first `count` places: the most similar images, then neighbours."""
+        """Candidate locations in the likeliest of the first `count` places: the best images, then neighbours."""
         if len(votes.places) == 0:
             return []
         locations = self._sample_images(votes, count)

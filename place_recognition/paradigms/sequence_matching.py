@@ -91,8 +91,8 @@ class SequenceMatchingConfig:
 def make_published_matching(threshold: float) -> SequenceMatchingConfig:
     """Return the papers' numbers where they are known: plain term frequencies, 12 inliers, a response at the threshold.
 
-    The score is nevertheless the one in [0, 1]: with equation 4.6 as printed, no revisit would reach the learnt filter's
-    threshold of 3.5.
+    The score is nevertheless the one in [0, 1]: with equation 4.6 as printed, no revisit would reach the learnt
+    filter's threshold of 3.5.
     """
     return SequenceMatchingConfig(
         tf_power=1.0,

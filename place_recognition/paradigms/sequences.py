@@ -1,7 +1,8 @@
 """The two paradigms of sequences: a segmentation and a matrix filter for one `SequenceRecognizer` each.
 
 * sequence-histograms (section 4.4.1): sequences of a fixed distance and a hand-made filter. Bampis, Amanatiadis,
-  Gasteratos, 'Encoding the Description of Image Sequences: A Two-Layered Pipeline for Loop Closure Detection', IROS 2016.
+  Gasteratos, 'Encoding the Description of Image Sequences: A Two-Layered Pipeline for Loop Closure Detection', IROS
+  2016.
 * dynamic-sequences (section 4.4.2): sequences that end where the view changes and a learnt filter. Bampis, Amanatiadis,
   Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1) 2018.
 

@@ -50,14 +50,18 @@ def test_a_vocabulary_of_other_features_is_refused_with_its_file(tmp_path):
 def test_a_damaged_vocabulary_is_refused_with_its_file(tmp_path):
     (tmp_path / "x.vocabulary").write_bytes(b"words")
     with pytest.raises(ValueError, match=r"x\.vocabulary"):
-        make_recognizer("sequence-histograms", SharedFeatures(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary")))
+        make_recognizer(
+            "sequence-histograms", SharedFeatures(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary"))
+        )
 
 
 def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(ValueError, match="unknown global descriptor 'magic'"):
         make_recognizer("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor="magic"))
     with pytest.raises(ValueError, match=r"none\.onnx: expected an ONNX file, found none"):
-        make_recognizer("global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx"))
+        make_recognizer(
+            "global-descriptor", SharedFeatures(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx")
+        )
 
 
 def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():

@@ -3,15 +3,19 @@
 import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
 
 from place_recognition.image_processing.features import SharedFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary
-from place_recognition.paradigms.sequence_matching import MatchingConfig
+from place_recognition.paradigms.sequence_matching import SequenceMatchingConfig
+from place_recognition.paradigms.sequences import (
+    DynamicSequencesConfig,
+    SequenceHistogramsConfig,
+    make_dynamic_sequences,
+    make_sequence_histograms,
+)
 
-PARADIGMS = pytest.mark.parametrize("paradigm", [SequenceHistograms, DynamicSequences])
+PARADIGMS = pytest.mark.parametrize("paradigm", [make_sequence_histograms, make_dynamic_sequences])
 
 
 class Rows(dict):
@@ -67,9 +71,10 @@ def test_a_camera_that_backs_home_finds_its_way_out_although_the_filter_suppress
 
 @PARADIGMS
 def test_published_settings_accept_only_what_responds(paradigm, two_passes):
-    published = {SequenceHistograms: SequenceHistogramsConfig, DynamicSequences: DynamicSequencesConfig}[paradigm]
-    config = published.published()
-    assert config.filter.threshold == {SequenceHistograms: 0.32, DynamicSequences: 3.5}[paradigm]
+    config = {make_sequence_histograms: SequenceHistogramsConfig, make_dynamic_sequences: DynamicSequencesConfig}[
+        paradigm
+    ].published()
+    assert config.filter.threshold == {make_sequence_histograms: 0.32, make_dynamic_sequences: 3.5}[paradigm]
     beliefs, rows = beliefs_of(paradigm, two_passes, config=config)
     starts = np.array(sorted(query for stage, query in rows if stage == "filtered"))
     for belief in beliefs:
@@ -95,4 +100,4 @@ def test_words_of_other_features_are_refused(paradigm):
 
 def test_an_unknown_score_is_refused():
     with pytest.raises(ValueError, match="expected a score of scaled-l2, l2, cosine, got 'l1'"):
-        MatchingConfig(score="l1")
+        SequenceMatchingConfig(score="l1")
