@@ -157,7 +157,7 @@ class SequenceConsensus:
         # (P, S, N) distance in match location from the line of each slope through each candidate
         distance = np.abs(moves[:, None] - _SLOPES[:, None] * steps) - _TOLERANCE_GROWTH * np.abs(steps)
         contradiction = self._contradiction(own, evidence, steps, distance.min(axis=1))
-        # A match far away is another place, which says nothing about this line: only near ones count as off it.
+        # A match far away is another place and no contradiction of this line: only near ones count as off it.
         off_line = (distance > 2 * self.config.tolerance) & (np.abs(moves) <= self.config.window)[:, None]
         capped = np.minimum(evidence, self.config.max_image_evidence)
         on_line = distance <= self.config.tolerance

@@ -46,6 +46,7 @@ class CandidateVerifier:
     def _select(self, query: int, proposed: list[int], last_matchable: int) -> list[int]:
         """Locations with the most feature matches: one of the predicted ones, then those of the proposed ones."""
         predicted = [k for k in self._consistency.predict_locations(query) if 0 <= k <= last_matchable]
+        # Predicted locations are adjacent and look alike, so one of them is enough; it needs no vote to be tried.
         first = rank_candidates(self._images, query, predicted, replace(self._config, max_verified=1))
         others = [k for k in proposed if k not in first]
         return first + rank_candidates(self._images, query, others, self._config)
@@ -73,16 +74,22 @@ class CandidateVerifier:
         for _ in range(self._config.max_follow_steps):
             if best.evidence >= self._config.early_stop_evidence:
                 break
-            beside = [k for k in (best.location - 1, best.location + 1) if 0 <= k <= last_matchable]
-            unseen = [k for k in beside if k not in by_location]
-            pairs = [match_images(self._images, best.query, k, self._config) for k in unseen]
-            by_location |= {result.location: result for result in self._verify_in_order(pairs)}
-            neighbors = (by_location[k] for k in beside if k in by_location)
-            neighbor = max(neighbors, key=lambda result: result.evidence, default=best)
+            neighbor = self._best_neighbor(best, by_location, last_matchable)
             if neighbor.evidence <= best.evidence:
                 break
             best = neighbor
         return list(by_location.values())
+
+    def _best_neighbor(
+        self, result: VerificationResult, by_location: dict[int, VerificationResult], last_matchable: int
+    ) -> VerificationResult:
+        """The result of more evidence of the two images beside a result, verified and added to `by_location` if new."""
+        beside = [k for k in (result.location - 1, result.location + 1) if 0 <= k <= last_matchable]
+        unseen = [k for k in beside if k not in by_location]
+        pairs = [match_images(self._images, result.query, k, self._config) for k in unseen]
+        by_location |= {new.location: new for new in self._verify_in_order(pairs)}
+        neighbors = (by_location[k] for k in beside if k in by_location)
+        return max(neighbors, key=lambda neighbor: neighbor.evidence, default=result)
 
     def _weight(self, result: VerificationResult) -> float:
         """Evidence of the image, plus that of earlier images, which counts up to the image's own evidence."""

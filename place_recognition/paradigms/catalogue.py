@@ -86,6 +86,7 @@ def _global_descriptor(features: SharedFeatures, config: ParadigmsConfig, rows: 
     return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
 
 
+# The names are those of the option --paradigm. A new paradigm joins by its line here, and so do the tests of all.
 PARADIGMS: dict[str, Builder] = {
     "sequence-histograms": _sequence_histograms,
     "dynamic-sequences": _dynamic_sequences,

@@ -8,7 +8,7 @@ of the chapter. Deviations from the paper (reasons and figures: docs/decisions/h
 * The candidates go to the verification that all paradigms share. It adds temporal consistency, which the paper
   describes and its program leaves out, and its evidence is added to the score.
 * Each word votes once (`vote_for_places`); the last place ends with the drive.
-* Recent images are excluded by their view (`Route.horizon`), not by 40 s.
+* Images of the present view are excluded, not those of the last 40 s.
 * Geometry decides what is accepted, not the votes.
 """
 
@@ -89,7 +89,7 @@ class HierarchicalPlacesConfig:
         """Return the numbers of the paper's Table II and, for the gas, of its authors' program.
 
         All 300 features vote, one place is searched, places end by coherence alone, and votes alone decide. The paper's
-        40 s are left to `RouteConfig.exclusion`, which counts images.
+        40 s are left to the exclusion window, which counts images.
         """
         return cls(
             voting_features=300,
@@ -160,6 +160,7 @@ class HierarchicalPlaces:
         descriptors = features.descriptors[: self.config.word_features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
         if len(descriptors) < self.config.place.least_features:
+            # A nearly blank image cannot be matched.
             return self._decision.add(CandidateBeliefs.without_match(image_id))
         return self._decision.add(self._match(descriptors[: self.config.voting_features]))
 
@@ -171,13 +172,14 @@ class HierarchicalPlaces:
     def _learn(self, ended: list[Floats], last: int) -> None:
         """Make the words of a place that has ended at location `last` from its descriptors; nothing if none ended."""
         if ended:
+            # A generator of its own for each place: its words do not depend on how many numbers others have drawn.
             rng = np.random.default_rng((self.config.seed, len(self._places)))
             self._places.add(grow_gas(np.concatenate(ended), rng, self.config.gas).nodes, last)
 
     def _match(self, descriptors: Floats) -> CandidateBeliefs:
         """Match the latest image, whose strongest descriptors (N, D) vote, with the images of the likeliest places."""
         last_matchable = self._route.horizon()
-        count = self._places.until(last_matchable)
+        count = self._places.until(last_matchable)  # places that hold a later image get no votes
         votes = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._record(votes)
         results = self._verifier.verify(self._route.latest, self._propose(votes, count), last_matchable)
@@ -213,6 +215,7 @@ class HierarchicalPlaces:
     def _sample_images(self, votes: PlaceVotes, count: int) -> list[int]:
         """Every `image_stride`-th location of the likeliest places and of the two places beside the best one."""
         best, stride = int(votes.places[0]), self.config.image_stride
+        # Near its ends a place and its neighbour look alike.
         beside = [place for place in (best - 1, best + 1) if 0 <= place < count]
         places = dict.fromkeys([*votes.places[: self.config.max_places].tolist(), *beside])
         spans = [self._places.images(place) for place in places]

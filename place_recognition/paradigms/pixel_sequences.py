@@ -61,6 +61,7 @@ class PixelSequences:
         self._blank: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         length = self.config.sequence_length
         self._similarity = deque([np.empty(0, np.float32)] * length, maxlen=length)  # rows, the newest first
+        # A line of speed ratio v is v * i locations further back, i images before the query.
         steps = np.arange(length)
         self._offsets = np.round(np.outer(self.config.speed_ratios, steps)).astype(np.int64)
         self._rows = NullMatrixSink() if rows is None else rows
@@ -91,7 +92,7 @@ class PixelSequences:
             return np.empty(0, np.float32)
         differences = absolute_differences(picture, self._pictures.rows)
         similarity = local_contrast(differences, self.config.window, self.config.min_std * len(picture))
-        similarity[self._blank.rows.reshape(-1)] = 0
+        similarity[self._blank.rows.reshape(-1)] = 0  # all blank images look alike, wherever they are
         return similarity
 
     def _make_belief(self, image_id: int, blank: bool) -> Belief:

@@ -170,7 +170,7 @@ class SequenceRecognizer:
         words = self._assign(features.descriptors[: self.config.word_features])
         begins = self._segmentation.begins(words, distance_travelled_m)
         answered = self._end_sequence(location - 1) if begins else []
-        self._words.add(words)
+        self._words.add(words)  # after the sequence has ended, to which this image does not belong
         self._open.append(self._route.horizon())
         return self._decide(answered)
 
@@ -203,6 +203,7 @@ class SequenceRecognizer:
         vector = word_vector(self._words.of(images[0], images[-1]), self._vocabulary.weights, self.config.tf_power)
         heaviest, score = vector.heaviest(self.config.max_query_words), SCORES[self.config.score]
         scores = score(self._map.index.cosines(heaviest, self._map.ended_by(self._open[-1]))).astype(np.float32)
+        # The first sequence has no predecessor, and no earlier sequences to compare with either.
         previous = float(score(heaviest.cosine(self._waiting.vector))) if self._waiting else 1.0
         row = normalize_row(scores, previous, self.config.min_divisor)
         return _EndedSequence(images, self._open, vector, row)
@@ -211,6 +212,7 @@ class SequenceRecognizer:
         assert response is not None  # the filter has the row of each waiting sequence
         self._record(sequence.images[0], sequence.row, "similarity")
         self._record(sequence.images[0], response, "filtered")
+        # The filters suppress a pass in the opposite direction, so the best ones by plain similarity propose too.
         pool = self._map.images_around(_best_columns((response, sequence.row), self.config.max_sequences))
         return [
             self._match(location, pool[pool <= last_matchable], last_matchable, response)
@@ -231,6 +233,7 @@ class SequenceRecognizer:
 
     def _response_at(self, location: int, response: Floats) -> float:
         """The largest response of the sequence of an image and of the sequences before and after it."""
+        # Sequences of two passes are cut at different images, so a match near the end may respond in the next one.
         sequence = self._map.containing(location)
         around = response[max(sequence - 1, 0) : sequence + 2]
         return float(around.max()) if len(around) else 0.0
@@ -254,6 +257,7 @@ def _best_columns(rows: tuple[Floats, ...], max_count: int) -> Indices:
 
 
 def _best_of_row(row: Floats, max_count: int) -> Indices:
+    # Their order does not matter, so a partition is enough: O(S) instead of O(S log S).
     best = np.argpartition(-row, max_count)[:max_count] if len(row) > max_count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)
 

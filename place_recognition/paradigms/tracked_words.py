@@ -4,9 +4,9 @@ Tsintotas, Bampis, Gasteratos, 'Probabilistic Appearance-Based Place Recognition
 RA-L 4(2) 2019. Deviations from the paper (reasons: docs/decisions/tracked_words.md):
 * Several voted locations are tried, and around each the image that matches best is sought.
 * The search area also keeps a distance and a number of images from the query, and not the longest track counts but
-  nearly the longest (`FeatureTracks.longest`).
+  nearly the longest (`FeatureTracks`).
 * Each word votes once (`count_votes`).
-* Where tracks are short, the best of them become words too (`TrackConfig.least_length`).
+* Where tracks are short, the best of them become words too (`TrackConfig`).
 * Geometry decides what is accepted, not the votes.
 * The evidence of geometry, of this image and of those around it, is added to the score.
 """
@@ -124,10 +124,11 @@ class TrackedWords:
     def _match(self) -> CandidateBeliefs:
         """Match the latest image with the best candidates around the voted locations."""
         last_matchable = self._last_matchable()
-        self._words.pass_until(last_matchable)
+        self._words.pass_until(last_matchable)  # words of later images are not hit yet
         votes = count_votes(self._words.hit(self._tracks.descriptors), self._words)
         query = int(self._route.ids[-1])
         self._rows.add(query, self._route.ids[votes.locations], votes.votes.astype(np.float64))
+        # Neighbouring images share most of their words: one location of a neighbourhood is enough.
         voted = votes.top_locations(
             self.config.max_places, self.config.neighbor_radius, math.log(self.config.max_probability)
         )

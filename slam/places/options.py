@@ -48,7 +48,7 @@ class PlacesOptions:
 
     @property
     def recording(self) -> Source:
-        """The source with the options that say how to read it."""
+        """The source with the options of how to read it."""
         return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 

@@ -93,3 +93,18 @@ def test_votes_that_fit_nothing_are_refused():
         normalize_votes(np.zeros(2, np.int64), np.ones(3, np.int64), 5)
     with pytest.raises(ValueError, match="expected no negative number"):
         normalize_votes(np.array([-1]), np.array([3]), 5)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    st.lists(st.booleans(), max_size=30),
+    st.tuples(st.floats(0.5, 1), st.floats(0, 0.5), st.floats(0.5, 1)),
+)
+def test_the_probability_stays_one_and_a_detection_raises_it_above_its_absence(detections, numbers):
+    config = BayesFilterConfig(*numbers)
+    detected, missed = BayesFilter(config), BayesFilter(config)
+    for one in detections:
+        assert detected.update(one) == missed.update(one)
+        assert 0 <= detected.probability <= 1
+    if numbers[1] < numbers[2]:
+        assert detected.update(True) >= missed.update(False) - 1e-12
