@@ -14,7 +14,7 @@ def probabilities(detections, config=None):
     return [bayes.update(detected) for detected in detections]
 
 
-def test_a_loop_fades_as_computed_by_hand():
+def test_the_probability_fades_as_computed_by_hand():
     detections = [True, False, False, False, False]
     assert probabilities(detections) == pytest.approx([1, 0.947, 0.850, 0.696, 0.501], abs=5e-4)
 
@@ -27,12 +27,12 @@ def test_the_likelier_state_is_named():
     assert states == [False, True, True, True, True, True, False]
 
 
-def test_without_detections_the_way_is_new():
+def test_without_detections_the_place_is_new():
     assert BayesFilter().probability == 0
     assert max(probabilities([False] * 100)) < 0.03
 
 
-def test_a_detector_that_errs_settles_nothing_at_once():
+def test_with_false_alarms_one_detection_settles_nothing():
     config = BayesFilterConfig(persistence=0.9, false_alarm_rate=0.2, detection_rate=0.8)
     first, second = probabilities([True, True], config)
     assert first == pytest.approx(0.1 * 0.8 / (0.1 * 0.8 + 0.9 * 0.2))
@@ -88,7 +88,7 @@ def test_where_nothing_can_vote_votes_are_zero():
     np.testing.assert_array_equal(normalize_votes(np.array([0, 0]), np.array([0, 9]), 0), [0, 0])
 
 
-def test_votes_that_fit_nothing_are_refused():
+def test_votes_of_another_shape_or_sign_are_refused():
     with pytest.raises(ValueError, match=r"expected votes and words of one shape, got \(2,\) and \(3,\)"):
         normalize_votes(np.zeros(2, np.int64), np.ones(3, np.int64), 5)
     with pytest.raises(ValueError, match="expected no negative number"):

@@ -1,4 +1,4 @@
-"""All paradigms under one roof."""
+"""The registry makes every paradigm by its name and passes on an exclusion to each."""
 
 from dataclasses import fields, is_dataclass
 from typing import ClassVar
@@ -90,7 +90,7 @@ def two_laps():
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_laps, name):
+def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two_laps, name):
     def beliefs(images):
         recognizer = make_recognizer(name, SharedFeatures(RememberingSurf()), with_exclusion(ParadigmsConfig(), images))
         found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
@@ -103,7 +103,7 @@ def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_a_map_grows_with_what_is_seen(two_laps, name):
+def test_a_map_grows_with_the_images(two_laps, name):
     recognizer = make_recognizer(name, SharedFeatures(RememberingSurf()))
     sizes = []
     for i, image in enumerate(two_laps):

@@ -52,7 +52,7 @@ def test_published_filters_answer_known_shapes_as_worked_out_by_hand(shape, by_h
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([DIAGONAL, LEARNED]))
-def test_rows_that_come_one_by_one_give_the_response_of_the_whole_matrix(seed, size, kernel):
+def test_the_online_filter_gives_the_response_of_the_whole_matrix(seed, size, kernel):
     rng = np.random.default_rng(seed)
     matrix = rng.random((size, size)).astype(np.float32)
     matrix[np.triu_indices(size, -rng.integers(4))] = np.nan
@@ -82,7 +82,7 @@ def test_the_hand_made_filter_ignores_a_constant_and_is_linear(seed, size, const
     np.testing.assert_allclose(filter_matrix(constant * matrix, DIAGONAL), constant * response, atol=1e-9)
 
 
-def test_what_is_alike_everywhere_has_no_response_to_the_filter_made_by_hand_at_the_borders_either():
+def test_a_constant_matrix_has_no_response_to_the_hand_made_filter_not_even_at_the_borders():
     matrix = np.where(np.tri(6, k=-1) > 0, 0.7, np.nan)
     response = filter_matrix(matrix, DIAGONAL)
     np.testing.assert_array_equal(np.isnan(response), np.isnan(matrix))
@@ -93,7 +93,7 @@ def test_a_filter_without_rows_has_no_response():
     assert OnlineMatrixFilter(DIAGONAL).finish() is None
 
 
-def test_a_row_is_measured_by_the_score_with_its_predecessor_but_not_by_less_than_the_floor():
+def test_a_row_is_divided_by_the_score_with_its_predecessor_and_by_no_less_than_the_minimum():
     row = np.array([0.1, 0.4], np.float32)
     np.testing.assert_allclose(normalize_row(row, 0.2, min_divisor=0.05), [0.5, 2])
     np.testing.assert_allclose(normalize_row(row, 0.0, min_divisor=0.05), [2, 8])

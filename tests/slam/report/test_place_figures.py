@@ -62,7 +62,7 @@ def test_a_drive_in_which_nothing_was_compared_can_be_drawn(tmp_path: Path) -> N
     assert (tmp_path / "x.png").stat().st_size > 0
 
 
-def test_the_curve_is_circled_at_the_highest_recall_without_a_false_one() -> None:
+def test_the_curve_has_a_circle_at_the_largest_recall_without_a_false_match() -> None:
     truth = np.eye(4, k=-2) > 0
     curve = precision_recall([Belief(2, 0, 5.0, True), Belief(3, 0, 1.0, True)], truth)
     ax = plot_precision_recall({"ours": curve}, "x").axes[0]
@@ -78,7 +78,7 @@ def test_without_truth_there_is_no_curve_but_a_picture() -> None:
 TABLE = RecallTable(("sequence-histograms", "pixel-sequences"), {("sequence-histograms", "KITTI 00"): 93.25})
 
 
-def test_the_table_has_ours_beside_the_published_and_marks_the_doubtful_value() -> None:
+def test_the_table_has_ours_beside_the_published_and_marks_the_disputed_value() -> None:
     lines = format_text(TABLE).splitlines()
     assert lines[2].split("  ")[0] == "sequence-histograms"
     assert "93.2 (81.5)" in lines[2]
