@@ -12,9 +12,9 @@ from place_recognition.map.tracked_words import Words
 from place_recognition.map.vocabulary import default_vocabulary
 from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.map.word_vectors import word_vector
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms
+from place_recognition.paradigms.sequence_matching import SequenceRecognizer
+from place_recognition.paradigms.sequences import make_dynamic_sequences, make_sequence_histograms
 from place_recognition.paradigms.tracked_words import TrackedWords
 
 Floats = NDArray[np.float32]
@@ -178,20 +178,19 @@ class SequencesFiller:
 
     def __init__(
         self,
-        make: Callable[..., SequenceHistograms | DynamicSequences],
+        make: Callable[..., SequenceRecognizer],
         features: RecalledFeatures,
         material: Material,
     ) -> None:
         self._vocabulary, self._material = default_vocabulary(), material
         self.recognizer = make(FeatureCache(features), self._vocabulary)
-        self._matching = self.recognizer._matching
-        self.route = self._matching._route
-        shown = self._matching.config.features
+        self.route = self.recognizer._route
+        shown = self.recognizer.config.word_features
         self._images = [self._vocabulary.assign(image.descriptors[:shown]) for image in material.features]
 
     def fill(self, size: int) -> None:
         """Let sequences have ended up to a size; the open ones are dropped."""
-        matching = self._matching
+        matching = self.recognizer
         matching.finish()
         fill_route(self.route, self._material, size)
         while len(matching._words) < size:
@@ -199,7 +198,7 @@ class SequencesFiller:
             words = [self._mixed() for _ in range(min(SEQUENCE_LENGTH, size - begin))]
             for image in words:
                 matching._words.add(image)
-            vector = word_vector(np.concatenate(words), self._vocabulary.weights, matching.config.power)
+            vector = word_vector(np.concatenate(words), self._vocabulary.weights, matching.config.tf_power)
             matching._map.add(len(matching._words) - 1, vector)
 
     def recall(self) -> float:
@@ -213,8 +212,8 @@ class SequencesFiller:
 
 
 FILLERS: dict[str, Callable[[RecalledFeatures, Material], Filler]] = {
-    "sequence-histograms": lambda *parts: SequencesFiller(SequenceHistograms, *parts),
-    "dynamic-sequences": lambda *parts: SequencesFiller(DynamicSequences, *parts),
+    "sequence-histograms": lambda *parts: SequencesFiller(make_sequence_histograms, *parts),
+    "dynamic-sequences": lambda *parts: SequencesFiller(make_dynamic_sequences, *parts),
     "hierarchical-places": PlacesFiller,
     "tracked-words": TrackedWordsFiller,
 }

@@ -19,7 +19,7 @@ from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig
 from slam.datasets.images import ImageSequence, open_images
 from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.place_metrics import evaluate_places
-from slam.places.drive import Bench, Recognised, recognise, stage_times
+from slam.places.drive import PlaceRecognitionRun, RecognizerFactory, run_recognizer, stage_times
 
 Array = NDArray[np.float64]
 STAGES = ("features", "place recognition")
@@ -56,13 +56,13 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> Recognised:
+def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> PlaceRecognitionRun:
     """One drive through all images."""
-    bench = Bench(paradigm, ParadigmsConfig(vocabulary=vocabulary))
-    return recognise(images, bench, lambda done, total: None, lambda: False)
+    factory = RecognizerFactory(paradigm, ParadigmsConfig(vocabulary=vocabulary))
+    return run_recognizer(images, factory, lambda done, total: None, lambda: False)
 
 
-def line(paradigm: str, runs: list[Recognised], truth: RevisitTruth) -> str:
+def line(paradigm: str, runs: list[PlaceRecognitionRun], truth: RevisitTruth) -> str:
     """The figures of one paradigm."""
     section = evaluate_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
     names = ("recall_at_100_precision", "average_precision")
@@ -74,7 +74,7 @@ def line(paradigm: str, runs: list[Recognised], truth: RevisitTruth) -> str:
     return f"{paradigm:20} {ratios} {counts} {size} {spent} {mean:6.1f}"
 
 
-def growth(runs: list[Recognised]) -> str:
+def growth(runs: list[PlaceRecognitionRun]) -> str:
     """Medians of the recognition alone over each part of the drive."""
     parts = [np.array_split(_total(run, STAGES[1:]), PARTS) for run in runs]
     medians = [min(float(np.median(run[part])) for run in parts) for part in range(PARTS)]
@@ -84,12 +84,12 @@ def growth(runs: list[Recognised]) -> str:
 _COUNTS = ("true_positives", "false_positives")
 
 
-def _spent(runs: list[Recognised], stages: tuple[str, ...]) -> str:
+def _spent(runs: list[PlaceRecognitionRun], stages: tuple[str, ...]) -> str:
     median, p99 = np.min([np.percentile(_total(run, stages), (50, 99)) for run in runs], axis=0)
     return f"{median:.1f} ({p99:.0f})"
 
 
-def _total(run: Recognised, stages: tuple[str, ...]) -> Array:
+def _total(run: PlaceRecognitionRun, stages: tuple[str, ...]) -> Array:
     times = stage_times(run)
     return np.sum([times.get(stage, np.zeros(run.images)) for stage in stages], axis=0)
 

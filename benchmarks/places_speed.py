@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
 
-from place_recognition.belief.judge import Judge
+from place_recognition.belief.judge import CandidateVerifier
 from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map import tracked_words as tracking
@@ -28,7 +28,7 @@ from place_recognition.map.places import PlaceSegmentation
 from place_recognition.map.route import ImageHistory
 from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.paradigms import hierarchical_places
-from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
 
 Image = NDArray[np.uint8]
 
@@ -45,7 +45,7 @@ STAGES: dict[str, tuple[Any, str]] = {
     "place formation": (PlaceSegmentation, "add"),
     "words of a place": (hierarchical_places, "grow_gas"),
     "inverted index": (InvertedIndex, "cosines"),
-    "judge": (Judge, "judge"),
+    "candidate verification": (CandidateVerifier, "verify"),
 }
 
 
@@ -128,7 +128,7 @@ def measure(
     watch.running = False
     for stage, (owner, function) in STAGES.items():
         watch.watch(stage, owner, function)
-    recognizer = build(name, FeatureCache(features))
+    recognizer = make_recognizer(name, FeatureCache(features))
     observe = watch.timed("all", recognizer.observe)
     features.begin()
     for k, image in enumerate(drive(images, sizes[0])):

@@ -13,10 +13,10 @@ from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
 from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
 from slam.datasets.open import open_drive
 from slam.report.figures import save_png
-from slam.report.place_figures import places_picture, precision_recall_picture
+from slam.report.place_figures import plot_places, plot_precision_recall
 from slam.simulation import loop_truth
 
 parser = arguments(__doc__)
@@ -25,11 +25,11 @@ given = parser.parse_args()
 drive = open_drive(street(given))
 
 rows = MatrixRecorder()  # keeps what the recogniser compared, for the picture only
-recogniser = build(given.paradigm, FeatureCache(Surf()), rows=rows)
+recogniser = make_recognizer(given.paradigm, FeatureCache(Surf()), rows=rows)
 beliefs = []
 for frame in drive:
     # An answer may come late: a recogniser of sequences waits until the sequence ends. NaN: nobody measures the way.
-    beliefs += recogniser.observe(frame.index, frame.left, travelled=float("nan"))
+    beliefs += recogniser.observe(frame.index, frame.left, distance_travelled_m=float("nan"))
 beliefs += recogniser.finish()
 
 truth = loop_truth(drive.ground_truth).astype(bool)  # (N, N): row = query, column = earlier image
@@ -39,6 +39,6 @@ print(f"{given.paradigm}: {right} true and {wrong} false detections, R@P100 {cur
 
 matrices = {stage: rows.matrix(len(drive), stage) for stage in rows.stages}
 detections = np.array([(b.query, b.match) for b in beliefs if b.accepted], dtype=np.int64).reshape(-1, 2)
-save_png(places_picture(given.paradigm, matrices, detections, truth), given.out / "3_recognise_places.png")
+save_png(plot_places(given.paradigm, matrices, detections, truth), given.out / "3_recognise_places.png")
 curves = {given.paradigm: curve}
-save_png(precision_recall_picture(curves, "two laps of a simulated street"), given.out / "3_precision_recall.png")
+save_png(plot_precision_recall(curves, "two laps of a simulated street"), given.out / "3_precision_recall.png")

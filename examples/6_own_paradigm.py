@@ -12,11 +12,11 @@ from street import arguments, street
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import build
+from place_recognition.paradigms.catalogue import make_recognizer
 from place_recognition.recognizer import Belief
 from slam.datasets.open import open_drive
 from slam.report.figures import save_png
-from slam.report.place_figures import precision_recall_picture
+from slam.report.place_figures import plot_precision_recall
 from slam.simulation import loop_truth
 
 
@@ -27,7 +27,7 @@ class BrightnessPattern:
         """Accept a cosine of `threshold`; compare with no image among the latest `exclusion`."""
         self.threshold, self.exclusion, self._vectors = threshold, exclusion, []
 
-    def observe(self, image_id, image, travelled):
+    def observe(self, image_id, image, distance_travelled_m):
         """Answer for an image (H, W) uint8, then remember it."""
         cells = cv2.resize(image, (32, 8), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
         vector = (cells - cells.mean()) / (np.linalg.norm(cells - cells.mean()) + 1e-9)
@@ -60,11 +60,11 @@ truth = loop_truth(drive.ground_truth).astype(bool)
 
 recognisers = {
     "brightness-pattern": BrightnessPattern(),
-    "tracked-words": build("tracked-words", FeatureCache(Surf())),
+    "tracked-words": make_recognizer("tracked-words", FeatureCache(Surf())),
 }
 curves = {}
 for name, recogniser in recognisers.items():
     beliefs = [b for frame in drive for b in recogniser.observe(frame.index, frame.left, float("nan"))]
     curves[name] = precision_recall(beliefs + recogniser.finish(), truth)
     print(f"{name}: R@P100 {curves[name].recall_at_full_precision:.3f}")
-save_png(precision_recall_picture(curves, "two laps of a simulated street"), given.out / "6_own_paradigm.png")
+save_png(plot_precision_recall(curves, "two laps of a simulated street"), given.out / "6_own_paradigm.png")

@@ -15,7 +15,7 @@ from place_recognition.image_processing.hog import cell_histograms
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.sequences import FixedDistanceSegmentation, WordVariance
 from place_recognition.map.vocabulary import default_vocabulary, word_histogram
-from place_recognition.paradigms.catalogue import build
+from place_recognition.paradigms.catalogue import make_recognizer
 from slam.datasets.open import open_drive
 from slam.report import colours
 from slam.report.figures import new_figure, save_png
@@ -63,7 +63,7 @@ for ax, (name, segmentation) in zip(axes[1], segmentations.items(), strict=True)
 numbers = {"hierarchical-places": "4.14", "tracked-words": "4.15"}
 for ax, (paradigm, number) in zip(axes[2], numbers.items(), strict=True):
     rows = MatrixRecorder()
-    recogniser = build(paradigm, features, rows=rows)
+    recogniser = make_recognizer(paradigm, features, rows=rows)
     for k in range(query + 1):
         recogniser.observe(k, images[k], way[k])
     votes, truth = np.nan_to_num(rows.matrix(query + 1).values[query]), np.flatnonzero(loop_truth(poses)[query])

@@ -24,10 +24,10 @@ from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
 from slam.errors import DataError, RevisitError
 from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
-from slam.places.command import recognise_images
+from slam.places.command import recognize_images
 from slam.places.options import PlacesOptions
 from slam.report.figures import save_png
-from slam.report.recall_table import SETS, RecallTable, as_latex, as_picture, as_text
+from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
 from slam.storage.atomic import atomic_writer
 from slam.storage.metrics import read_metrics
 
@@ -51,7 +51,7 @@ class Recording:
 
 RECORDINGS = dict(
     zip(
-        SETS,
+        DATASETS,
         (
             Recording("kitti", lambda root: open_images(root, "00"), "groundTruthKITTI00.mat"),
             Recording("kitti", lambda root: open_images(root, "05"), "groundTruthKITTI05.mat"),
@@ -115,7 +115,7 @@ def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, mes
     if not kept.is_file():
         messages.print(f"{images.name}: {options.paradigm}")
         options = PlacesOptions(options.source, options.paradigm, options.out, exclude=EXCLUDE_S, overwrite=True)
-        if recognise_images(options, images, truth, messages).metrics["interrupted"]:
+        if recognize_images(options, images, truth, messages).metrics["interrupted"]:
             raise KeyboardInterrupt
     places = read_metrics(kept)["places"]
     assert isinstance(places, dict)
@@ -125,11 +125,11 @@ def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, mes
 def write(table: RecallTable, out: Path) -> None:
     """Print the table, and keep it as text, LaTeX and picture."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, text in (("table_4_2.txt", as_text(table) + "\n"), ("table_4_2.tex", as_latex(table))):
+    for name, text in (("table_4_2.txt", format_text(table) + "\n"), ("table_4_2.tex", format_latex(table))):
         with atomic_writer(out / name) as file:
             file.write(text)
-    save_png(as_picture(table), out / "table_4_2.png")
-    print(as_text(table))
+    save_png(plot_table(table), out / "table_4_2.png")
+    print(format_text(table))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The contract that every place recogniser meets, and the answer it gives."""
+"""The interface of every place recogniser, and the belief that it returns for each image."""
 
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -8,23 +8,24 @@ from numpy.typing import NDArray
 
 
 def no_pixels() -> NDArray[np.float32]:
-    """Where two images agree that were not compared, or do not: (0, 4)."""
+    """Return an empty array (0, 4): pixels of an image pair that was not compared or does not agree."""
     return np.empty((0, 4), np.float32)
 
 
 @dataclass(frozen=True)
 class Belief:
-    """What a recogniser thinks about one query image.
+    """Best match of one query image and how sure the recogniser is of it.
 
     Attributes:
-        query: id of the image asked about; a recogniser may answer late (one sequence, one place).
-        match: the best earlier image, never one inside the recogniser's own exclusion window; None if there is none.
-        score: larger is surer, on the paradigm's own scale; swept for precision-recall curves; 0 without a match.
-        accepted: the score passes the paradigm's threshold and the match its geometric verification.
-        inliers: matches that agree with one epipolar geometry; None where none was sought.
+        query: id of the query image; a recogniser may answer late, for example a whole sequence or place at once.
+        match: id of the best earlier image, never one inside the recogniser's own exclusion window; None without match.
+        score: confidence on the paradigm's own scale, larger is surer; precision-recall curves vary a threshold on it;
+            0 without a match.
+        accepted: whether the score passes the paradigm's threshold and the match its geometric verification.
+        inliers: number of matches that agree with one epipolar geometry; None where none was fitted.
         verified: False where a geometric verification was tried and failed; such a match is never a detection.
-        pixels: (inliers, 4) where the two images show those matches: x and y in the query's, x and y in the match's;
-            none where that is not known.
+        pixels: (inliers, 4) float32, x and y of these matches in the query image, then in the matched image; empty
+            where they are not known.
     """
 
     query: int
@@ -36,8 +37,8 @@ class Belief:
     pixels: NDArray[np.float32] = field(default_factory=no_pixels, compare=False, repr=False)
 
 
-class RowSink(Protocol):
-    """Takes the rows of a recogniser's matrix as they are made, for the pictures of Figures 4.7, 4.8 and 4.12.
+class MatrixSink(Protocol):
+    """Receives the rows of a recogniser's similarity matrix as they are made, for Figures 4.7, 4.8 and 4.12.
 
     A recogniser keeps no rows itself: over a long drive they would outgrow its map.
     """
@@ -48,46 +49,48 @@ class RowSink(Protocol):
         """Take one row.
 
         Args:
-            query: id of the image asked about.
-            matches: (K,) ids of the earlier images it was compared with.
-            values: (K,) how alike they are, on the paradigm's own scale.
-            stage: "similarity", or "filtered" for a row that has been through a matrix filter.
+            query: id of the query image.
+            matches: (K,) ids of the earlier images with which it was compared.
+            values: (K,) similarities on the paradigm's own scale.
+            stage: "similarity", or "filtered" for a row that has passed a matrix filter.
         """
         ...
 
 
-class NoRows:
-    """Takes no rows (a RowSink)."""
+class NullMatrixSink:
+    """Discards all rows (a MatrixSink)."""
 
     def add(
         self, query: int, matches: NDArray[np.int64], values: NDArray[np.float64], stage: str = "similarity"
     ) -> None:
-        """Forget the row."""
+        """Discard the row."""
 
 
 class PlaceRecognizer(Protocol):
-    """Sees images once, in order, and answers from what it has seen: online and causal. Same input, same bits.
+    """Takes each image once, in order, and recognises places from the images so far: online and causal.
 
-    One that counts words may say how many with a property `word_count`; one whose map holds more than numpy arrays may
-    say how large it is with a property `map_bytes` (`place_recognition.evaluation.map_size` asks for both).
+    The same input gives the same beliefs, to the bit. A recogniser that counts visual words may have a property
+    `word_count`, and one whose map holds more than NumPy arrays a property `map_bytes`
+    (`place_recognition.evaluation.map_size` reads both).
     """
 
-    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
-        """Add an image and answer.
+    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
+        """Add an image and return the beliefs that are ready now.
 
         Args:
             image_id: increases by one or more from call to call.
             image: (H, W) uint8, grey.
-            travelled: way driven so far by odometry, metres.
+            distance_travelled_m: length of the path so far by odometry, metres; NaN, or always the same value, where
+                it is not measured.
 
         Returns:
-            Beliefs that became ready with this image; over a whole drive exactly one for each image, in order,
-            except for those that `finish` returns.
+            Beliefs that became ready with this image. Over a whole drive there is exactly one for each image, in
+            order, except for those that `finish` returns.
         """
         ...
 
     def finish(self) -> list[Belief]:
-        """Return the beliefs of images that are still unanswered when the drive ends."""
+        """Return the beliefs about the images that are still unanswered when the drive ends."""
         ...
 
     def state(self) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from odometry.mono import MonoOdometry
 from odometry.stereo import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.features import FeatureCache
-from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, local_features
-from place_recognition.recognizer import PlaceRecognizer, RowSink
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, make_feature_extractor, make_recognizer
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
 from slam.eyes import MonocularVisualOdometry, StereoVisualOdometry, VisualOdometry
@@ -58,7 +58,7 @@ def read_checked_config(path: Path) -> RunConfig:
 
 
 def build_recognizer(
-    name: str, features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None = None
+    name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
     """Build the recogniser of a paradigm whose name has been checked.
 
@@ -66,17 +66,17 @@ def build_recognizer(
         DataError: its vocabulary or its descriptor is missing, damaged or of another kind.
     """
     try:
-        return build(name, features, config, rows)
+        return make_recognizer(name, features, config, rows)
     except (OSError, ValueError) as error:  # place_recognition knows nothing of this family
         raise DataError(str(error)) from error
 
 
-def build_components(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Components:
+def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
     """All components for one camera, of a configuration whose names have been checked.
 
     The rows of the recogniser's similarity matrix go to `rows`, where there is one.
     """
-    features = FeatureCache(local_features(config.place_recognition))
+    features = FeatureCache(make_feature_extractor(config.place_recognition))
     odometry = build_odometry(camera, config)
     return Components(
         odometry=odometry,

@@ -26,11 +26,11 @@ def files(tmp_path):
 
 
 def test_the_filter_is_written_as_settings_that_name_its_paradigm(files):
-    said = train_filter_file(files / "matrix.npz", files / "truth.npz", files / "f.toml", "dynamic-sequences")
+    summary = train_filter_file(files / "matrix.npz", files / "truth.npz", files / "f.toml", "dynamic-sequences")
     learnt = tomllib.loads((files / "f.toml").read_text())["places"]["dynamic_sequences"]["filter"]
     assert np.shape(learnt["kernel"]) == (3, 3)
     assert learnt["kernel"][1][1] > 0
-    assert "25 cells of revisits, 25 of them found; 0 others" in said
+    assert "25 cells of revisits, 25 of them found; 0 others" in summary
 
 
 def test_files_that_do_not_belong_together_are_named(files):

@@ -1,1 +1,1 @@
-"""Section 4.2.3: how sure we are that a place has been seen before."""
+"""Belief (section 4.2.3 of the chapter): candidates, votes, verification and the decision about a revisit."""

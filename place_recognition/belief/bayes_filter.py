@@ -1,7 +1,9 @@
-"""A Bayes filter of two states: does the camera move along a known way, given all detections so far?
+"""Bayes filter of two states, "revisit" and "new place", over the detections so far.
 
 Tsintotas, Bampis, Gasteratos, 'Modest-vocabulary loop-closure detection with incremental bag of tracked words', RAS
-141, 2021: the successor of the bag of tracked words.
+141, 2021: the successor of the bag of tracked words. Equations: docs/math_place_recognition.md.
+
+For the chapter (section 4.2.3.4); no paradigm uses it.
 """
 
 from dataclasses import dataclass
@@ -9,29 +11,30 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class BayesFilterConfig:
-    """The successor's probabilities.
+    """Probabilities of the filter, from the paper.
 
     Attributes:
-        persistence: that the state is the same at the next image.
-        false_alarm: of a detection on a new way; with 0 a single detection settles the state.
-        hit: of a detection on a known way: hardly more than every second image is recognised.
+        persistence: probability that the state is the same at the next image.
+        false_alarm_rate: probability of a detection at a new place; with 0 a single detection settles the state.
+        detection_rate: probability of a detection at a revisit: hardly more than every second image is recognised.
     """
 
     persistence: float = 0.975
-    false_alarm: float = 0.0
-    hit: float = 0.54
+    false_alarm_rate: float = 0.0
+    detection_rate: float = 0.54
 
     def __post_init__(self) -> None:
-        """Check that all are probabilities."""
+        """Raise ValueError for a number outside [0, 1]."""
         for name, value in vars(self).items():
             if not 0 <= value <= 1:
                 raise ValueError(f"expected {name} between 0 and 1, got {value}")
 
 
 class BayesFilter:
-    """The belief in a known way, carried on from image to image.
+    """Probability that the camera is at a revisited place, updated image by image.
 
-    After a detection it outlasts four images without one, the fourth barely: 0.947, 0.850, 0.696, 0.501, then 0.316.
+    With the paper's numbers the revisit outlasts four images without detection, the fourth barely: after a detection
+    the probability falls to 0.947, 0.850, 0.696, 0.501, then 0.316.
     """
 
     def __init__(self, config: BayesFilterConfig | None = None) -> None:
@@ -40,29 +43,29 @@ class BayesFilter:
 
     @property
     def probability(self) -> float:
-        """That the way is a known one; 0 before the first image."""
+        """Probability of a revisit; 0 before the first image."""
         return self._probability
 
     @property
-    def known(self) -> bool:
-        """Whether a known way is the likelier state."""
+    def is_revisit(self) -> bool:
+        """Whether a revisit is the likelier state."""
         return self._probability > 0.5
 
-    def update(self, detected: bool) -> float:
-        """Take in whether the next image was recognised and return the new probability.
+    def update(self, is_detected: bool) -> float:
+        """Update with the detection of the next image, or its absence, and return the new probability.
 
-        What neither state could have brought about says nothing about which of them it is.
+        If neither state can explain the observation, only the prediction step is done.
         """
-        known = self._predict()
-        likely_known = known * self._emission(self.config.hit, detected)
-        likely_new = (1 - known) * self._emission(self.config.false_alarm, detected)
-        total = likely_known + likely_new
-        self._probability = likely_known / total if total > 0 else known
+        revisit = self._predict()
+        joint_revisit = revisit * self._likelihood(self.config.detection_rate, is_detected)
+        joint_new = (1 - revisit) * self._likelihood(self.config.false_alarm_rate, is_detected)
+        total = joint_revisit + joint_new
+        self._probability = joint_revisit / total if total > 0 else revisit
         return self._probability
 
     def _predict(self) -> float:
         stays = self.config.persistence
         return stays * self._probability + (1 - stays) * (1 - self._probability)
 
-    def _emission(self, of_detection: float, detected: bool) -> float:
-        return of_detection if detected else 1 - of_detection
+    def _likelihood(self, detection_probability: float, is_detected: bool) -> float:
+        return detection_probability if is_detected else 1 - detection_probability

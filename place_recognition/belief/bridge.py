@@ -1,7 +1,7 @@
-"""Between two sure revisits of one stretch of way lies a third: an image that proves nothing itself is spoken for.
+"""Fill short gaps: an image between two accepted matches gets the interpolated match.
 
 A blank wall, a passing lorry or the blur of a bump leaves an image without matches, while those before and after it
-are sure. Temporal consistency in both directions of time, so such an image is answered a little late.
+are accepted. This is temporal consistency in both directions of time, so the answer is a little late.
 """
 
 from collections.abc import Iterable
@@ -13,86 +13,89 @@ from place_recognition.recognizer import Belief, no_pixels
 
 
 @dataclass(frozen=True)
-class BridgeConfig:
-    """What may be bridged.
+class GapFillerConfig:
+    """Which gaps are filled.
 
     Attributes:
-        longest: images in a row that may be unsure between two sure ones; an answer is late by so many at most.
-        speed: images that the match may move for each image of the query, forwards or backwards.
-        slack: images that it may be off besides.
-        least_features: an image with fewer shows no place at all, neither as a query nor as a match.
+        max_gap_images: largest number of consecutive images without accepted match that are filled; also the largest
+            delay of an answer.
+        max_speed_ratio: images by which the match may move for each image of the query, forwards or backwards.
+        tolerance: images by which the match may be off besides.
+        min_features: an image with fewer features shows no place, neither as a query nor as a match.
     """
 
-    longest: int = 2
-    speed: float = 3.0
-    slack: int = 2
-    least_features: int = 9
+    max_gap_images: int = 2
+    max_speed_ratio: float = 3.0
+    tolerance: int = 2
+    min_features: int = 9
 
 
-class Bridge:
-    """Takes the beliefs of a paradigm, in order, and passes them on, in order, the spoken-for ones with a match.
+class GapFiller:
+    """Takes the beliefs of a paradigm in order and returns them in order, with matches filled into short gaps.
 
-    They are never accepted: no geometry measures them. But their match is right as surely as those around it.
+    A filled belief is never accepted, because no geometry measures it: only its match, score and `verified` change.
     """
 
-    def __init__(self, route: ImageHistory, config: BridgeConfig | None = None) -> None:
-        self.config = config or BridgeConfig()
+    def __init__(self, route: ImageHistory, config: GapFillerConfig | None = None) -> None:
+        self.config = config or GapFillerConfig()
         self._route = route
-        self._before: Belief | None = None
-        self._unsure: list[Belief] = []
+        self._before: Belief | None = None  # latest accepted belief
+        self._gap: list[Belief] = []  # beliefs since then, which wait for the next accepted one
 
     def add(self, beliefs: Iterable[Belief]) -> list[Belief]:
-        """Take beliefs; those that are settled now."""
-        return [settled for belief in beliefs for settled in self._take(belief)]
+        """Add beliefs and return those that are final now."""
+        return [final for belief in beliefs for final in self._add_one(belief)]
 
     def finish(self) -> list[Belief]:
-        """The beliefs that no sure one has followed."""
-        unsure, self._unsure, self._before = self._unsure, [], None
-        return unsure
+        """Return the waiting beliefs, which no accepted one has followed, as they are."""
+        gap, self._gap, self._before = self._gap, [], None
+        return gap
 
-    def _take(self, belief: Belief) -> list[Belief]:
+    def _add_one(self, belief: Belief) -> list[Belief]:
         if belief.accepted:
-            spoken_for = [self._between(one, belief) for one in self._unsure]
-            self._before, self._unsure = belief, []
-            return [*spoken_for, belief]
-        if self._before is not None and len(self._unsure) < self.config.longest:
-            self._unsure.append(belief)
+            filled = [self._fill(waiting, belief) for waiting in self._gap]
+            self._before, self._gap = belief, []
+            return [*filled, belief]
+        if self._before is not None and len(self._gap) < self.config.max_gap_images:
+            self._gap.append(belief)
             return []
         return [*self.finish(), belief]
 
-    def _between(self, belief: Belief, after: Belief) -> Belief:
-        """The belief with the match that the sure ones before and after it leave; itself if they do not agree."""
+    def _fill(self, belief: Belief, after: Belief) -> Belief:
+        """The belief with the interpolated match; the belief itself where its neighbours disagree or it is blank."""
         before = self._before
-        assert before is not None  # else the belief had been passed on
-        match = self._left_between(before, belief, after)
-        if match is None:
+        assert before is not None  # a belief waits only after an accepted one
+        location = self._interpolate(before, belief, after)
+        if location is None:
             return belief
-        chosen = self._nearest_that_shows(match, self._location(belief.match))
-        if chosen is None or not self._shows(self._route.find_location(belief.query)):
+        chosen = self._nearest_textured(location, self._location(belief.match))
+        if chosen is None or not self._is_textured(self._route.find_location(belief.query)):
             return belief
         score, match_id = min(before.score, after.score), int(self._route.ids[chosen])
         pixels = belief.pixels if match_id == belief.match else no_pixels()
         return replace(belief, match=match_id, score=score, verified=True, pixels=pixels)
 
-    def _nearest_that_shows(self, match: int, own: int | None) -> int | None:
-        """The belief's own location if it is near enough, else the nearest one near enough that shows something."""
-        steps = sorted(range(-self.config.slack, self.config.slack + 1), key=abs)
-        near = [match + step for step in steps if 0 <= match + step < len(self._route)]
-        return next((k for k in sorted(near, key=lambda k: k != own) if self._shows(k)), None)
+    def _nearest_textured(self, location: int, own: int | None) -> int | None:
+        """The belief's own location if it is within the tolerance, else the nearest one with enough features."""
+        steps = sorted(range(-self.config.tolerance, self.config.tolerance + 1), key=abs)
+        near = [location + step for step in steps if 0 <= location + step < len(self._route)]
+        return next((k for k in sorted(near, key=lambda k: k != own) if self._is_textured(k)), None)
 
-    def _left_between(self, before: Belief, belief: Belief, after: Belief) -> int | None:
-        """Location between the matches of two sure beliefs, if these are of one stretch of way."""
+    def _interpolate(self, before: Belief, belief: Belief, after: Belief) -> int | None:
+        """Location between the matches of two accepted beliefs; None if these lie too far apart for one revisit."""
         start, query, end = (self._route.find_location(one.query) for one in (before, belief, after))
         first, last = self._location(before.match), self._location(after.match)
-        if first is None or last is None or abs(last - first) > self.config.speed * (end - start) + self.config.slack:
+        if first is None or last is None:
+            return None
+        if abs(last - first) > self.config.max_speed_ratio * (end - start) + self.config.tolerance:
             return None
         return first + round((query - start) / (end - start) * (last - first))
 
     def _location(self, image_id: int | None) -> int | None:
         return None if image_id is None else self._route.find_location(image_id)
 
-    def _shows(self, location: int) -> bool:
-        return len(self._route.images[location]) >= self.config.least_features
+    def _is_textured(self, location: int) -> bool:
+        return len(self._route.images[location]) >= self.config.min_features
 
     def state(self) -> dict[str, Any]:
         """The latest accepted belief and those after it, for a checkpoint."""

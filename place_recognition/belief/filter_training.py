@@ -1,8 +1,9 @@
-"""The 3x3 filter learnt from matrices with known revisits, by logistic regression (equations 4.9 to 4.11).
+"""Training of the 3x3 matrix filter by logistic regression, from matrices with known revisits (eq. 4.9 to 4.11).
 
-A sample is a cell of the normalised matrix with its eight neighbours, its label whether the cell is a revisit. With
-theta_0 for the constant, h(m) = 1 / (1 + exp(-m theta)) is the probability of one; h >= 1/2 where the filter's response
-is at least -theta_0, the threshold. The chapter's equation 4.11 has lost the minus in the exponent.
+A sample is a cell of the normalised matrix with its eight neighbours; its label is whether the cell is a revisit. With
+theta_0 for the constant, h(m) = 1 / (1 + exp(-m theta)) is the probability of a revisit. It is at least 1/2 where the
+filter's response is at least -theta_0, so that is the threshold. The chapter's equation 4.11 lacks the minus in the
+exponent.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from place_recognition.belief.matrix_filter import FilterConfig, with_background
+from place_recognition.belief.matrix_filter import FilterConfig, pad_with_background
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -19,11 +20,11 @@ Truth = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Samples:
-    """Cells to learn from.
+    """Training samples.
 
     Attributes:
-        patches: (L, 9) each cell with its neighbours, row by row.
-        labels: (L,) whether it is a revisit.
+        patches: (L, 9) values of each cell and its neighbours, row by row.
+        labels: (L,) True for a revisit.
     """
 
     patches: Array
@@ -31,59 +32,63 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
-    """How the filter is learnt; of the paper's settings none is known.
+class FilterTrainingConfig:
+    """Settings of the training; the paper does not give its own.
 
     Attributes:
-        iterations: steps of gradient descent at most.
-        tolerance: it ends when the gradient of the mean loss is nowhere more than this.
-        ridge: weight of the squared coefficients, the constant's left out: without it, samples that a plane separates
-            would drive them to infinity.
-        negatives: cells without revisit for each with one, drawn from all of them; 0 takes them all. In a matrix of a
-            long drive all but one in hundreds are none, and a filter that never fires would be nearly right.
-        seed: of the draw.
+        max_iterations: largest number of steps of gradient descent.
+        tolerance: largest absolute component of the gradient of the mean loss at which the descent ends.
+        ridge: weight of the squared coefficients except the constant. Without it, samples that a plane separates would
+            drive the coefficients to infinity.
+        negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all.
+            In the matrix of a long drive one cell in hundreds is a revisit, and a filter that never responds would be
+            right nearly everywhere.
+        seed: seed of the random draw.
     """
 
-    iterations: int = 20000
+    max_iterations: int = 20000
     tolerance: float = 1e-5
     ridge: float = 1e-4
-    negatives: int = 10
+    negatives_per_positive: int = 10
     seed: int = 0
 
 
-def sequence_matrix(matrix: Array, truth: Truth) -> tuple[Array, Truth]:
-    """The matrix of sequences and its truth, out of a matrix of images where only first images have rows and columns.
+def reduce_to_sequences(matrix: Array, truth: Truth) -> tuple[Array, Truth]:
+    """Reduce a matrix of images, in which only the first image of each sequence has values, to one of sequences.
 
     Args:
         matrix: (N, N) similarities, row = query, NaN where two images were not compared.
-        truth: (N, N) whether two images show one place.
+        truth: (N, N) True where two images show one place.
 
     Returns:
-        (S, S) similarities, NaN where not compared, and whether any two images of two sequences show one place.
+        (S, S) similarities, NaN where not compared, and (S, S) True where any two images of two sequences show one
+        place.
 
     Raises:
-        ValueError: shapes that do not belong together, or nothing was compared.
+        ValueError: the shapes differ, or no images were compared.
     """
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or truth.shape != matrix.shape:
-        raise ValueError(f"expected a matrix (N, N) and as large a truth, got {matrix.shape} and {truth.shape}")
+        raise ValueError(
+            f"expected a matrix (N, N) and a truth of the same shape, got {matrix.shape} and {truth.shape}"
+        )
     compared = np.isfinite(matrix)
     first = np.flatnonzero(compared.any(axis=0) | compared.any(axis=1))
     if len(first) == 0:
-        raise ValueError("expected a matrix of similarities, found one without any")
+        raise ValueError("expected a matrix of similarities, found one without any value")
     by_rows = np.logical_or.reduceat(truth, first, axis=0)
     return matrix[np.ix_(first, first)], np.logical_or.reduceat(by_rows, first, axis=1)
 
 
-def samples_of(matrix: Array, truth: Truth, config: TrainingConfig | None = None) -> Samples:
-    """Samples of a matrix of sequences (S, S), NaN where not compared, and its truth (S, S).
+def collect_samples(matrix: Array, truth: Truth, config: FilterTrainingConfig | None = None) -> Samples:
+    """Collect the samples of a matrix of sequences (S, S), NaN where not compared, and its truth (S, S).
 
-    Every compared cell is one; neighbours that were not compared are background, as they are for the filter.
+    Every compared cell is a sample; neighbours that were not compared are background, as they are for the filter.
     """
-    config = config or TrainingConfig()
-    windows = np.lib.stride_tricks.sliding_window_view(with_background(matrix), (3, 3))
+    config = config or FilterTrainingConfig()
+    windows = np.lib.stride_tricks.sliding_window_view(pad_with_background(matrix), (3, 3))
     compared = np.isfinite(matrix)
     positive, negative = np.argwhere(compared & truth), np.argwhere(compared & ~truth)
-    wanted = config.negatives * len(positive)
+    wanted = config.negatives_per_positive * len(positive)
     if 0 < wanted < len(negative):
         drawn = np.random.default_rng(config.seed).choice(len(negative), wanted, replace=False)
         negative = negative[np.sort(drawn)]
@@ -92,40 +97,41 @@ def samples_of(matrix: Array, truth: Truth, config: TrainingConfig | None = None
     return Samples(windows[cells[:, 0], cells[:, 1]].reshape(-1, 9).astype(np.float64), labels)
 
 
-def loss(theta: Array, samples: Samples, ridge: float = 0.0) -> float:
-    """J (eq. 4.10) of the coefficients (10,), the constant first, plus the ridge."""
+def logistic_loss(theta: Array, samples: Samples, ridge: float = 0.0) -> float:
+    """Return the cost J (eq. 4.10) of the coefficients (10,), the constant first, plus the ridge penalty."""
     margin = _with_constant(samples.patches) @ theta * np.where(samples.labels, 1.0, -1.0)
     return float(np.logaddexp(0.0, -margin).mean() + 0.5 * ridge * np.sum(theta[1:] ** 2))
 
 
-def train_filter(samples: Samples, config: TrainingConfig | None = None) -> FilterConfig:
-    """The filter and threshold of the least loss.
+def train_filter(samples: Samples, config: FilterTrainingConfig | None = None) -> FilterConfig:
+    """Find the kernel and threshold of the smallest loss.
 
     Raises:
-        ValueError: samples of one kind only.
+        ValueError: the samples are all revisits, or none is.
     """
-    config = config or TrainingConfig()
+    config = config or FilterTrainingConfig()
     revisits = int(samples.labels.sum())
     if not 0 < revisits < len(samples.labels):
         raise ValueError(
-            f"expected cells of revisits and of none, found {revisits} and {len(samples.labels) - revisits};"
-            " is the truth that of this matrix?"
+            f"expected cells of revisits and others, found {revisits} and {len(samples.labels) - revisits};"
+            " check that the ground truth belongs to this matrix"
         )
     theta = _descend(samples, config)
     rows = [tuple(float(value) for value in row) for row in theta[1:].reshape(3, 3)]
     return FilterConfig(kernel=(rows[0], rows[1], rows[2]), threshold=float(-theta[0]))  # type: ignore[arg-type]
 
 
-def _descend(samples: Samples, config: TrainingConfig) -> Array:
-    """Coefficients (10,) by gradient descent, with Nesterov's momentum, from 0.
+def _descend(samples: Samples, config: FilterTrainingConfig) -> Array:
+    """Coefficients (10,) of the smallest loss, by gradient descent from 0 with Nesterov's momentum.
 
-    The step is the inverse of the loss's greatest curvature, so each one goes downhill and none has to be tuned.
+    The step is the inverse of an upper bound of the curvature of the loss, so that it needs no tuning: the second
+    derivative of the logistic loss is at most 1/4, hence the largest singular value squared over 4 n, plus the ridge.
     """
     inputs, labels = _with_constant(samples.patches), samples.labels.astype(np.float64)
     ridge = np.r_[0.0, np.full(9, config.ridge)]
     step = 1.0 / (np.linalg.norm(inputs, 2) ** 2 / (4 * len(inputs)) + config.ridge)
     theta = ahead = np.zeros(10)
-    for iteration in range(config.iterations):
+    for iteration in range(config.max_iterations):
         gradient = inputs.T @ (expit(inputs @ ahead) - labels) / len(inputs) + ridge * ahead
         if np.abs(gradient).max() <= config.tolerance:
             return ahead

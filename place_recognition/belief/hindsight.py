@@ -1,12 +1,19 @@
-"""Hindsight: a revisit is a line in the plane of queries and matches, and an image on it is borne out by the others.
+"""Delayed decision by sequence consensus: a match is accepted if the matches around it lie on one line with it.
 
-Under another light an image alone proves little, and where an earlier pass turned off, the next images of the right
-street prove about as much. But those before and after a revisit lie on one line with it, whose slope is the ratio of
-the two speeds, as in SeqSLAM (Milford, Wyeth, ICRA 2012); chance matches do not, and matches of a street that is only
-seen from afar do on one side at most. So the answer waits for some images.
+In the plane of query location and match location a revisit is a line, whose slope is the ratio of the two speeds, as in
+SeqSLAM (Milford and Wyeth, ICRA 2012). So the decision about an image waits for some images, and the evidence of the
+images before and after it is added to its own where their matches lie on a line through its match:
 
-One that comes up to a street from behind the first image of the earlier pass matches the first ones too early: its
-neighbours match the same few, on no line, and those that follow, which have reached them, are surer of another.
+    match location                 . * .
+        ^                      *            * match on the line: supports the image in the middle (o)
+        |                  o                x surer match off all lines: contradicts it
+        |              *
+        |          *         x
+        +-------------------------> query location
+
+Chance matches lie on no line; matches of a street that is seen from afar lie on one, but before or after it only.
+How the support is computed step by step: docs/math_place_recognition.md. How the numbers were chosen, with figures:
+docs/decisions/sequence_consensus.md.
 """
 
 from collections import deque
@@ -17,88 +24,87 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.proof import Proof
+from place_recognition.belief.proof import VerificationResult
 from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
 Steps = NDArray[np.int64]
 
-_SPEEDS = 2.0 ** np.arange(-0.25, 0.26, 0.125)  # of the earlier pass; slack and growth let pass some more
-_SLOPES = np.concatenate([_SPEEDS, -_SPEEDS])  # a way may be driven backwards
+# Ratios of the two speeds that are tried, 0.84 to 1.19; tolerance and drift let somewhat other ones pass as well.
+_SPEED_RATIOS = 2.0 ** np.arange(-0.25, 0.26, 0.125)
+_SLOPES = np.concatenate([_SPEED_RATIOS, -_SPEED_RATIOS])  # negative: the place is driven in the opposite direction
+
+# Images by which the tolerance grows for each image between the two: speeds change along the way.
+_TOLERANCE_GROWTH = 0.1
+
+# Support from one side only counts up to this times the image's own evidence: where a revisit begins or ends, the
+# other side has nothing to show. 4 and 8 were tried: 8 accepts images before and after the revisit as well.
+_MAX_ONE_SIDED_SUPPORT = 6.0
+
+# Support counts up to _MAX_SUPPORT_FROM_AFAR times the evidence of the image and of those within _NEAR_IMAGES of it:
+# evidence far away on both sides does not fill a gap. Half and twice these numbers give R@P100 within 0.01.
+_NEAR_IMAGES = 5
+_MAX_SUPPORT_FROM_AFAR = 10.0
+
+# A line supports up to (mean evidence of its _BEST_IMAGES best images)^2 / _WEAK_EVIDENCE. A true line has some images
+# of much evidence; repeated kerbs and cars give many images of 5 to 31 each, which add up to 300.
+_BEST_IMAGES = 3
+_WEAK_EVIDENCE = 5.0
+
+# A match contradicts another one for certain if its evidence is this many times larger and if it lies off all lines
+# through the other by more than this number of images.
+_CONTRADICTION_RATIO = 2.0
+_CONTRADICTION_DISTANCE_IMAGES = 6.0
 
 
 @dataclass(frozen=True)
-class HindsightConfig:
-    """What the images around one may say for it.
-
-    Chosen on a simulated drive (blocks, seed 3): images on the right line have a total of 145 and more in 98 of 100
-    cases, matches of other streets of 67 at most. What speaks against a match, and the gap that is bridged, were
-    chosen on seeds 3 and 7, where they raise R@P100 from 0.92-0.95 to 0.96-0.98 and leave none of the 6 to 31 false
-    matches; twice and half of `near` and `bridged` give the same to 0.01. `weak` was chosen on those and on a drive
-    along the way of KITTI 00, where kerbs and cars of one make at the same distances agreed over 26 m of two streets,
-    with 5 to 31 for each image, and 300 in all: R@P100 rises from 0.89-0.92 to 0.94-0.96 there, and falls by 0.01 at
-    most elsewhere. With that, `alone` could go from 4 to 6, which tells
-    more of the images with which a revisit begins and ends; 8 tells more of those before and after as well.
+class SequenceConsensusConfig:
+    """Settings of the delayed decision.
 
     Attributes:
-        window: images before and after one that speak for it; an answer is late by so many. Of its matches within so
-            many images of one another, each names only the surest.
-        most: evidence of each of them counts up to so much, powers of ten: one alone must not decide.
-        slack: images by which a match may lie off the line, and twice as many before it speaks against one,
-        growth: and so many more for each image in between.
-        alone: what only the images on one side say counts up to so many times the image's own evidence, less what
-            those on the other say against it: where a revisit begins or ends, they say nothing.
-        near: images before and after it of which some must be on the line as well,
-        bridged: times whose evidence, and its own, is all that counts: what is far on both sides bridges no gap.
-        weak: a line counts up to the square of the evidence of its `best` images over this: a true one has some images
-            that prove it alone, and many that prove little show the same few things many times.
-        best: of the images on a line, its own one included, so many tell how good it is.
-        surer: times its evidence that an image needs to speak against it for certain,
-        elsewhere: and images by which that one's match lies off all lines.
-        sure: total that is enough to accept a match, powers of ten.
+        window: number of images before and after an image that support or contradict it. The answer is delayed by this
+            number of images. Matches of one image closer together than this are reduced to the best one.
+        max_image_evidence: cap of the evidence of each supporting image, powers of ten: a single one must not decide.
+        tolerance: images by which a match may lie off the line; one that lies off by more than twice as many
+            contradicts.
+        min_total_evidence: evidence of the image and its support from which a match is accepted, powers of ten.
     """
 
     window: int = 15
-    most: float = 20.0
-    slack: float = 2.0
-    growth: float = 0.1
-    alone: float = 6.0
-    near: int = 5
-    bridged: float = 10.0
-    weak: float = 5.0
-    best: int = 3
-    surer: float = 2.0
-    elsewhere: float = 6.0
-    sure: float = 100.0
+    max_image_evidence: float = 20.0
+    tolerance: float = 2.0
+    min_total_evidence: float = 100.0
 
     @classmethod
-    def none(cls) -> "HindsightConfig":
-        """Every image speaks for itself, at once, as in the papers."""
-        return cls(window=0, sure=0.0)
+    def disabled(cls) -> "SequenceConsensusConfig":
+        """Return settings that decide each image at once and alone, as the papers do."""
+        return cls(window=0, min_total_evidence=0.0)
 
 
 @dataclass(frozen=True)
-class Opinion:
-    """What a paradigm thinks of one image before the next ones are known.
+class CandidateBeliefs:
+    """Beliefs of a paradigm about one image, one for each verified candidate, before the next images are known.
 
     Attributes:
-        beliefs: one for each place that may be right, with what image and paradigm say themselves as score, accepted
-            where the paradigm has nothing against it; a single one without a match if there is no such place.
-        proofs: what geometry says of each; none without a match.
+        beliefs: one for each candidate, accepted where the paradigm does not reject it; a single one without match if
+            there is no candidate.
+        results: geometric verification of each candidate, in the same order; empty without candidates.
     """
 
     beliefs: tuple[Belief, ...]
-    proofs: tuple[Proof, ...] = ()
+    results: tuple[VerificationResult, ...] = ()
 
     @classmethod
-    def none(cls, query: int) -> "Opinion":
-        """No place may be that of the image with this id."""
+    def without_match(cls, query: int) -> "CandidateBeliefs":
+        """Return the candidate beliefs of the image with this id if it has no candidate."""
         return cls((Belief(query, None, 0.0, accepted=False),))
 
     @classmethod
-    def of(cls, query: int, proofs: tuple[Proof, ...], believe: Callable[[Proof], Belief]) -> "Opinion":
-        """What the paradigm believes of each proof about the image with this id."""
-        return cls(tuple(map(believe, proofs)), proofs) if proofs else cls.none(query)
+    def from_results(
+        cls, query: int, results: tuple[VerificationResult, ...], make_belief: Callable[[VerificationResult], Belief]
+    ) -> "CandidateBeliefs":
+        """Return the candidate beliefs of the image with this id, made from each verification result."""
+        return cls(tuple(map(make_belief, results)), results) if results else cls.without_match(query)
 
     def state(self) -> dict[str, Any]:
         """Beliefs and proofs as plain values and arrays, for a checkpoint."""
@@ -114,82 +120,82 @@ class Opinion:
         return cls(beliefs, tuple(Proof(**proof) for proof in state["proofs"]))
 
 
-class Hindsight:
-    """Takes the opinions of a paradigm, in the order of queries, and gives a belief for each, a while later."""
+class SequenceConsensus:
+    """Takes candidate beliefs in the order of queries and returns one belief for each, `window` images later."""
 
-    def __init__(self, config: HindsightConfig | None = None) -> None:
-        self.config = config or HindsightConfig()
-        self._opinions: deque[Opinion] = deque(maxlen=2 * self.config.window + 1)
-        self._surest: deque[list[Proof]] = deque(maxlen=2 * self.config.window + 1)  # of each: what it says of others
-        self._waiting = 0  # of the latest opinions
+    def __init__(self, config: SequenceConsensusConfig | None = None) -> None:
+        self.config = config or SequenceConsensusConfig()
+        images = 2 * self.config.window + 1
+        self._candidates: deque[CandidateBeliefs] = deque(maxlen=images)
+        # Of each image, the results with which it supports or contradicts others.
+        self._witnesses: deque[list[VerificationResult]] = deque(maxlen=images)
+        self._undecided = 0  # number of the latest images that have no belief yet
 
-    def add(self, opinion: Opinion) -> list[Belief]:
-        """Take an opinion; the belief that is settled now, if one is."""
-        self._opinions.append(opinion)
-        self._surest.append(_surest(opinion.proofs, self.config.window))
-        self._waiting += 1
-        return [self._settle()] if self._waiting > self.config.window else []
+    def add(self, candidates: CandidateBeliefs) -> list[Belief]:
+        """Add the candidates of the next query and return the belief that is decided now, if there is one."""
+        self._candidates.append(candidates)
+        self._witnesses.append(_best_apart(candidates.results, self.config.window))
+        self._undecided += 1
+        return [self._decide()] if self._undecided > self.config.window else []
 
     def finish(self) -> list[Belief]:
-        """The beliefs about the last images, of which less is known."""
-        return [self._settle() for _ in range(self._waiting)]
+        """Return the beliefs about the last images, which have fewer images after them."""
+        return [self._decide() for _ in range(self._undecided)]
 
-    def _settle(self) -> Belief:
-        """The belief about the image that has waited longest."""
-        centre = len(self._opinions) - self._waiting
-        opinion = self._opinions[centre]
-        others = (s for k, s in enumerate(self._surest) if k != centre and abs(k - centre) <= self.config.window)
-        around = [proof for other in others for proof in other]
-        self._waiting -= 1
-        if not opinion.proofs:
-            return opinion.beliefs[0]
-        support = self._support(opinion.proofs, around)
-        totals = np.array([proof.evidence for proof in opinion.proofs]) + support
+    def _decide(self) -> Belief:
+        """Decide about the image that has waited longest."""
+        center = len(self._candidates) - self._undecided
+        candidates = self._candidates[center]
+        others = [w for k, w in enumerate(self._witnesses) if k != center and abs(k - center) <= self.config.window]
+        witnesses = [result for other in others for result in other]
+        self._undecided -= 1
+        if not candidates.results:
+            return candidates.beliefs[0]
+        support = self._support(candidates.results, witnesses)
+        totals = np.array([result.evidence for result in candidates.results]) + support
         best = int(np.argmax(totals))
-        belief = opinion.beliefs[best]
-        accepted = belief.accepted and bool(totals[best] >= self.config.sure)
+        belief = candidates.beliefs[best]
+        accepted = belief.accepted and bool(totals[best] >= self.config.min_total_evidence)
         return replace(belief, score=belief.score + float(support[best]), accepted=accepted)
 
-    def _support(self, proofs: tuple[Proof, ...], around: list[Proof]) -> Array:
-        """What other proofs, in the order of queries, say for and against each (P,) of one image."""
-        own = np.array([proof.evidence for proof in proofs])
-        if not around:
+    # Shapes below: P candidates of the image, S slopes, N results of the images around it ("witnesses").
+
+    def _support(self, candidates: tuple[VerificationResult, ...], witnesses: list[VerificationResult]) -> Array:
+        """Support (P,) of each candidate by the witnesses, in the order of queries; negative where contradicted."""
+        own = np.array([candidate.evidence for candidate in candidates])
+        if not witnesses:
             return np.zeros_like(own)
-        said = np.array([proof.evidence for proof in around])
-        steps = np.array([proof.query - proofs[0].query for proof in around])
-        moves = np.array([[other.location - proof.location for other in around] for proof in proofs])
-        off = np.abs(moves[:, None] - _SLOPES[:, None] * steps) - self.config.growth * np.abs(steps)
-        against = self._against(own, said, steps, off.min(axis=1))
-        off_line = (off > 2 * self.config.slack) & (np.abs(moves) <= self.config.window)[:, None]
-        counted = np.minimum(said, self.config.most)
-        on_line = off <= self.config.slack
-        at_most = self._goodness(own, np.where(on_line, said, 0.0)) ** 2 / self.config.weak
-        support = self._for(own, steps, np.where(on_line, counted, 0.0), np.where(off_line, counted, 0.0))
-        best: Array = np.minimum(support, at_most).max(axis=1)
-        return best - against
+        evidence = np.array([witness.evidence for witness in witnesses])
+        steps = np.array([witness.query - candidates[0].query for witness in witnesses])
+        moves = np.array([[w.location - candidate.location for w in witnesses] for candidate in candidates])
+        # (P, S, N) distance in match location from the line of each slope through each candidate
+        distance = np.abs(moves[:, None] - _SLOPES[:, None] * steps) - _TOLERANCE_GROWTH * np.abs(steps)
+        contradiction = self._contradiction(own, evidence, steps, distance.min(axis=1))
+        # A match far away is another place and no contradiction of this line: only near ones count as off it.
+        off_line = (distance > 2 * self.config.tolerance) & (np.abs(moves) <= self.config.window)[:, None]
+        capped = np.minimum(evidence, self.config.max_image_evidence)
+        on_line = distance <= self.config.tolerance
+        line_cap = _mean_best_evidence(own, np.where(on_line, evidence, 0.0)) ** 2 / _WEAK_EVIDENCE
+        support = _line_support(own, steps, np.where(on_line, capped, 0.0), np.where(off_line, capped, 0.0))
+        best: Array = np.minimum(support, line_cap).max(axis=1)
+        return best - contradiction
 
-    def _goodness(self, own: Array, on_line: Array) -> Array:
-        """Mean evidence (P, slopes) of the best images on each line; on_line: of all, (P, slopes, other proofs)."""
-        with_own = np.concatenate([np.broadcast_to(own[:, None, None], (*on_line.shape[:2], 1)), on_line], axis=2)
-        best = min(self.config.best, with_own.shape[2])
-        return np.sort(with_own, axis=2)[..., -best:].sum(axis=2) / self.config.best
+    def _contradiction(self, own: Array, evidence: Array, steps: Steps, distance: Array) -> Array:
+        """Evidence (P,) against each candidate: of images whose best match is surer and off every line.
 
-    def _for(self, own: Array, steps: Steps, on_line: Array, off_line: Array) -> Array:
-        """What both sides say on each line, (P, slopes), of the evidence on it and off it (P, slopes, other proofs)."""
-        before, after = (_of_best(on_line, steps, side) for side in (steps < 0, steps > 0))
-        denied = np.where(before > after, _of_best(off_line, steps, steps > 0), _of_best(off_line, steps, steps < 0))
-        alone = np.clip(np.abs(before - after) - denied, 0.0, self.config.alone * own[:, None])
-        at_most = self.config.bridged * (own[:, None] + _of_best(on_line, steps, np.abs(steps) <= self.config.near))
-        return np.minimum(2 * np.minimum(before, after) + alone, at_most)
-
-    def _against(self, own: Array, said: Array, steps: Steps, off: Array) -> Array:
-        """What images that are surer of another line say against each (P,); off: (P, other proofs) of any line."""
+        Args:
+            own: (P,) evidence of each candidate.
+            evidence: (N,) evidence of each witness.
+            steps: (N,) query of each witness minus that of the candidates, rising.
+            distance: (P, N) smallest distance of each witness from any line through each candidate.
+        """
         firsts = np.flatnonzero(np.diff(steps, prepend=steps[0] - 1))
-        surest = np.repeat(np.maximum.reduceat(said, firsts), np.diff(firsts, append=len(steps)))
-        enough = np.maximum(self.config.surer * own, self.config.most)
-        sure = (said == surest) & (said >= enough[:, None])
-        denied = np.where(sure & (off > self.config.elsewhere), self.config.most, 0.0)
-        return _of_best(denied, steps, np.ones(len(steps), bool))
+        best_of_image = np.repeat(np.maximum.reduceat(evidence, firsts), np.diff(firsts, append=len(steps)))
+        required = np.maximum(_CONTRADICTION_RATIO * own, self.config.max_image_evidence)
+        is_surer = (evidence == best_of_image) & (evidence >= required[:, None])
+        is_off = distance > _CONTRADICTION_DISTANCE_IMAGES
+        against = np.where(is_surer & is_off, self.config.max_image_evidence, 0.0)
+        return _sum_best_per_image(against, steps, np.ones(len(steps), bool))
 
     def state(self) -> dict[str, Any]:
         """The opinions of the window, for a checkpoint."""
@@ -203,25 +209,58 @@ class Hindsight:
         self._waiting = state["num_waiting"]
 
 
-def _surest(proofs: tuple[Proof, ...], stretch: int) -> list[Proof]:
-    """Of the proofs of one image within a stretch of so many images the surest: the others say the same less well."""
-    chosen: list[Proof] = []
-    for proof in sorted(proofs, key=lambda proof: -proof.evidence):
-        if all(abs(proof.location - other.location) > stretch for other in chosen):
-            chosen.append(proof)
+def _mean_best_evidence(own: Array, on_line: Array) -> Array:
+    """Mean evidence (P, S) of the _BEST_IMAGES best results on each line, the candidate included.
+
+    Args:
+        own: (P,) evidence of each candidate.
+        on_line: (P, S, N) evidence of each witness on each line, 0 where it is off.
+    """
+    with_own = np.concatenate([np.broadcast_to(own[:, None, None], (*on_line.shape[:2], 1)), on_line], axis=2)
+    best = min(_BEST_IMAGES, with_own.shape[2])
+    return np.sort(with_own, axis=2)[..., -best:].sum(axis=2) / _BEST_IMAGES
+
+
+def _line_support(own: Array, steps: Steps, on_line: Array, off_line: Array) -> Array:
+    """Support (P, S) of each candidate on each line, by the images before and after it.
+
+    Both sides count as far as they agree. The rest of the stronger side counts less what the other side has against
+    it, within the two caps at the top of this file.
+
+    Args:
+        own: (P,) evidence of each candidate.
+        steps: (N,) query of each witness minus that of the candidates, rising.
+        on_line: (P, S, N) evidence of each witness on each line, 0 where it is off.
+        off_line: (P, S, N) evidence of each witness off each line, 0 where it is on it or far away.
+    """
+    before, after = (_sum_best_per_image(on_line, steps, side) for side in (steps < 0, steps > 0))
+    against_before = _sum_best_per_image(off_line, steps, steps > 0)
+    against_after = _sum_best_per_image(off_line, steps, steps < 0)
+    against = np.where(before > after, against_before, against_after)
+    one_sided = np.clip(np.abs(before - after) - against, 0.0, _MAX_ONE_SIDED_SUPPORT * own[:, None])
+    near = _sum_best_per_image(on_line, steps, np.abs(steps) <= _NEAR_IMAGES)
+    return np.minimum(2 * np.minimum(before, after) + one_sided, _MAX_SUPPORT_FROM_AFAR * (own[:, None] + near))
+
+
+def _best_apart(results: tuple[VerificationResult, ...], min_separation: int) -> list[VerificationResult]:
+    """The results of one image, best first, without those within `min_separation` locations of a better one."""
+    chosen: list[VerificationResult] = []
+    for result in sorted(results, key=lambda result: -result.evidence):
+        if all(abs(result.location - other.location) > min_separation for other in chosen):
+            chosen.append(result)
     return chosen
 
 
-def _of_best(said: Array, steps: Steps, which: NDArray[np.bool_]) -> Array:
-    """Sum over the images of those chosen of what the one of their proofs says that says most.
+def _sum_best_per_image(evidence: Array, steps: Steps, selected: NDArray[np.bool_]) -> Array:
+    """Sum over the selected images (...,): each image counts with the largest evidence of its results.
 
     Args:
-        said: (..., N), what each proof says.
-        steps: (N,) the image of each, rising.
-        which: (N,) the chosen ones.
+        evidence: (..., N) evidence of each result.
+        steps: (N,) step of the image of each result, rising.
+        selected: (N,) mask of the results of the selected images.
     """
-    if not which.any():
-        return np.zeros(said.shape[:-1])
-    firsts = np.flatnonzero(np.diff(steps[which], prepend=steps[which][0] - 1))
-    total: Array = np.maximum.reduceat(said[..., which], firsts, axis=-1).sum(axis=-1)
+    if not selected.any():
+        return np.zeros(evidence.shape[:-1])
+    firsts = np.flatnonzero(np.diff(steps[selected], prepend=steps[selected][0] - 1))
+    total: Array = np.maximum.reduceat(evidence[..., selected], firsts, axis=-1).sum(axis=-1)
     return total

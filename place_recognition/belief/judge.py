@@ -1,76 +1,100 @@
-"""The proofs of a revisit: of the places proposed for an image, and of those expected, what geometry says of each."""
+"""Choice of the candidate images that are verified geometrically: the last step that all paradigms share.
+
+Candidates come from the paradigm and from the prediction of where an earlier match has moved on to. Why each rule is
+there: docs/decisions/candidate_verification.md.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from place_recognition.belief.proof import Pairing, Proof, ProofConfig, pair, rank
+from place_recognition.belief.proof import (
+    CandidateVerificationConfig,
+    ImagePairMatches,
+    VerificationResult,
+    match_images,
+    rank_candidates,
+)
 from place_recognition.belief.temporal_consistency import ConsistencyConfig, TemporalConsistency
 from place_recognition.map.image_store import FeatureStore
 
 
-class Judge:
-    """Chooses among candidate images and those to which an earlier match has moved on: where all paradigms end."""
+class CandidateVerifier:
+    """Verifies the best candidates of each query image geometrically."""
 
-    def __init__(self, images: FeatureStore, proof: ProofConfig, consistency: ConsistencyConfig) -> None:
-        self._images, self._proof = images, proof
+    def __init__(
+        self, images: FeatureStore, verification: CandidateVerificationConfig, consistency: ConsistencyConfig
+    ) -> None:
+        self._images, self._config = images, verification
         self._consistency = TemporalConsistency(consistency)
 
-    def judge(self, query: int, candidates: Iterable[int], horizon: int) -> tuple[Proof, ...]:
-        """What geometry says of the likeliest places of the image at location `query`; nothing without candidates.
+    def verify(self, query: int, candidates: Iterable[int], last_matchable: int) -> tuple[VerificationResult, ...]:
+        """Return the results of the verified candidates of a query; empty without candidates.
 
         Args:
-            query: later than the one before.
+            query: location of the query image, greater than the one before.
             candidates: locations that the paradigm proposes, best first.
-            horizon: the latest location that may be matched.
+            last_matchable: latest location that may be matched.
         """
-        chosen = self._chosen(query, list(candidates), horizon)
-        proofs = self._proofs(pair(self._images, query, location, self._proof) for location in chosen)
-        if proofs:
-            proofs = self._followed(proofs, horizon)
-            self._consistency.remember(max(proofs, key=self._weight))
-        return tuple(proofs)
+        selected = self._select(query, list(candidates), last_matchable)
+        pairs = (match_images(self._images, query, location, self._config) for location in selected)
+        results = self._verify_in_order(pairs)
+        if results:
+            results = self._follow_neighbors(results, last_matchable)
+            self._consistency.add(max(results, key=self._weight))
+        return tuple(results)
 
-    def _chosen(self, query: int, proposed: list[int], horizon: int) -> list[int]:
-        """The locations that match best: one of the expected ones, and of the proposed ones."""
-        expected = [k for k in self._consistency.expected(query) if 0 <= k <= horizon]
-        likely = rank(self._images, query, expected, replace(self._proof, tried=1))
-        return likely + rank(self._images, query, [k for k in proposed if k not in likely], self._proof)
+    def _select(self, query: int, proposed: list[int], last_matchable: int) -> list[int]:
+        """Locations with the most feature matches: one of the predicted ones, then those of the proposed ones."""
+        predicted = [k for k in self._consistency.predict_locations(query) if 0 <= k <= last_matchable]
+        # Predicted locations are adjacent and look alike, so one of them is enough; it needs no vote to be tried.
+        first = rank_candidates(self._images, query, predicted, replace(self._config, max_verified=1))
+        others = [k for k in proposed if k not in first]
+        return first + rank_candidates(self._images, query, others, self._config)
 
-    def _proofs(self, pairings: Iterable[Pairing]) -> list[Proof]:
-        """The proofs of the pairings, the likeliest first, up to one that leaves no doubt: each check costs time."""
-        proofs: list[Proof] = []
-        for pairing in pairings:
-            proofs.append(pairing.check(self._proof.verification))
-            if proofs[-1].evidence >= self._proof.plenty:
+    def _verify_in_order(self, pairs: Iterable[ImagePairMatches]) -> list[VerificationResult]:
+        """Verify image pairs in order, up to the first one whose evidence makes the others needless."""
+        results: list[VerificationResult] = []
+        for pair in pairs:
+            results.append(pair.verify(self._config.epipolar))
+            if results[-1].evidence >= self._config.early_stop_evidence:
                 break
-        return proofs
+        return results
 
-    def _followed(self, proofs: list[Proof], horizon: int) -> list[Proof]:
-        """The proofs, and those of the locations beside the likeliest one, on to the neighbour that says most.
+    def _follow_neighbors(self, results: list[VerificationResult], last_matchable: int) -> list[VerificationResult]:
+        """Verify the images beside the best result too, and move on to the neighbour while its evidence is greater.
 
-        Only on a way that is certain: where it ends, images show less and less of it, and the best match counts. To
-        search everywhere for what fits best by chance makes false matches surer as well.
+        This is done only where the earlier results leave no doubt of the place. Near the end of a revisit the images
+        show less and less of it, and the best match counts. Elsewhere, a search for the largest evidence would raise
+        that of false matches as well.
         """
-        likeliest = max(proofs, key=self._weight)
-        if likeliest.evidence == 0.0 or not self._consistency.is_certain(likeliest):
-            return proofs
-        known = {proof.location: proof for proof in proofs}
-        for _ in range(self._proof.followed):
-            if likeliest.evidence >= self._proof.plenty:
+        best = max(results, key=self._weight)
+        if best.evidence == 0.0 or not self._consistency.is_certain(best):
+            return results
+        by_location = {result.location: result for result in results}
+        for _ in range(self._config.max_follow_steps):
+            if best.evidence >= self._config.early_stop_evidence:
                 break
-            beside = [k for k in (likeliest.location - 1, likeliest.location + 1) if 0 <= k <= horizon]
-            new = [pair(self._images, likeliest.query, k, self._proof) for k in beside if k not in known]
-            known |= {proof.location: proof for proof in self._proofs(new)}
-            best = max((known[k] for k in beside if k in known), key=lambda proof: proof.evidence, default=likeliest)
-            if best.evidence <= likeliest.evidence:
+            neighbor = self._best_neighbor(best, by_location, last_matchable)
+            if neighbor.evidence <= best.evidence:
                 break
-            likeliest = best
-        return list(known.values())
+            best = neighbor
+        return list(by_location.values())
 
-    def _weight(self, proof: Proof) -> float:
-        """Evidence, and as much again at most by the way so far: it cannot speak where the image does not."""
-        return proof.evidence + min(self._consistency.trail(proof), proof.evidence)
+    def _best_neighbor(
+        self, result: VerificationResult, by_location: dict[int, VerificationResult], last_matchable: int
+    ) -> VerificationResult:
+        """The result of more evidence of the two images beside a result, verified and added to `by_location` if new."""
+        beside = [k for k in (result.location - 1, result.location + 1) if 0 <= k <= last_matchable]
+        unseen = [k for k in beside if k not in by_location]
+        pairs = [match_images(self._images, result.query, k, self._config) for k in unseen]
+        by_location |= {new.location: new for new in self._verify_in_order(pairs)}
+        neighbors = (by_location[k] for k in beside if k in by_location)
+        return max(neighbors, key=lambda neighbor: neighbor.evidence, default=result)
+
+    def _weight(self, result: VerificationResult) -> float:
+        """Evidence of the image, plus that of earlier images, which counts up to the image's own evidence."""
+        return result.evidence + min(self._consistency.sum_agreeing_evidence(result), result.evidence)
 
     def state(self) -> list[dict[str, Any]]:
         """The latest proofs, for a checkpoint."""

@@ -1,4 +1,4 @@
-"""Descriptors of two images paired off: each the other's nearest, and clearly so."""
+"""Mutual nearest-neighbour matching of float descriptors, with Lowe's ratio test."""
 
 import numpy as np
 from numba import njit
@@ -8,16 +8,16 @@ Floats = NDArray[np.float32]
 
 
 def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray[np.intp]:
-    """Pairs (K, 2) of rows of first (N, D) and second (M, D) that are each other's nearest neighbours.
+    """Match the descriptors of two images that are each other's nearest neighbours.
 
     Args:
-        first: descriptors of unit length.
-        second: the like of another image.
-        ratio: the nearest must be closer than ratio times the second nearest in second (Lowe, IJCV 2004, section 7.1);
-            1 keeps all mutual pairs but those with an exact twin.
+        first: (N, D) descriptors of unit length.
+        second: (M, D) descriptors of the other image.
+        ratio: largest ratio of the distances to the nearest and the second nearest in `second` (Lowe, IJCV 2004,
+            section 7.1); 1 keeps all mutual pairs but those whose descriptor occurs twice.
 
     Returns:
-        Indices into first and second, increasing in first; none where an image has no descriptors.
+        (K, 2) indices into first and second, increasing in first; (0, 2) where an image has no descriptors.
     """
     if len(first) == 0 or len(second) == 0:
         return np.empty((0, 2), np.intp)
@@ -32,11 +32,11 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
 def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M), always summed in the same order.
 
-    A compiled loop over neighbours in memory: so small a product gains little from the threads of a BLAS, and waits for
-    them wherever the machine is busy; and its bits do not depend on their number.
+    A compiled loop over contiguous memory instead of a BLAS: so small a product gains little from BLAS threads and
+    waits for them on a busy machine, and the bits of a BLAS result depend on the number of threads.
     """
     whole = len(vector) - len(vector) % 4
-    for k in range(0, whole, 4):  # four at a time spare three of four passes over out
+    for k in range(0, whole, 4):  # four rows a pass: out is read and written once for four
         a, b, c, d = vector[k], vector[k + 1], vector[k + 2], vector[k + 3]
         first, second, third, fourth = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
         for j in range(len(out)):
@@ -51,9 +51,15 @@ def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
 def _nearest_both_ways(
     first: Floats, second_columns: Floats
 ) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
-    """Nearest in second, its similarity and the runner-up's for each of first (N, D), and back.
+    """Nearest neighbours in both directions.
 
-    second_columns: (D, M), second transposed.
+    Args:
+        first: (N, D) descriptors.
+        second_columns: (D, M) descriptors of the other image, transposed.
+
+    Returns:
+        Of each of first: index (N,) of the nearest in second, its similarity (N,) and that of the second nearest (N,).
+        Of each of second: index (M,) of the nearest in first.
     """
     n, m = len(first), second_columns.shape[1]
     nearest, back = np.zeros(n, np.intp), np.zeros(m, np.intp)

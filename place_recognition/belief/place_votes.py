@@ -1,4 +1,4 @@
-"""Votes of an image's descriptors for places, and how unlikely they are by chance.
+"""Votes of an image's visual words for places, and their probability by chance (hierarchical places).
 
 Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closure Detection', ICRA 2018, equations 5-10.
 """
@@ -16,38 +16,36 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class PlaceBallot:
-    """The places with more votes than expected, the least likely by chance first.
+class PlaceVotes:
+    """Votes of one image for places; only places with more votes than expected, the least likely by chance first.
 
     Attributes:
-        places: (P,) int64.
-        votes: (P,) int64, words of each that were hit.
-        log_density: (P,) natural logarithm of the binomial probability of just these votes.
+        places: (P,) int64 indices of the places.
+        votes: (P,) int64, number of words of each place that were hit.
+        log_density: (P,) natural logarithm of the binomial probability of exactly these votes.
     """
 
     places: Indices
     votes: Indices
     log_density: NDArray[np.float64]
 
-    def improbability(self, place: int) -> float:
-        """Powers of ten by which the votes of a place are unlikely; 0 for one that has no more than expected."""
+    def neg_log10_probability(self, place: int) -> float:
+        """Return -log10 of the probability of the votes of a place; 0 if it has no more votes than expected."""
         found = np.flatnonzero(self.places == place)
         return -float(self.log_density[found[0]]) / math.log(10) if len(found) else 0.0
 
 
-def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceBallot:
-    """Let each word hit vote once for its place; only places that get votes are looked at.
+def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceVotes:
+    """Count the votes of an image: each distinct word that it hits votes once for its place.
 
-    A place is hit with probability p = its words / all words (equations 5 to 8). That its votes are more than expected
-    is asked before the least likely one is looked for, not after: too few votes are unlikely too. In the paper a word
-    votes as often as it is hit; on a simulated drive of 1,600 images that puts fewer images into the right place (0.858
-    against 0.872), and of unknown places more pass the threshold (0.056 against 0.020): what makes many descriptors hit
-    one word, a repeated window or the sky, is no chance of its own each time.
+    A place is hit with probability p = its words / all words (equations 5 to 8). Places with fewer votes than expected
+    are dropped before the least likely one is sought, because too few votes are unlikely too. In the paper a word votes
+    as often as it is hit; why not here: docs/decisions/hierarchical_places.md.
 
     Args:
-        hit: (N,) words, also such as were hit repeatedly.
-        places: all places.
-        count: the first so many may be voted for.
+        hit: (N,) indices of the words hit, repeated where several descriptors hit one word.
+        places: map of all places.
+        count: number of places, from the first one on, that may be voted for.
     """
     total = places.count_words_of_first(count)
     words = np.unique(hit[hit < total])
@@ -56,4 +54,4 @@ def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceBallot:
     above = votes > len(words) * share
     density = log_binomial(votes[above], len(words), share[above])
     order = np.argsort(density, kind="stable")
-    return PlaceBallot(voted[above][order], votes[above][order], density[order])
+    return PlaceVotes(voted[above][order], votes[above][order], density[order])

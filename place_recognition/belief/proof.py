@@ -1,4 +1,9 @@
-"""The proof of a revisit: among candidate images the one that matches best, if one epipolar geometry explains it."""
+"""Geometric verification of candidate images, scored by how unlikely the agreement is by chance (a contrario).
+
+A candidate is verified in three steps: its features are matched with the query's, one fundamental matrix is fitted to
+the matches, and the number of inliers becomes an evidence in powers of ten (Moisan and Stival, IJCV 2004). Derivation
+of the formula: docs/math_place_recognition.md. Reasons of the settings: docs/decisions/candidate_verification.md.
+"""
 
 import math
 from collections.abc import Sequence
@@ -8,54 +13,59 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from place_recognition.belief.geometric_verification import VerificationConfig, epipolar_inliers
+from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
 from place_recognition.map.image_store import FeatureStore, StoredFeatures
 from place_recognition.recognizer import no_pixels
 
 Floats = NDArray[np.float32]
 
-SAMPLE = 7  # matches that settle a fundamental matrix, of which there may be three
+# Matches in a minimal sample: seven matches determine up to three fundamental matrices.
+MINIMAL_SAMPLE = 7
 
 
 @dataclass(frozen=True)
-class ProofConfig:
-    """How candidates are compared.
+class CandidateVerificationConfig:
+    """Settings of the candidate verification.
 
     Attributes:
-        likeness: nearest to second nearest descriptor distance of the matches by which candidates are ranked.
-        ratio: the same for the matches that geometry is asked about: nearly all, as it tells good ones from bad.
-        zoom: factor by which the scales of two matched features may differ: the same place shows things at about the
-            same size, and what is left out is mostly wrong, or shows that the two cameras stood far apart.
-        compared: strongest features of each image by which the candidates are ranked.
-        tried: best candidates whose geometry is checked.
-        followed: steps to a neighbour that says more, on a way that is certain.
-        object_share: radius of an object that may occur twice, of the width of the image (`surplus_of_objects`).
-        plenty: evidence of an image alone that leaves no doubt: no further candidate is looked at.
-        verification: what proves a revisit.
+        ranking_ratio: largest ratio of nearest to second nearest descriptor distance of the matches that are counted
+            to rank the candidates.
+        ratio: the same ratio for the matches that are verified geometrically. It keeps nearly all matches, because the
+            fundamental matrix tells good ones from bad ones.
+        max_scale_ratio: largest ratio of the scales of two matched features. Images of one place show things at about
+            the same size; matches beyond are mostly wrong, or show that the two cameras stood far apart.
+        ranking_features: number of strongest features of each image used to rank the candidates.
+        max_verified: largest number of candidates that are verified geometrically.
+        max_follow_steps: largest number of steps from the best candidate to a neighbouring image of more evidence.
+        object_share: radius of an object that may occur twice, as a share of the image width
+            (`count_surplus_inliers`).
+        early_stop_evidence: evidence, in powers of ten, after which no further candidate is verified.
+        epipolar: settings of the fundamental matrix.
     """
 
-    likeness: float = 0.8
+    ranking_ratio: float = 0.8
     ratio: float = 0.95
-    zoom: float = 1.35
-    compared: int = 200
-    tried: int = 4
-    followed: int = 3
+    max_scale_ratio: float = 1.35
+    ranking_features: int = 200
+    max_verified: int = 4
+    max_follow_steps: int = 3
     object_share: float = 0.1
-    plenty: float = 60.0
-    verification: VerificationConfig = field(default_factory=VerificationConfig)
+    early_stop_evidence: float = 60.0
+    epipolar: EpipolarConfig = field(default_factory=EpipolarConfig)
 
 
 @dataclass(frozen=True)
-class Proof:
-    """What geometry says of two images.
+class VerificationResult:
+    """Result of the geometric verification of one candidate.
 
     Attributes:
-        query, location: the later and the earlier image, by location.
-        inliers: matches that agree with one epipolar geometry; 0 where too few do.
-        evidence: powers of ten by which so much agreement is unlikely by chance (`chance_evidence`).
+        query: location (position in the drive) of the query image.
+        location: location of the earlier, matched image.
+        inliers: number of matches that agree with one fundamental matrix; 0 if too few do.
+        evidence: -log10 of the expected number of false alarms (`a_contrario_evidence`); 0 means no evidence.
         verified: whether enough matches agree.
-        pixels: (inliers, 4) float32, x and y of those matches in the later and in the earlier image.
+        pixels: (inliers, 4) float32, x and y of the inliers in the query image, then in the matched image.
     """
 
     query: int
@@ -67,108 +77,114 @@ class Proof:
 
 
 @dataclass(frozen=True)
-class Pairing:
-    """The matches of two images, of which geometry has not been asked yet.
+class ImagePairMatches:
+    """Feature matches of a query image and a candidate, before any geometric verification.
 
     Attributes:
-        query, location: the later and the earlier image, by location.
-        now, then: (N, 2) float32 pixels of the matches in each.
-        chance: probability that a random match agrees with a given fundamental matrix.
-        object_size: radius of an object that may occur twice, pixels.
+        query: location of the query image.
+        location: location of the candidate.
+        query_pixels: (N, 2) float32 pixels of the matches in the query image.
+        candidate_pixels: (N, 2) float32 pixels of the matches in the candidate.
+        random_agreement: probability that a random match agrees with a given fundamental matrix.
+        object_radius_px: radius of an object that may occur twice, pixels.
     """
 
     query: int
     location: int
-    now: Floats
-    then: Floats
-    chance: float
-    object_size: float
+    query_pixels: Floats
+    candidate_pixels: Floats
+    random_agreement: float
+    object_radius_px: float
 
-    def check(self, config: VerificationConfig) -> Proof:
-        """What geometry says."""
-        agree = epipolar_inliers(self.now, self.then, config)
-        if agree is None:
-            return Proof(self.query, self.location, 0, 0.0, verified=False)
-        now = self.now[agree]
-        surplus = surplus_of_objects(now, self.object_size)
-        evidence = chance_evidence(len(now) - surplus, len(self.now) - surplus, self.chance)
-        pixels = np.concatenate([now, self.then[agree]], axis=1)
-        return Proof(self.query, self.location, len(now), evidence, verified=True, pixels=pixels)
-
-
-def prove(images: FeatureStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[Proof]:
-    """Verify those of the candidate locations that match best, best first; of equal ones the first."""
-    return [verify(images, query, location, config) for location in rank(images, query, candidates, config)]
+    def verify(self, config: EpipolarConfig) -> VerificationResult:
+        """Fit a fundamental matrix and return its inliers and their evidence."""
+        mask = epipolar_inliers(self.query_pixels, self.candidate_pixels, config)
+        if mask is None:
+            return VerificationResult(self.query, self.location, 0, 0.0, verified=False)
+        query_pixels = self.query_pixels[mask]
+        surplus = count_surplus_inliers(query_pixels, self.object_radius_px)
+        inliers, matches = len(query_pixels) - surplus, len(self.query_pixels) - surplus
+        evidence = a_contrario_evidence(inliers, matches, self.random_agreement)
+        pixels = np.concatenate([query_pixels, self.candidate_pixels[mask]], axis=1)
+        return VerificationResult(self.query, self.location, len(query_pixels), evidence, verified=True, pixels=pixels)
 
 
-def rank(images: FeatureStore, query: int, candidates: Sequence[int], config: ProofConfig) -> list[int]:
-    """The few candidate locations most of whose strongest features match, best first; of equal ones the first."""
+def rank_candidates(
+    images: ImageStore, query: int, candidates: Sequence[int], config: CandidateVerificationConfig
+) -> list[int]:
+    """Return the `max_verified` candidates with the most feature matches, best first; ties keep their order."""
     if len(candidates) == 0:
         return []
-    now = images[query].strongest(config.compared).quantised
-    likeness = count_matches(now, *images.strongest(candidates, config.compared), config.likeness)
-    return [candidates[k] for k in np.argsort(-likeness, kind="stable")[: config.tried]]
+    descriptors = images[query].strongest(config.ranking_features).quantised
+    counts = count_matches(descriptors, *images.strongest(candidates, config.ranking_features), config.ranking_ratio)
+    return [candidates[k] for k in np.argsort(-counts, kind="stable")[: config.max_verified]]
 
 
-def verify(images: FeatureStore, query: int, location: int, config: ProofConfig) -> Proof:
-    """What geometry says of the image at a location as the place of the query."""
-    return pair(images, query, location, config).check(config.verification)
-
-
-def pair(images: FeatureStore, query: int, location: int, config: ProofConfig) -> Pairing:
-    """The matches of a query and the image at an earlier location."""
+def match_images(
+    images: FeatureStore, query: int, location: int, config: CandidateVerificationConfig
+) -> ImagePairMatches:
+    """Match the features of the query image with those of the image at an earlier location."""
     now, then = images[query], images[location]
     pairs = match_pairs(now.quantised, then.quantised, config.ratio)
-    zoom = np.abs(now.octaves[pairs[:, 0]] - then.octaves[pairs[:, 1]])
-    pairs = pairs[zoom <= math.log2(config.zoom)]
-    chance = _chance(then, config.verification.distance)
-    size = config.object_share * float(np.ptp(then.pixels[:, 0])) if len(then.pixels) else 0.0
-    return Pairing(query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], chance, size)
+    octave_difference = np.abs(now.octaves[pairs[:, 0]] - then.octaves[pairs[:, 1]])
+    pairs = pairs[octave_difference <= math.log2(config.max_scale_ratio)]
+    random_agreement = _random_agreement(then, config.epipolar.max_distance_px)
+    radius = config.object_share * float(np.ptp(then.pixels[:, 0])) if len(then.pixels) else 0.0
+    return ImagePairMatches(
+        query, location, now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], random_agreement, radius
+    )
 
 
-def surplus_of_objects(pixels: Floats, radius: float) -> int:
-    """How many of the agreeing matches (N, 2) say no more than that some object was seen twice.
+def count_surplus_inliers(pixels: Floats, radius_px: float) -> int:
+    """Count the inliers (N, 2) that add no evidence because they lie on one repeated object.
 
-    A car of the same make at the same kerb, or the sign of a shop, has dozens of matches that agree with one another,
-    and can be seen in any street. What lies within the radius of one match is taken for one object, the best filled
-    circle first: it is counted for `SAMPLE` matches, those that settle a geometry, however many it has.
+    A parked car of the same make or the sign of a shop gives dozens of matches that agree with one another, in any
+    street. All inliers within `radius_px` of one inlier are taken for one object, the fullest circle first. Each object
+    counts as `MINIMAL_SAMPLE` inliers, which is what determines a fundamental matrix; the rest is surplus.
     """
-    apart = cdist(pixels, pixels, "sqeuclidean") <= radius**2
+    is_near = cdist(pixels, pixels, "sqeuclidean") <= radius_px**2
     surplus = 0
-    while len(apart):
-        inside = apart[int(apart.sum(axis=1).argmax())]
-        if inside.sum() <= SAMPLE:
+    while len(is_near):
+        inside = is_near[int(is_near.sum(axis=1).argmax())]
+        if inside.sum() <= MINIMAL_SAMPLE:
             break
-        surplus += int(inside.sum()) - SAMPLE
-        apart = apart[~inside][:, ~inside]
+        surplus += int(inside.sum()) - MINIMAL_SAMPLE
+        is_near = is_near[~inside][:, ~inside]
     return surplus
 
 
-def chance_evidence(inliers: int, matches: int, chance: float) -> float:
-    """-log10 of the expected number of fundamental matrices that so many of the matches would agree with by chance.
+def a_contrario_evidence(inliers: int, matches: int, random_agreement: float) -> float:
+    """Return -log10 of the number of false alarms (NFA), at least 0.
 
-    Moisan, Stival, 'A Probabilistic Criterion to Detect Rigid Point Matches Between Two Images and Estimate the
-    Fundamental Matrix', IJCV 57(3) 2004, equation 15: 3 (n - 7) C(n, k) C(k, 7) chance^(k - 7).
+    The NFA is the expected number of fundamental matrices with which as many of the matches agree by chance: Moisan
+    and Stival, IJCV 57(3) 2004, equation 15, 3 (n - 7) C(n, k) C(k, 7) p^(k - 7).
 
     Args:
         inliers: k, at most n.
         matches: n.
-        chance: probability that a random match agrees with a given matrix.
+        random_agreement: p, the probability that a random match agrees with a given matrix.
     """
-    if inliers <= SAMPLE:
+    if inliers <= MINIMAL_SAMPLE:
         return 0.0
-    choices = _log_choices(matches, inliers) + _log_choices(inliers, SAMPLE)
-    log_number = math.log(3 * (matches - SAMPLE)) + choices + (inliers - SAMPLE) * math.log(chance)
-    return max(-log_number / math.log(10), 0.0)
+    choices = _log_choices(matches, inliers) + _log_choices(inliers, MINIMAL_SAMPLE)
+    # 3: seven matches determine up to three fundamental matrices. n - 7: every number of inliers is tested.
+    log_tests = math.log(3 * (matches - MINIMAL_SAMPLE)) + choices
+    log_nfa = log_tests + (inliers - MINIMAL_SAMPLE) * math.log(random_agreement)
+    return max(-log_nfa / math.log(10), 0.0)
 
 
-def _chance(features: StoredFeatures, distance: float) -> float:
-    """Probability that a random point of the features' bounding box lies so near to a line through it, at most."""
+def _random_agreement(features: StoredFeatures, max_distance_px: float) -> float:
+    """Upper bound of the probability that a random point lies within the inlier distance of an epipolar line.
+
+    The points are uniform in the bounding box of the features. No line through the box is longer than its diagonal, so
+    the band of inliers covers at most 2 * distance * diagonal of its area.
+    """
     if len(features.pixels) == 0:
         return 0.5
     width, height = np.maximum(np.ptp(features.pixels, axis=0), 1.0)
-    return float(min(2 * distance * math.hypot(width, height) / (width * height), 0.5))
+    return float(min(2 * max_distance_px * math.hypot(width, height) / (width * height), 0.5))
 
 
 def _log_choices(total: int, chosen: int) -> float:
+    """Natural logarithm of the binomial coefficient C(total, chosen)."""
     return math.lgamma(total + 1) - math.lgamma(chosen + 1) - math.lgamma(total - chosen + 1)

@@ -1,7 +1,7 @@
-"""Descriptors of one byte a number paired off: one image against many, in one compiled call.
+"""Mutual nearest-neighbour matching of 8-bit descriptors: one image against many, in one compiled call.
 
-The same pairs as `mutual_matches` finds, at a tenth of its time. Unit vectors in steps of 1 / 127 have products of at
-most 131^2 (256 numbers: 135^2), so sums of 16 bits hold them: half as wide as floats, twice as many at a time.
+Finds the same pairs as `mutual_matches` in a tenth of the time. Unit vectors in steps of 1 / 127 have products of at
+most 131^2 (256 components: 135^2), so 16 bits hold the sums: half the width of floats, twice as many at a time.
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ Bytes = NDArray[np.int8]
 Shorts = NDArray[np.int16]
 Indices = NDArray[np.int64]
 
-LANES = 16  # numbers of 16 bits multiplied at a time; columns are padded to a multiple
-NONE = np.int16(-20000)  # below all products, with room for what padding adds
+LANES = 16  # 16-bit numbers in a 256-bit SIMD register; columns are padded to a multiple
+NONE = np.int16(-20000)  # below all products, and far enough from overflow for the products of padding
 
 
-def as_columns(quantised: Bytes) -> Bytes:
-    """Descriptors (N, D) as the columns (D, M) of a matrix, zeros after the first N to a multiple of LANES."""
+def to_columns(quantised: Bytes) -> Bytes:
+    """Transpose descriptors (N, D) to columns (D, M), with zeros from column N on; M is a multiple of LANES."""
     count, dimension = quantised.shape
     columns = np.zeros((dimension, -(-count // LANES) * LANES), np.int8)
     columns[:, :count] = quantised.T
@@ -25,20 +25,20 @@ def as_columns(quantised: Bytes) -> Bytes:
 
 
 def count_matches(query: Bytes, others: Bytes, counts: Indices, ratio: float) -> Indices:
-    """Mutual matches (L,) of an image with each of L others.
+    """Count the mutual matches (L,) of an image with each of L other images.
 
     Args:
-        query: (N, D).
-        others: (L, K, D), of which
-        counts: (L,) are valid of each.
-        ratio: nearest to second nearest distance in the other image, at most.
+        query: (N, D) descriptors of the image.
+        others: (L, K, D) descriptors of the other images, padded to K rows each.
+        counts: (L,) number of valid rows of each.
+        ratio: largest ratio of nearest to second nearest distance in the other image.
     """
-    return _count_matches(as_columns(query), len(query), others, counts, ratio)
+    return _count_matches(to_columns(query), len(query), others, counts, ratio)
 
 
 def match_pairs(query: Bytes, other: Bytes, ratio: float) -> NDArray[np.intp]:
-    """Pairs (K, 2) of rows of query (N, D) and other (M, D) that are each other's nearest, as by `mutual_matches`."""
-    matched = _match(as_columns(query), len(query), other, ratio)
+    """Match the rows of query (N, D) and other (M, D) mutually; (K, 2) indices, as `mutual_matches`."""
+    matched = _match(to_columns(query), len(query), other, ratio)
     keep = np.flatnonzero(matched >= 0)
     return np.stack([keep, matched[keep]], axis=1)
 
@@ -53,7 +53,7 @@ def _count_matches(columns: Bytes, count: int, others: Bytes, counts: Indices, r
 
 @njit(cache=True)
 def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
-    """Row (count,) that each of the first columns is matched with, -1 for none."""
+    """Index (count,) of the row that each of the first columns is matched with, -1 without match."""
     width = columns.shape[1]
     matched = np.full(count, -1, np.int64)
     nearest, back = np.zeros(width, np.int16), np.zeros(len(rows), np.int64)
@@ -65,7 +65,7 @@ def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
         add_integer_products(rows[i], columns, similarity)
         back[i] = _first_largest(similarity)
         _keep_nearest(similarity, np.int16(i), nearest, best, runner_up)
-    one = np.float32(127.0 * 127.0)  # of unit vectors: distance^2 = 2 - 2 similarity
+    one = np.float32(127.0 * 127.0)  # 1 in quantised units; for unit vectors distance^2 = 2 - 2 similarity
     for j in range(count):
         clear = max(one - best[j], np.float32(0)) < np.float32(ratio**2) * (one - runner_up[j])
         if len(rows) and back[nearest[j]] == j and (clear or len(rows) == 1):
@@ -77,8 +77,8 @@ def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
 def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M).
 
-    Eight rows of columns a pass: plain unit-stride loops, which compilers turn into SIMD. One byte a number keeps the
-    columns of 500 features in the first-level cache, which is worth more than the widening to 16 bits costs.
+    Eight rows a pass, in plain unit-stride loops that compilers turn into SIMD. With one byte a number the columns of
+    500 features stay in the first-level cache, which gains more than the widening to 16 bits costs.
     """
     whole = len(vector) - len(vector) % 8
     for k in range(0, whole, 8):
@@ -99,7 +99,7 @@ def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
 
 @njit(cache=True)
 def _first_largest(values: Shorts) -> int:
-    """Index of the largest; of equal ones the first. Two passes, both SIMD, where one that keeps an index is not."""
+    """Index of the first largest value. Two passes that both become SIMD; one pass that keeps an index does not."""
     most = largest(values)
     for j in range(len(values)):
         if values[j] == most:
@@ -109,7 +109,7 @@ def _first_largest(values: Shorts) -> int:
 
 @njit(cache=True)
 def largest(values: Shorts) -> int:
-    """The largest of values (M,), M > 0."""
+    """Return the largest of values (M,), M > 0."""
     most = values[0]
     for j in range(len(values)):
         most = max(most, values[j])
@@ -118,9 +118,9 @@ def largest(values: Shorts) -> int:
 
 @njit(cache=True)
 def _keep_nearest(similarity: Shorts, row: int, nearest: Shorts, best: Shorts, runner_up: Shorts) -> None:
-    """Update the nearest row, its similarity and the runner-up's, all (M,), by those of one more row.
+    """Update the nearest row, its similarity and the second largest similarity, all (M,), with one more row.
 
-    One array is written in each loop: compilers must know that arrays do not overlap to use SIMD.
+    Each loop writes one array: compilers use SIMD only where they can exclude that arrays overlap.
     """
     for j in range(len(similarity)):
         runner_up[j] = max(runner_up[j], min(best[j], similarity[j]))

@@ -1,79 +1,82 @@
-"""Temporal consistency: a revisit lasts, and its matches advance along the earlier pass as its queries do."""
+"""Temporal consistency: a revisit lasts, and its matches advance along the earlier pass as its queries do.
+
+Why the settings are what they are: docs/decisions/candidate_verification.md.
+"""
 
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from place_recognition.belief.proof import Proof
+from place_recognition.belief.proof import VerificationResult
 
 
 @dataclass(frozen=True)
 class ConsistencyConfig:
-    """Which earlier proofs speak for a new one.
+    """Which earlier results support a new one.
 
     Attributes:
-        trail: queries before this one whose proofs count: long, so that a known way is not left for a look-alike seen
-            in better light.
-        speed: images that the match may move for each image of the query, forwards or backwards: the passes may be
-            driven at different speeds and directions.
-        slack: images that it may be off besides.
-        around: images to both sides of where the match is expected that are looked at.
-        certain: evidence of the proofs before that leaves no doubt of a way, powers of ten; twice what is enough for a
-            match (HindsightConfig.sure). Along the way of KITTI 00, simulated, to follow such ways closely raises
-            R@P100 by 0.006 (the sequences), with 0 or 100 false matches become surer as well and it falls by as much;
-            on three simulated towns that had no say in it, it changes by -0.007 to 0.005, mostly by less than 0.001.
+        history: number of images before the query whose results count. It is long, so that a place is not exchanged
+            for a look-alike that is seen in better light.
+        max_speed_ratio: images by which the match may move for each image of the query, forwards or backwards: the two
+            passes may be driven at different speeds and in different directions.
+        tolerance: images by which the match may be off besides.
+        search_radius: images before and after the predicted match that are candidates too.
+        certain_evidence: sum of the agreeing evidence, in powers of ten, from which the place is taken for certain:
+            twice what is enough for a match (`SequenceConsensusConfig.min_total_evidence`).
     """
 
-    trail: int = 10
-    speed: float = 3.0
-    slack: int = 2
-    around: int = 4
-    certain: float = 200.0
+    history: int = 10
+    max_speed_ratio: float = 3.0
+    tolerance: int = 2
+    search_radius: int = 4
+    certain_evidence: float = 200.0
 
 
 class TemporalConsistency:
-    """Remembers the proofs of the latest queries and adds up those that agree with a new one.
+    """Keeps the best results of the latest queries, predicts the next match, and sums the evidence that agrees.
 
-    Evidence of different images adds up like the logarithm of probabilities. Proofs come in the order of queries.
+    The evidence of different images is summed like logarithms of probabilities. Results come in the order of queries.
     """
 
     def __init__(self, config: ConsistencyConfig | None = None) -> None:
         self.config = config or ConsistencyConfig()
-        self._recent: deque[Proof] = deque(maxlen=self.config.trail)
+        self._recent: deque[VerificationResult] = deque(maxlen=self.config.history)
 
-    def remember(self, proof: Proof) -> None:
-        """Let a proof speak for later ones."""
-        self._recent.append(proof)
+    def add(self, result: VerificationResult) -> None:
+        """Add the best result of the latest query."""
+        self._recent.append(result)
 
-    def trail(self, proof: Proof) -> float:
-        """Evidence of the proofs before that agree with this one, in powers of ten, for the choice between places."""
-        recent = (earlier for earlier in self._recent if proof.query - earlier.query <= self.config.trail)
-        return sum(earlier.evidence for earlier in recent if self._agree(earlier, proof))
+    def sum_agreeing_evidence(self, result: VerificationResult) -> float:
+        """Sum the evidence, in powers of ten, of the earlier results that agree with this one."""
+        recent = (earlier for earlier in self._recent if result.query - earlier.query <= self.config.history)
+        return sum(earlier.evidence for earlier in recent if self._agree(earlier, result))
 
-    def expected(self, query: int) -> list[int]:
-        """Locations to which the surest of the latest matches has moved on if the revisit lasts; likeliest first.
+    def predict_locations(self, query: int) -> list[int]:
+        """Predict the locations that match a query if the revisit goes on, the likeliest first.
 
-        Not the very latest: an image that proves little may have been matched with a look-alike.
+        The prediction starts at the recent result of the most evidence. The very latest one would be worse: an image
+        with little evidence may have been matched with a look-alike.
         """
-        recent = [proof for proof in self._recent if proof.verified and query - proof.query <= self.config.trail]
+        recent = [past for past in self._recent if past.verified and query - past.query <= self.config.history]
         if not recent:
             return []
-        surest = max(recent, key=lambda proof: proof.evidence)
-        centre = surest.location + self._step(surest) * (query - surest.query)
-        return [centre + offset for offset in sorted(range(-self.config.around, self.config.around + 1), key=abs)]
+        best = max(recent, key=lambda result: result.evidence)
+        center = best.location + self._direction(best) * (query - best.query)
+        radius = self.config.search_radius
+        return [center + offset for offset in sorted(range(-radius, radius + 1), key=abs)]
 
-    def is_certain(self, proof: Proof) -> bool:
-        """Whether the proofs before that agree with this one leave no doubt of the way."""
-        return self.trail(proof) >= self.config.certain
+    def is_certain(self, result: VerificationResult) -> bool:
+        """Whether the earlier results that agree with this one leave no doubt of the place."""
+        return self.sum_agreeing_evidence(result) >= self.config.certain_evidence
 
-    def _step(self, surest: Proof) -> int:
-        """Images by which the match moves for each query: 1, or -1 where the way is driven backwards."""
-        first = next(proof for proof in self._recent if proof.verified)
-        return -1 if surest.location < first.location and self._agree(first, surest) else 1
+    def _direction(self, best: VerificationResult) -> int:
+        """Images by which the match moves for each query: 1, or -1 where the earlier pass is driven backwards."""
+        first = next(result for result in self._recent if result.verified)
+        return -1 if best.location < first.location and self._agree(first, best) else 1
 
-    def _agree(self, earlier: Proof, proof: Proof) -> bool:
-        reach = self.config.speed * (proof.query - earlier.query) + self.config.slack
-        return abs(proof.location - earlier.location) <= reach
+    def _agree(self, earlier: VerificationResult, result: VerificationResult) -> bool:
+        reach = self.config.max_speed_ratio * (result.query - earlier.query) + self.config.tolerance
+        return abs(result.location - earlier.location) <= reach
 
     def state(self) -> list[dict[str, Any]]:
         """The latest proofs, for a checkpoint."""

@@ -1,26 +1,26 @@
-"""The end of every paradigm: opinions go in, beliefs come out, once hindsight and the sure images around allow."""
+"""Delayed decision of every paradigm: candidate beliefs go in, final beliefs come out some images later, in order."""
 
 from typing import Any
 
-from place_recognition.belief.bridge import Bridge
-from place_recognition.belief.hindsight import Hindsight, HindsightConfig, Opinion
+from place_recognition.belief.bridge import GapFiller
+from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsensus, SequenceConsensusConfig
 from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief
 
 
-class Verdicts:
-    """One belief for each opinion, in order."""
+class DelayedDecision:
+    """One belief for each query, in order: first the sequence consensus decides, then short gaps are filled."""
 
-    def __init__(self, route: ImageHistory, config: HindsightConfig) -> None:
-        self._hindsight, self._bridge = Hindsight(config), Bridge(route)
+    def __init__(self, route: ImageHistory, config: SequenceConsensusConfig) -> None:
+        self._consensus, self._gap_filler = SequenceConsensus(config), GapFiller(route)
 
-    def add(self, opinion: Opinion) -> list[Belief]:
-        """Take an opinion; the beliefs that are settled now."""
-        return self._bridge.add(self._hindsight.add(opinion))
+    def add(self, candidates: CandidateBeliefs) -> list[Belief]:
+        """Add the candidates of the next query and return the beliefs that are decided now."""
+        return self._gap_filler.add(self._consensus.add(candidates))
 
     def finish(self) -> list[Belief]:
-        """The beliefs about the last images."""
-        return self._bridge.add(self._hindsight.finish()) + self._bridge.finish()
+        """Return the beliefs about the last images."""
+        return self._gap_filler.add(self._consensus.finish()) + self._gap_filler.finish()
 
     def state(self) -> dict[str, Any]:
         """Everything that waits for later images, for a checkpoint."""

@@ -1,4 +1,7 @@
-"""Votes made comparable by a rule of thumb: what section 4.2.3.3 sets the binomial density against."""
+"""Votes normalised by a rule of thumb, which section 4.2.3.3 of the chapter compares with the binomial density.
+
+For the chapter; no paradigm uses it.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,24 +9,24 @@ from numpy.typing import NDArray
 Indices = NDArray[np.int64]
 
 
-def normalise_votes(votes: Indices, words: Indices, descriptors: int) -> NDArray[np.float64]:
-    """Votes over the geometric mean of what could have voted and what could have been voted for.
+def normalize_votes(votes: Indices, words: Indices, descriptors: int) -> NDArray[np.float64]:
+    """Divide votes by the geometric mean of the number of words and the number of voting descriptors.
 
     A place of many words draws many votes, and an image of many descriptors gives many: the count alone means little.
-    Where each of two sets votes once at most this is the cosine of the angle between them (the coefficient of Ochiai),
-    from 0 to 1. Unlike the binomial density it knows nothing of the other places: how much of it is a revisit differs
-    from map to map.
+    Where each word and each descriptor votes at most once, the result is the cosine of the angle between the two sets
+    (the coefficient of Ochiai), from 0 to 1. Unlike the binomial density it ignores the other places, so the value that
+    indicates a revisit differs from map to map.
 
     Args:
-        votes: (L,) votes of each place or location.
-        words: (L,) words of each; none draws no votes.
-        descriptors: of the image that votes.
+        votes: (L,) number of votes of each place or location.
+        words: (L,) number of words of each; a place without words draws no votes.
+        descriptors: number of descriptors of the voting image.
 
     Returns:
         (L,) normalised votes; 0 where there are no words or descriptors.
 
     Raises:
-        ValueError: as many votes as places have words were expected, or something is negative.
+        ValueError: `votes` and `words` differ in shape, or a number is negative.
     """
     votes, words = np.asarray(votes), np.asarray(words)
     if votes.shape != words.shape:

@@ -1,6 +1,7 @@
-"""Votes of an image's descriptors for the locations of a map of words, and how unlikely they are by chance.
+"""Votes of an image's visual words for the locations of a map, and their probability by chance (tracked words).
 
-Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
+Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6. Derivation of the binomial model:
+docs/math_place_recognition.md.
 """
 
 import math
@@ -17,14 +18,14 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Ballot:
-    """What one image's descriptors voted for: only the locations that have votes.
+class Votes:
+    """Votes of one image for locations; only locations with votes are listed.
 
     Attributes:
-        locations: (V,) increasing.
-        votes: (V,) int64, votes of each, at least one.
-        expected: (V,) votes expected if words were hit at random.
-        log_density: (V,) natural logarithm of the binomial probability of just these votes.
+        locations: (V,) int64, increasing.
+        votes: (V,) int64, number of votes of each location, at least 1.
+        expected: (V,) number of votes expected if words were hit at random.
+        log_density: (V,) natural logarithm of the binomial probability of exactly these votes.
     """
 
     locations: Indices
@@ -32,49 +33,58 @@ class Ballot:
     expected: Array
     log_density: Array
 
-    def leaders(self, count: int, apart: int, log_threshold: float) -> list[int]:
-        """Up to `count` locations, at least `apart` from one another, that most likely are the place; best first.
+    def top_locations(self, max_count: int, min_separation: int, log_threshold: float) -> list[int]:
+        """Return up to `max_count` locations that most likely show the place, best first.
 
-        Only locations with more votes than expected count. Those less likely than the threshold come first, the most
-        votes before fewer, then the others, the less likely before the likelier.
+        Only locations with more votes than expected count. Those whose density is below the threshold come first,
+        sorted by votes; the others follow, sorted by density.
+
+        Args:
+            max_count: largest number of locations.
+            min_separation: smallest distance between any two of them, in locations.
+            log_threshold: natural logarithm of the density below which votes are significant.
         """
         above = np.flatnonzero(self.votes > self.expected)
         likely = self.log_density[above] >= log_threshold
         order = above[np.lexsort((self.log_density[above], np.where(likely, 0, -self.votes[above]), likely))]
-        leaders: list[int] = []
+        top: list[int] = []
         for location in self.locations[order].tolist():
-            if len(leaders) < count and all(abs(location - other) >= apart for other in leaders):
-                leaders.append(location)
-        return leaders
+            if len(top) < max_count and all(abs(location - other) >= min_separation for other in top):
+                top.append(location)
+        return top
 
-    def improbability(self, location: int, reach: int) -> float:
-        """-log10 of the probability of the votes of a location, or of one within reach that are less likely."""
-        first, end = np.searchsorted(self.locations, [location - reach, location + reach + 1])
+    def neg_log10_probability(self, location: int, radius: int) -> float:
+        """Return -log10 of the smallest density of the votes within `radius` locations; 0 if none exceeds chance."""
+        first, end = np.searchsorted(self.locations, [location - radius, location + radius + 1])
         surprising = self.votes[first:end] > self.expected[first:end]
         return float(max(-self.log_density[first:end][surprising].min(initial=0.0), 0.0)) / math.log(10)
 
 
-def count_votes(hit: Indices, words: WordMap) -> Ballot:
-    """Let each word hit, given as distinct indices (N,), vote once for each location where it was seen.
+def count_votes(hit: Indices, words: WordMap) -> Votes:
+    """Count the votes of an image: each word that it hits votes once for each location where the word was seen.
 
-    Each location is hit with probability p = its words / all words (eq. 5); its votes are binomial (eq. 4). In the
-    paper a word votes as often as it is hit. But what makes many descriptors of an image hit one word, a repeated
-    window or the sky, is no chance of its own each time, and the binomial test would take them for independent.
+    A location is hit with probability p = its words / all words (eq. 5), so its votes are binomial (eq. 4). In the
+    paper a word votes as often as it is hit. But many descriptors of an image hit one word for one reason, a repeated
+    window or the sky, and the binomial test would take them for independent trials.
+
+    Args:
+        hit: (N,) distinct indices of the words hit.
+        words: map of all words.
     """
-    locations, votes = np.unique(covered(words.spans(hit)), return_counts=True)
+    locations, votes = np.unique(expand_spans(words.spans(hit)), return_counts=True)
     share = words.words_at(locations) / max(words.active_count, 1)
-    return Ballot(locations, votes, len(hit) * share, log_binomial(votes, len(hit), share))
+    return Votes(locations, votes, len(hit) * share, log_binomial(votes, len(hit), share))
 
 
-def covered(spans: NDArray[np.int32]) -> Indices:
-    """All locations of spans (K, 2), both ends included, one span after the other."""
+def expand_spans(spans: NDArray[np.int32]) -> Indices:
+    """Return all locations of spans (K, 2), both ends included, one span after the other."""
     lengths = spans[:, 1] - spans[:, 0] + 1
     begins = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum(), dtype=np.int64) + np.repeat(spans[:, 0] - begins, lengths)
 
 
 def log_binomial(successes: Indices, trials: int, probability: Array) -> Array:
-    """Natural logarithm of C(n, x) p^x (1 - p)^(n - x), elementwise; -inf for what cannot happen."""
+    """Return the natural logarithm of C(n, x) p^x (1 - p)^(n - x), elementwise; -inf for an impossible number."""
     x = np.asarray(successes, dtype=np.float64)
     choices = gammaln(trials + 1) - gammaln(x + 1) - gammaln(trials - x + 1)
     return choices + xlogy(x, probability) + xlog1py(trials - x, -probability)

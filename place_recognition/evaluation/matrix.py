@@ -26,7 +26,7 @@ class SimilarityMatrix:
 
 
 class MatrixRecorder:
-    """Records the rows of a recogniser's matrix (a RowSink).
+    """Records the rows of a recogniser's matrix (a MatrixSink).
 
     Image ids count from 0. A drive of more than `max_rows` images does not outgrow the memory: each time the limit is
     reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
@@ -48,7 +48,7 @@ class MatrixRecorder:
         self._stages = {}
 
     def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
-        """Record a row; ids and values as in `RowSink`. Rows may come late and more than once."""
+        """Record a row; ids and values as in `MatrixSink`. Rows may come late and more than once."""
         if query < self._first:
             return
         query, matches = query - self._first, np.asarray(matches, np.int64) - self._first

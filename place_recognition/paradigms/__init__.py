@@ -1,1 +1,1 @@
-"""Section 4.4: complete place recognisers, each behind the contract of `place_recognition.recognizer`."""
+"""Complete place recognisers (section 4.4 of the chapter), each a `place_recognition.recognizer.PlaceRecognizer`."""

@@ -1,4 +1,4 @@
-"""All paradigms by name, and the configuration from which any of them is built."""
+"""Registry of the paradigms: makes any of them by its name."""
 
 import dataclasses
 from collections.abc import Callable
@@ -13,24 +13,36 @@ from place_recognition.image_processing.features import FeatureCache, FeatureExt
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
+from place_recognition.paradigms.sequences import (
+    DynamicSequencesConfig,
+    SequenceHistogramsConfig,
+    make_dynamic_sequences,
+    make_sequence_histograms,
+)
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
-from place_recognition.recognizer import PlaceRecognizer, RowSink
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 
 
 @dataclass(frozen=True)
 class ParadigmsConfig:
-    """Settings of every paradigm; only those of the chosen one matter.
+    """Settings of all paradigms; only those of the chosen one matter.
 
     Attributes:
-        features: local features, by name in EXTRACTORS; a vocabulary serves only those it was made of.
-        surf: how the default ones are found; of the others, how many.
-        vocabulary: path of a vocabulary file for the paradigms that need one; empty for the general one.
-        descriptor: of `global-descriptor`: "hog" or another of GLOBAL_DESCRIPTORS, or "onnx:FILE" for a learned one.
+        features: name of the local features, a key of EXTRACTORS. A vocabulary works only with the features from which
+            it was trained.
+        surf: settings of the default features; for other features only their number counts.
+        vocabulary: path of a vocabulary file for the paradigms of sequences; empty for the general vocabulary.
+        descriptor: descriptor of `global-descriptor`: a key of GLOBAL_DESCRIPTORS, such as "hog", or "onnx:FILE" for a
+            learned one.
+        sequence_histograms: settings of `sequence-histograms`.
+        dynamic_sequences: settings of `dynamic-sequences`.
+        hierarchical_places: settings of `hierarchical-places`.
+        tracked_words: settings of `tracked-words`.
+        pixel_sequences: settings of `pixel-sequences`.
+        global_descriptor: settings of `global-descriptor`.
     """
 
     features: str = "surf"
@@ -45,35 +57,36 @@ class ParadigmsConfig:
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
 
-Builder = Callable[[FeatureCache, ParadigmsConfig, RowSink | None], PlaceRecognizer]
+Builder = Callable[[FeatureCache, ParadigmsConfig, MatrixSink | None], PlaceRecognizer]
 
 
-def _sequence_histograms(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
-    return SequenceHistograms(features, _vocabulary(config, features.kind), config.sequence_histograms, rows)
+def _sequence_histograms(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
+    return make_sequence_histograms(features, _load_vocabulary(config, features.kind), config.sequence_histograms, rows)
 
 
-def _dynamic_sequences(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
-    return DynamicSequences(features, _vocabulary(config, features.kind), config.dynamic_sequences, rows)
+def _dynamic_sequences(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
+    return make_dynamic_sequences(features, _load_vocabulary(config, features.kind), config.dynamic_sequences, rows)
 
 
-def _hierarchical_places(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _hierarchical_places(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
     return HierarchicalPlaces(features, config.hierarchical_places, rows)
 
 
-def _tracked_words(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _tracked_words(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
     return TrackedWords(features, config.tracked_words, rows)
 
 
-def _pixel_sequences(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _pixel_sequences(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
     return PixelSequences(config.pixel_sequences, rows)
 
 
-def _global_descriptor(features: FeatureCache, config: ParadigmsConfig, rows: RowSink | None) -> PlaceRecognizer:
+def _global_descriptor(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
     descriptor = make_global_descriptor(config.descriptor)
-    descriptor.describe(np.zeros((48, 64), np.uint8))  # a network that does not run is refused here, not midway
+    descriptor.describe(np.zeros((48, 64), np.uint8))  # reports a network that cannot run now, not midway
     return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
 
 
+# The names are those of the option --paradigm. A new paradigm joins by its line here, and so do the tests of all.
 PARADIGMS: dict[str, Builder] = {
     "sequence-histograms": _sequence_histograms,
     "dynamic-sequences": _dynamic_sequences,
@@ -84,60 +97,60 @@ PARADIGMS: dict[str, Builder] = {
 }
 
 
-def local_features(config: ParadigmsConfig) -> FeatureExtractor:
-    """The extractor of the local features that were chosen.
+def make_feature_extractor(config: ParadigmsConfig) -> FeatureExtractor:
+    """Make the extractor of the chosen local features.
 
     Raises:
-        ValueError: an unknown name; the message lists the known ones.
+        ValueError: the name is unknown; the message lists the known ones.
     """
     if config.features == "surf":
         return Surf(config.surf)
     return make_extractor(config.features, config.surf.max_features)
 
 
-def build(
-    name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: RowSink | None = None
+def make_recognizer(
+    name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
-    """A recogniser that has seen nothing.
+    """Make a recogniser that has seen nothing.
 
     Args:
         name: a key of PARADIGMS.
-        features: shared with the rest of the chain; paradigms of whole images do without.
-        config: settings.
-        rows: takes the rows of its matrix.
+        features: local features, shared with other users of the same images; paradigms of whole images ignore them.
+        config: settings; the defaults if None.
+        rows: receives the rows of the similarity matrix.
 
     Raises:
-        ValueError: an unknown name, or a vocabulary or descriptor file that cannot serve; the message says which.
+        ValueError: the name is unknown, or the vocabulary or descriptor file cannot be used; the message names it.
     """
     if name not in PARADIGMS:
         raise ValueError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
     return PARADIGMS[name](features, config or ParadigmsConfig(), rows)
 
 
-def excluding(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
-    """The same settings, but no paradigm may match images nearer than so many to the latest one.
+def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
+    """Return the settings with an exclusion window: images nearer than `images` to the query are never matched.
 
-    A paradigm's own guard stays.
+    It adds to each paradigm's own choice of what is too recent.
     """
-    return _replaced(config, images)
+    return _with_exclusion(config, images)
 
 
-def _replaced(settings: Any, images: int) -> Any:
-    """Settings in which everything that knows of an exclusion has this one, wherever it stands."""
+def _with_exclusion(settings: Any, images: int) -> Any:
+    """The settings with every field named `exclusion` set, at any depth; a new paradigm needs no entry here."""
     if not dataclasses.is_dataclass(settings) or isinstance(settings, type):
         return settings
     inner = {item.name: getattr(settings, item.name) for item in dataclasses.fields(settings)}
     changed = {
-        name: images if name == "exclusion_frames" else _replaced(value, images) for name, value in inner.items()
+        name: images if name == "exclusion_frames" else _with_exclusion(value, images) for name, value in inner.items()
     }
     return replace(settings, **changed)
 
 
-def _vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:
-    """The vocabulary that was chosen, of the kind that the features are.
+def _load_vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:
+    """The chosen vocabulary, checked against the kind of the features.
 
     Raises:
-        ValueError: it is missing, damaged or of another kind; the message names the file.
+        ValueError: the file is missing, damaged or of another kind; the message names it.
     """
     if not config.vocabulary:
         return default_vocabulary().require(kind)

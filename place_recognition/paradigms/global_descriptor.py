@@ -1,7 +1,7 @@
-"""A naive baseline: the earlier image whose descriptor as a whole is most like this one's, by its cosine (eq. 4.3).
+"""Naive baseline: the earlier image whose global descriptor has the largest cosine with that of the query (eq. 4.3).
 
-No geometry is asked and no sequence: what such a baseline takes for a revisit is what the chapter's paradigms save a
-robot from. The descriptor may be a histogram of oriented gradients or any network (`make_global_descriptor`).
+It uses neither geometry nor sequences: its false matches show what the chapter's paradigms save a robot from. The
+descriptor may be a histogram of oriented gradients or any network (`make_global_descriptor`).
 """
 
 from dataclasses import dataclass, field
@@ -14,17 +14,17 @@ from place_recognition.image_processing.features import check_gray
 from place_recognition.image_processing.global_descriptors import GlobalDescriptor
 from place_recognition.map.dense import DenseMap
 from place_recognition.map.present_view import ExclusionWindow, ExclusionWindowConfig
-from place_recognition.recognizer import Belief, NoRows, RowSink
+from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
 
 @dataclass(frozen=True)
 class GlobalDescriptorConfig:
-    """When two images are taken for one place.
+    """Settings of the paradigm.
 
     Attributes:
-        threshold: least cosine of an accepted match. It belongs to the descriptor; this one to HOG, which in first
-            passes through simulated towns reached 0.88, and in random texture 0.92.
-        present: what counts as the present rather than the past.
+        threshold: smallest cosine of an accepted match. It belongs to the descriptor, here HOG: unrelated images of
+            simulated towns reached 0.88, those of random texture 0.92.
+        present: which images are too recent to be matched.
     """
 
     threshold: float = 0.93
@@ -32,39 +32,39 @@ class GlobalDescriptorConfig:
 
 
 class GlobalDescriptorMatching:
-    """Recognises places by one descriptor an image (a PlaceRecognizer). Answers each image at once."""
+    """Recognises places by one descriptor per image (a PlaceRecognizer). Answers each image at once."""
 
     def __init__(
-        self, descriptor: GlobalDescriptor, config: GlobalDescriptorConfig | None = None, rows: RowSink | None = None
+        self, descriptor: GlobalDescriptor, config: GlobalDescriptorConfig | None = None, rows: MatrixSink | None = None
     ) -> None:
         self.config = config or GlobalDescriptorConfig()
         self._descriptor = descriptor
         self._present = ExclusionWindow(self.config.present)
         self._map = DenseMap()
-        self._rows = NoRows() if rows is None else rows
+        self._rows = NullMatrixSink() if rows is None else rows
 
-    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
-        """Answer for this image and add it to the map.
+    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
+        """Return the belief about this image and add it to the map.
 
         Args:
             image_id: greater than the one before.
             image: (H, W) uint8, grey, of any size.
-            travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same, where it is not measured.
         """
         check_gray(image)
         vector = self._descriptor.describe(image)
-        self._present.add(image_id, image, travelled)
+        self._present.add(image_id, image, distance_travelled_m)
         ids = self._present.ids[: self._present.count_matchable()]
         similarities = self._map.similarities(vector, len(ids))
         self._rows.add(image_id, ids, similarities)
         self._map.add(vector)
-        return [self._believe(image_id, similarities)]
+        return [self._make_belief(image_id, similarities)]
 
     def finish(self) -> list[Belief]:
-        """Nothing is left unanswered."""
+        """Return nothing: each image is answered at once."""
         return []
 
-    def _believe(self, image_id: int, similarities: NDArray[np.float64]) -> Belief:
+    def _make_belief(self, image_id: int, similarities: NDArray[np.float64]) -> Belief:
         if not (similarities > 0).any():
             return Belief(image_id, None, 0.0, accepted=False)
         best = int(similarities.argmax())

@@ -1,19 +1,15 @@
-"""Place recognition by places with words of their own: first the place is found, then the image in it.
+"""Place recognition by places with visual words of their own: first the place is found, then the image in it.
 
 Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closure Detection', ICRA 2018; section 4.4.3
-of the chapter. What differs from the paper:
-* Not the likeliest place alone is searched but a few, and the places beside the best: near its ends a place and its
-  neighbour look alike, and a way driven twice is two places.
-* The image in a place is the one with which most descriptors are matched both ways, not the one with most nearest
-  descriptors: on a simulated drive of 1,600 images it was the right one for 0.91 of the revisits instead of 0.86. It is
-  sought among every third image first: neighbours look alike, so the time is better spent on more places, and the judge
-  gets the neighbours of the best (right image among the proposed for 0.956 instead of 0.951, in three quarters of the
-  time).
-* The last word has the `Judge` that all paradigms share: it adds temporal consistency, which the paper describes and
-  its program leaves out, and its evidence adds to the score.
-* Each word votes once (`vote_for_places`); the last place is closed when the drive ends.
-* What is past is found out (`ImageHistory.last_matchable`) instead of 40 s.
-* Geometry decides what is accepted: in a small map no votes are improbable enough, and twin streets share words.
+of the chapter. Deviations from the paper (reasons and figures: docs/decisions/hierarchical_places.md):
+* Several of the likeliest places are searched, and the places beside the best one.
+* The best image of a place is the one with the most mutual matches, not the one with the most nearest descriptors. It
+  is sought among every third image; the neighbours of the best ones are candidates too.
+* The candidates go to the verification that all paradigms share. It adds temporal consistency, which the paper
+  describes and its program leaves out, and its evidence is added to the score.
+* Each word votes once (`vote_for_places`); the last place ends with the drive.
+* Images of the present view are excluded, not those of the last 40 s.
+* Geometry decides what is accepted, not the votes.
 """
 
 import math
@@ -24,202 +20,214 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.geometric_verification import VerificationConfig
-from place_recognition.belief.hindsight import HindsightConfig, Opinion
-from place_recognition.belief.judge import Judge
-from place_recognition.belief.place_votes import PlaceBallot, vote_for_places
-from place_recognition.belief.proof import Proof, ProofConfig
+from place_recognition.belief.geometric_verification import EpipolarConfig
+from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsensusConfig
+from place_recognition.belief.judge import CandidateVerifier
+from place_recognition.belief.place_votes import PlaceVotes, vote_for_places
+from place_recognition.belief.proof import CandidateVerificationConfig, VerificationResult
 from place_recognition.belief.quantised_matching import count_matches
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.verdicts import Verdicts
+from place_recognition.belief.verdicts import DelayedDecision
 from place_recognition.image_processing.features import FeatureCache, check_gray
 from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
 from place_recognition.map.places import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
 from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.word_index import WordIndex
 from place_recognition.map.word_tree import HybridWordIndex
-from place_recognition.recognizer import Belief, NoRows, RowSink
+from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
 Floats = NDArray[np.float32]
+
+UNLIMITED = 1_000_000  # more images than a place has
 
 
 @dataclass(frozen=True)
 class HierarchicalPlacesConfig:
-    """The paper's numbers, and those of the additions.
+    """Settings of the paradigm: the paper's numbers and those of the deviations.
 
     Attributes:
-        chance: a place whose votes are likelier than this is no revisit, sigma in the paper.
-        features: strongest features of an image that make words, nu.
-        asked: strongest features of an image that vote. Half of the paper's: 0.872 instead of 0.909 of the revisits of
-            a simulated drive have the right place first, but of those no less are found among `searched` places.
-        searched: likeliest places in which the image is sought, besides the two beside the best.
-        stride: of the images of a place every so many-th is looked at.
-        compared: strongest features of each image by which these are compared with the query.
-        ratio: nearest to second nearest descriptor distance of a match for this.
-        proposed: best of them proposed to the judge,
-        neighbours: with so many images before and after each.
-        seed: of the order in which descriptors are shown to the gas.
+        max_probability: largest probability by chance of the votes of a revisited place (sigma in the paper); 1 accepts
+            any votes.
+        word_features: number of strongest features of an image that make words (nu in the paper).
+        voting_features: number of strongest features of an image that vote; half of the paper's.
+        max_places: number of likeliest places that are searched, besides the two beside the best one.
+        image_stride: every `image_stride`-th image of a place is compared with the query.
+        ranking_features: number of strongest features of each image used for this comparison.
+        ranking_ratio: largest ratio of nearest to second nearest descriptor distance of its matches.
+        max_candidates: number of best images that become candidates.
+        neighbor_radius: number of images before and after each of them that become candidates too.
+        seed: seed of the order in which the growing neural gas sees the descriptors.
         place: when a place ends.
-        gas: how words grow.
-        route: what is kept of each image, and which are past.
-        proof: how a revisit is proved.
-        consistency: which earlier proofs speak for a new one.
-        hindsight: what the images around one say for it.
+        gas: growing neural gas, which makes the words of a place.
+        route: which features are kept of each image, and which images may be matched.
+        verification: how candidates are verified geometrically.
+        consistency: which earlier results support a new one.
+        consensus: the delayed decision.
     """
 
-    chance: float = 1.0
-    features: int = 300
-    asked: int = 150
-    searched: int = 5
-    stride: int = 3
-    compared: int = 150
-    ratio: float = 0.8
-    proposed: int = 6
-    neighbours: int = 2
+    max_probability: float = 1.0
+    word_features: int = 300
+    voting_features: int = 150
+    max_places: int = 5
+    image_stride: int = 3
+    ranking_features: int = 150
+    ranking_ratio: float = 0.8
+    max_candidates: int = 6
+    neighbor_radius: int = 2
     seed: int = 0
     place: PlaceSegmentationConfig = field(default_factory=PlaceSegmentationConfig)
     gas: GasConfig = field(default_factory=GasConfig)
     route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
-    proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
+    verification: CandidateVerificationConfig = field(
+        default_factory=lambda: CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12))
+    )
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
-    hindsight: HindsightConfig = field(default_factory=HindsightConfig)
+    consensus: SequenceConsensusConfig = field(default_factory=SequenceConsensusConfig)
 
     @classmethod
     def published(cls) -> "HierarchicalPlacesConfig":
-        """The values of the paper's Table II and, for the gas, of its authors' program.
+        """Return the numbers of the paper's Table II and, for the gas, of its authors' program.
 
-        All 300 features vote, one place is searched, places end by coherence alone and votes alone decide. The 40 s
-        are left to `ImageHistoryConfig.exclusion_frames`, which counts images.
+        All 300 features vote, one place is searched, places end by coherence alone, and votes alone decide. The paper's
+        40 s are left to the exclusion window, which counts images.
         """
         return cls(
-            asked=300,
-            searched=1,
-            stride=1,
-            compared=300,
-            proposed=1,
-            neighbours=0,
-            chance=1e-12,
-            hindsight=HindsightConfig.none(),
-            proof=ProofConfig(verification=VerificationConfig(least_inliers=12)),
-            place=PlaceSegmentationConfig(max_images=NEVER),
+            voting_features=300,
+            max_places=1,
+            image_stride=1,
+            ranking_features=300,
+            max_candidates=1,
+            neighbor_radius=0,
+            max_probability=1e-12,
+            consensus=SequenceConsensusConfig.disabled(),
+            verification=CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12)),
+            place=PlaceSegmentationConfig(max_images=UNLIMITED),
             gas=GasConfig(winner_step=0.8, neighbor_step=0.01, max_edge_age=10),
         )
 
 
-NEVER = 1_000_000  # more inliers or images than there are
-
-
 class HierarchicalPlaces:
-    """Recognises places by the words that each has of its own (a PlaceRecognizer).
+    """Recognises places by the visual words that each has of its own (a PlaceRecognizer).
 
-    Answers some images late (`Verdicts`).
-
-    Args of the constructor:
-        index: makes the index in which all words are kept and found.
+    Beliefs are returned some images late (`DelayedDecision`).
     """
 
     def __init__(
         self,
         features: FeatureCache,
         config: HierarchicalPlacesConfig | None = None,
-        rows: RowSink | None = None,
+        rows: MatrixSink | None = None,
         index: Callable[[], WordIndex] = HybridWordIndex,
     ) -> None:
+        """Make a recogniser that has seen nothing.
+
+        Args:
+            features: local features, shared with other users of the same images.
+            config: settings; the defaults if None.
+            rows: receives the rows of the similarity matrix.
+            index: makes the index in which all words are stored and searched.
+        """
         self.config = config or HierarchicalPlacesConfig()
         self._features = features
         self._route = ImageHistory(self.config.route)
         self._open = PlaceSegmentation(self.config.place)
         self._places = PlaceMap(index())
-        self._judge = Judge(self._route.images, self.config.proof, self.config.consistency)
-        self._verdicts = Verdicts(self._route, self.config.hindsight)
-        self._rows = NoRows() if rows is None else rows
+        self._verifier = CandidateVerifier(self._route.images, self.config.verification, self.config.consistency)
+        self._decision = DelayedDecision(self._route, self.config.consensus)
+        self._rows = NullMatrixSink() if rows is None else rows
 
     @property
     def word_count(self) -> int:
-        """Words in the map so far."""
+        """Number of words in the map so far."""
         return self._places.word_count
 
     @property
     def place_count(self) -> int:
-        """Places that have ended so far."""
+        """Number of places that have ended so far."""
         return len(self._places)
 
-    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
-        """Answer for this image and add it to the map.
+    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
+        """Add an image and return the beliefs that are ready now.
 
         Args:
             image_id: greater than the one before.
             image: (H, W) uint8, grey.
-            travelled: way driven so far, metres; NaN, or always the same, where it is not measured.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same, where it is not measured.
         """
         check_gray(image)
         features = self._features.get(image_id, image)
-        self._route.add(image_id, features, travelled)
-        descriptors = features.descriptors[: self.config.features]
+        self._route.add(image_id, features, distance_travelled_m)
+        descriptors = features.descriptors[: self.config.word_features]
         self._learn(self._open.add(descriptors), self._route.latest - 1)
         if len(descriptors) < self.config.place.min_features:
-            return self._verdicts.add(Opinion.none(image_id))
-        return self._verdicts.add(self._opinion(descriptors[: self.config.asked]))
+            # A nearly blank image cannot be matched.
+            return self._decision.add(CandidateBeliefs.without_match(image_id))
+        return self._decision.add(self._match(descriptors[: self.config.voting_features]))
 
     def finish(self) -> list[Belief]:
-        """End the last place, and answer for the last images."""
+        """End the last place and return the beliefs about the last images."""
         self._learn(self._open.flush(), self._route.latest)
-        return self._verdicts.finish()
+        return self._decision.finish()
 
     def _learn(self, ended: list[Floats], last: int) -> None:
-        """Find the words of the images (N, D) of a place that has ended at a location, if one has."""
+        """Make the words of a place that has ended at location `last` from its descriptors; nothing if none ended."""
         if ended:
+            # A generator of its own for each place: its words do not depend on how many numbers others have drawn.
             rng = np.random.default_rng((self.config.seed, len(self._places)))
             self._places.add(grow_gas(np.concatenate(ended), rng, self.config.gas).nodes, last)
 
-    def _opinion(self, descriptors: Floats) -> Opinion:
-        """The opinion about the latest image, whose strongest descriptors (N, D) vote."""
-        horizon = self._route.last_matchable()
-        count = self._places.activate_until(horizon)
-        ballot = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
-        self._show(ballot)
-        proofs = self._judge.judge(self._route.latest, self._propose(ballot, count), horizon)
-        return Opinion.of(int(self._route.ids[-1]), proofs, lambda proof: self._belief(proof, ballot))
+    def _match(self, descriptors: Floats) -> CandidateBeliefs:
+        """Match the latest image, whose strongest descriptors (N, D) vote, with the images of the likeliest places."""
+        last_matchable = self._route.last_matchable()
+        count = self._places.activate_until(last_matchable)  # places that hold a later image get no votes
+        votes = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
+        self._record(votes)
+        results = self._verifier.verify(self._route.latest, self._propose(votes, count), last_matchable)
+        query = int(self._route.ids[-1])
+        return CandidateBeliefs.from_results(query, results, lambda result: self._make_belief(result, votes))
 
-    def _belief(self, proof: Proof, ballot: PlaceBallot) -> Belief:
-        improbable = ballot.improbability(self._places.place_of(proof.location))
+    def _make_belief(self, result: VerificationResult, votes: PlaceVotes) -> Belief:
+        vote_evidence = votes.neg_log10_probability(self._places.place_of(result.location))
         return Belief(
             query=int(self._route.ids[-1]),
-            match=int(self._route.ids[proof.location]),
-            score=improbable + proof.evidence,
-            accepted=proof.verified and improbable >= -math.log10(self.config.chance),
-            inliers=proof.inliers,
-            verified=proof.verified,
-            pixels=proof.pixels,
+            match=int(self._route.ids[result.location]),
+            score=vote_evidence + result.evidence,
+            accepted=result.verified and vote_evidence >= -math.log10(self.config.max_probability),
+            inliers=result.inliers,
+            verified=result.verified,
+            pixels=result.pixels,
         )
 
-    def _propose(self, ballot: PlaceBallot, count: int) -> list[int]:
-        """Locations of the images most alike in the likeliest of the first so many places, and of their neighbours."""
-        if len(ballot.places) == 0:
+    def _propose(self, votes: PlaceVotes, count: int) -> list[int]:
+        """Candidate locations in the likeliest of the first `count` places: the best images, then neighbours."""
+        if len(votes.places) == 0:
             return []
-        locations = self._sampled(ballot, count)
-        images, compared = self._route.images, self.config.compared
-        query = images[self._route.latest].strongest(compared).quantised
-        alike = count_matches(query, *images.strongest(locations, compared), self.config.ratio)
-        best = [locations[k] for k in np.argsort(-alike, kind="stable")[: self.config.proposed]]
+        locations = self._sample_images(votes, count)
+        images, features = self._route.images, self.config.ranking_features
+        query = images[self._route.latest].strongest(features).quantised
+        matches = count_matches(query, *images.strongest(locations, features), self.config.ranking_ratio)
+        best = [locations[k] for k in np.argsort(-matches, kind="stable")[: self.config.max_candidates]]
         last = self._places.images(count - 1)[-1]
-        near = [k for offset in _outwards(self.config.neighbours) for k in (at + offset for at in best)]
+        offsets = sorted(range(-self.config.neighbor_radius, self.config.neighbor_radius + 1), key=abs)
+        near = [k for offset in offsets for k in (location + offset for location in best)]
         return list(dict.fromkeys(k for k in near if 0 <= k <= last))
 
-    def _sampled(self, ballot: PlaceBallot, count: int) -> list[int]:
-        """Locations of every so many-th image, from the middle of the first so many, of the places to be searched."""
-        best, stride = int(ballot.places[0]), self.config.stride
+    def _sample_images(self, votes: PlaceVotes, count: int) -> list[int]:
+        """Every `image_stride`-th location of the likeliest places and of the two places beside the best one."""
+        best, stride = int(votes.places[0]), self.config.image_stride
+        # Near its ends a place and its neighbour look alike.
         beside = [place for place in (best - 1, best + 1) if 0 <= place < count]
-        places = dict.fromkeys([*ballot.places[: self.config.searched].tolist(), *beside])
+        places = dict.fromkeys([*votes.places[: self.config.max_places].tolist(), *beside])
         spans = [self._places.images(place) for place in places]
+        # From the middle of the first stride on: the ends of a place look like the places beside it.
         return [location for span in spans for location in span[min(stride, len(span)) // 2 :: stride]]
 
-    def _show(self, ballot: PlaceBallot) -> None:
-        """Show the votes of each place beside all its images."""
-        spans = [self._places.images(int(place)) for place in ballot.places]
+    def _record(self, votes: PlaceVotes) -> None:
+        """Hand the votes of each place to the matrix sink, for all images of the place."""
+        spans = [self._places.images(int(place)) for place in votes.places]
         locations = np.array([location for span in spans for location in span], np.int64)
-        votes = np.repeat(ballot.votes.astype(np.float64), [len(span) for span in spans])
-        self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], votes)
+        values = np.repeat(votes.votes.astype(np.float64), [len(span) for span in spans])
+        self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], values)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
@@ -238,8 +246,3 @@ class HierarchicalPlaces:
         self._places.restore(state["places"])
         self._judge.restore(state["consistency"])
         self._verdicts.restore(state["decision"])
-
-
-def _outwards(reach: int) -> list[int]:
-    """0, then -1, 1, -2, 2 and so on."""
-    return sorted(range(-reach, reach + 1), key=abs)

@@ -1,11 +1,10 @@
-"""What the two paradigms of sequences have in common: words, sequences, the filtered matrix, then the images.
+"""Recogniser of both paradigms of sequences: word vectors of sequences, a filtered matrix, then single images.
 
-Bampis, Amanatiadis, Gasteratos, IROS 2016 and IJRR 37(1) 2018; sections 4.4.1 and 4.4.2 of the chapter. What differs
-from the papers, each for a reason found on images that do not judge:
-* A lone response is no revisit yet, and a revisit need not have one: the filters suppress a way driven backwards. So
-  the best sequences by response and the best by plain similarity propose, whatever the threshold.
-* The images of the proposed sequences and of their neighbours are ranked by their word vectors; the best are compared
-  feature by feature, and the geometry of an image and of those around it joins the response in the score.
+Bampis, Amanatiadis, Gasteratos, IROS 2016 and IJRR 37(1) 2018; sections 4.4.1 and 4.4.2 of the chapter. Deviations from
+the papers (reasons and figures: docs/decisions/sequence_paradigms.md):
+* Sequences are proposed without a threshold: the best ones by filter response and the best ones by similarity.
+* The images of the proposed sequences and of their neighbours are ranked by their word vectors, and the best ones are
+  compared feature by feature. The score is the filter response plus the evidence of geometry.
 """
 
 from collections.abc import Callable
@@ -16,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
-from place_recognition.belief.geometric_verification import VerificationConfig
-from place_recognition.belief.hindsight import HindsightConfig, Opinion
-from place_recognition.belief.judge import Judge
-from place_recognition.belief.matrix_filter import CausalFilter, FilterConfig, normalised
-from place_recognition.belief.proof import Proof, ProofConfig
+from place_recognition.belief.geometric_verification import EpipolarConfig
+from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsensusConfig
+from place_recognition.belief.judge import CandidateVerifier
+from place_recognition.belief.matrix_filter import FilterConfig, OnlineMatrixFilter, normalize_row
+from place_recognition.belief.proof import CandidateVerificationConfig, VerificationResult
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.verdicts import Verdicts
+from place_recognition.belief.verdicts import DelayedDecision
 from place_recognition.image_processing.features import FeatureCache, check_gray
 from place_recognition.map.route import ImageHistory, ImageHistoryConfig
 from place_recognition.map.sequence_map import SequenceMap
@@ -30,13 +29,14 @@ from place_recognition.map.sequences import Segmentation
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.map.word_tree import HybridWordIndex
 from place_recognition.map.word_vectors import ImageWords, WordVector, word_vector
-from place_recognition.recognizer import Belief, NoRows, RowSink
+from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-ALL = 1_000_000  # more words than a sequence has
+ALL_WORDS = 1_000_000  # more words than a sequence has
 
+# Scores of two word vectors by their cosine.
 SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {
     "scaled-l2": scaled_l2_score_of_cosine,
     "l2": l2_score_of_cosine,
@@ -45,76 +45,78 @@ SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {
 
 
 @dataclass(frozen=True)
-class MatchingConfig:
-    """How sequences are matched, and then images.
+class SequenceMatchingConfig:
+    """How sequences, and then images, are matched.
 
     Attributes:
-        features: strongest of an image that become words.
-        power: of the number of times that a word occurs in a sequence (see `word_vector`). With 1, as published, the
-            best four sequences hold the right one in 0.86 of the revisits of simulated blocks, with 0.5 in 0.91.
-        asked: words of greatest weight of a sequence with which it is compared with earlier ones. The time of a query
-            grows with it and with the map; at a million images all thousand words would take most of a second.
-        score: of two word vectors: scaled-l2, l2 (equation 4.6 as printed) or cosine.
-        least_divisor: a row is divided by at least so much (eq. 4.7).
-        sequences: best sequences by response, and as many by similarity, whose images are looked at.
-        images: best images of those that are compared feature by feature.
-        worth: powers of ten that a response at the filter's threshold adds to the evidence of geometry.
-        least_response: a match whose sequence responds less is not accepted; any will do where geometry decides.
-        route: what is kept of each image, and which are past.
-        proof: how a revisit is proved.
-        consistency: which earlier proofs speak for a new one.
-        hindsight: what the images around one say for it.
+        word_features: number of strongest features of an image that become visual words.
+        tf_power: exponent of the term frequency of a word in a sequence (`word_vector`). The papers' 1 gives repeated
+            structure more weight than 0.5.
+        max_query_words: number of words of largest weight of a sequence with which it is compared with earlier ones.
+            The time of a query grows with it and with the map.
+        score: score of two word vectors: "scaled-l2", "l2" (equation 4.6 as printed) or "cosine".
+        min_divisor: lower bound of the divisor of a row (eq. 4.7).
+        max_sequences: number of best sequences by response, and of best ones by similarity, that propose images.
+        max_candidates: number of best images of those that are compared feature by feature.
+        response_weight: evidence, in powers of ten, of a response at the filter's threshold.
+        min_response: smallest response of an accepted match; the default accepts any, so that geometry decides.
+        route: which features are kept of each image, and which images may be matched.
+        verification: how candidates are verified geometrically.
+        consistency: which earlier results support a new one.
+        consensus: the delayed decision.
     """
 
-    features: int = 300
-    power: float = 0.5
-    asked: int = 256
+    word_features: int = 300
+    tf_power: float = 0.5
+    max_query_words: int = 256
     score: str = "scaled-l2"
-    least_divisor: float = 0.05
-    sequences: int = 4
-    images: int = 8
-    worth: float = 10.0
-    least_response: float = -100.0
+    min_divisor: float = 0.05
+    max_sequences: int = 4
+    max_candidates: int = 8
+    response_weight: float = 10.0
+    min_response: float = -100.0
     route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
-    proof: ProofConfig = field(default_factory=lambda: ProofConfig(verification=VerificationConfig(least_inliers=12)))
+    verification: CandidateVerificationConfig = field(
+        default_factory=lambda: CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12))
+    )
     consistency: ConsistencyConfig = field(default_factory=ConsistencyConfig)
-    hindsight: HindsightConfig = field(default_factory=HindsightConfig)
+    consensus: SequenceConsensusConfig = field(default_factory=SequenceConsensusConfig)
 
     def __post_init__(self) -> None:
+        """Raise ValueError for an unknown score."""
         if self.score not in SCORES:
             raise ValueError(f"expected a score of {', '.join(SCORES)}, got {self.score!r}")
 
 
-def published_matching(threshold: float) -> MatchingConfig:
-    """The papers' numbers where they are known: plain term frequencies, 12 inliers, no revisit without a response.
+def make_published_matching(threshold: float) -> SequenceMatchingConfig:
+    """Return the papers' numbers where they are known: plain term frequencies, 12 inliers, a response at the threshold.
 
-    The score is the one in [0, 1] all the same: with equation 4.6 as printed, no revisit would reach the learnt
+    The score is nevertheless the one in [0, 1]: with equation 4.6 as printed, no revisit would reach the learnt
     filter's threshold of 3.5.
     """
-    proof = ProofConfig(verification=VerificationConfig(least_inliers=12))
-    return MatchingConfig(
-        power=1.0,
-        asked=ALL,
-        least_divisor=0.005,
-        least_response=threshold,
-        proof=proof,
-        hindsight=HindsightConfig.none(),
+    return SequenceMatchingConfig(
+        tf_power=1.0,
+        max_query_words=ALL_WORDS,
+        min_divisor=0.005,
+        min_response=threshold,
+        verification=CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12)),
+        consensus=SequenceConsensusConfig.disabled(),
     )
 
 
 @dataclass(frozen=True)
-class _Sequence:
-    """A sequence that has ended and waits for the next one, without which its row cannot be filtered.
+class _EndedSequence:
+    """A sequence that has ended; its row can be filtered when the next sequence has ended too.
 
     Attributes:
         images: locations of its images.
-        horizons: the latest location that each of them may be matched with.
-        vector: of its words.
+        last_matchable: latest location that each of its images may be matched with.
+        vector: word vector of the sequence.
         row: (S,) normalised scores with earlier sequences.
     """
 
     images: range
-    horizons: list[int]
+    last_matchable: list[int]
     vector: WordVector
     row: Floats
 
@@ -135,64 +137,75 @@ class _Sequence:
         return cls(images, state["horizons"], WordVector(**state["vector"]), state["row"])
 
 
-class SequenceMatching:
-    """Finds revisits through sequences of images: both paradigms consist of this, a segmentation and a filter."""
+class SequenceRecognizer:
+    """Recognises places by sequences of images (a PlaceRecognizer); answers when the next sequence has ended.
+
+    Each paradigm of `place_recognition.paradigms.sequences` is this with its own segmentation and filter.
+    """
 
     def __init__(
         self,
         features: FeatureCache,
         vocabulary: Vocabulary,
         segmentation: Segmentation,
-        config: MatchingConfig,
+        config: SequenceMatchingConfig,
         matrix_filter: FilterConfig,
+        rows: MatrixSink | None = None,
     ) -> None:
         self.config = config
         self._features, self._segmentation = features, segmentation
         self._vocabulary = vocabulary.require(features.kind)
-        self._index = HybridWordIndex()  # 99.4 % of the words that an exhaustive search finds, in 0.6 of the time
+        self._index = HybridWordIndex()  # finds 99.4 % of the words of an exhaustive search in 0.6 of its time
         self._index.add(vocabulary.words)
-        self._threshold, self._filter = matrix_filter.threshold, CausalFilter(matrix_filter.kernel)
+        self._threshold, self._filter = matrix_filter.threshold, OnlineMatrixFilter(matrix_filter.kernel)
         self._route = ImageHistory(config.route)
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
-        self._judge = Judge(self._route.images, config.proof, config.consistency)
-        self._verdicts = Verdicts(self._route, self.config.hindsight)
-        self._open: list[int] = []  # horizons of the images of the sequence that has not ended
-        self._waiting: _Sequence | None = None
-        self._rows: RowSink = NoRows()
+        self._verifier = CandidateVerifier(self._route.images, config.verification, config.consistency)
+        self._decision = DelayedDecision(self._route, config.consensus)
+        self._open: list[int] = []  # latest matchable location of each image of the sequence that has not ended
+        self._waiting: _EndedSequence | None = None
+        self._rows = NullMatrixSink() if rows is None else rows
 
-    def show_rows(self, rows: RowSink) -> None:
-        """Hand the matrix's rows to a sink from now on: one a sequence, known by its first image."""
-        self._rows = rows
+    @property
+    def word_count(self) -> int:
+        """Number of words of the vocabulary."""
+        return len(self._vocabulary)
 
-    def observe(self, image_id: int, image: NDArray[np.uint8], travelled: float) -> list[Belief]:
-        """Add an image; if it begins a sequence, answer for the images of the last but one before it."""
+    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
+        """Add an image; if it begins a sequence, answer for the images of the last but one before it.
+
+        Args:
+            image_id: greater than the one before.
+            image: (H, W) uint8, grey.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same, where it is not measured.
+        """
         check_gray(image)
         features = self._features.get(image_id, image)
-        location = self._route.add(image_id, features, travelled)
-        words = self._assign(features.descriptors[: self.config.features])
-        begins = self._segmentation.starts_sequence(words, travelled)
-        opinions = self._end_sequence(location - 1) if begins else []
-        self._words.add(words)
+        location = self._route.add(image_id, features, distance_travelled_m)
+        words = self._assign(features.descriptors[: self.config.word_features])
+        begins = self._segmentation.starts_sequence(words, distance_travelled_m)
+        answered = self._end_sequence(location - 1) if begins else []
+        self._words.add(words)  # after the sequence has ended, to which this image does not belong
         self._open.append(self._route.last_matchable())
-        return self._settled(opinions)
+        return self._decide(answered)
 
     def finish(self) -> list[Belief]:
         """Answer for the images of the last two sequences."""
-        opinions = self._end_sequence(self._route.latest)
+        answered = self._end_sequence(self._route.latest)
         if self._waiting is not None:
-            opinions += self._answer(self._waiting, self._filter.finish())
+            answered += self._answer(self._waiting, self._filter.finish())
         self._waiting = None
-        return self._settled(opinions) + self._verdicts.finish()
+        return self._decide(answered) + self._decision.finish()
 
-    def _settled(self, opinions: list[Opinion]) -> list[Belief]:
-        return [belief for opinion in opinions for belief in self._verdicts.add(opinion)]
+    def _decide(self, answered: list[CandidateBeliefs]) -> list[Belief]:
+        return [belief for candidates in answered for belief in self._decision.add(candidates)]
 
     def _assign(self, descriptors: Floats) -> Indices:
         return self._index.nearest(descriptors) if len(descriptors) else np.empty(0, np.int64)
 
-    def _end_sequence(self, last: int) -> list[Opinion]:
-        """Compare the open sequence with earlier ones; that completes the neighbourhood of the one before it."""
+    def _end_sequence(self, last: int) -> list[CandidateBeliefs]:
+        """End the open sequence at location `last` and answer for the sequence before it, whose row can be filtered."""
         if not self._open:
             return []
         ended = self._compare(range(last + 1 - len(self._open), last + 1))
@@ -201,51 +214,58 @@ class SequenceMatching:
         self._open, self._waiting = [], ended
         return [] if waiting is None else self._answer(waiting, response)
 
-    def _compare(self, images: range) -> _Sequence:
+    def _compare(self, images: range) -> _EndedSequence:
+        """Compare the sequence of these images with all earlier sequences."""
         vector = word_vector(
-            self._words.words_between(images[0], images[-1]), self._vocabulary.weights, self.config.power
+            self._words.words_between(images[0], images[-1]), self._vocabulary.weights, self.config.tf_power
         )
-        asked, score = vector.strongest(self.config.asked), SCORES[self.config.score]
-        scores = score(self._map.index.cosines(asked, self._map.count_ended_by(self._open[-1]))).astype(np.float32)
-        previous = float(score(asked.cosine(self._waiting.vector))) if self._waiting else 1.0
-        row = normalised(scores, previous, self.config.least_divisor)
-        return _Sequence(images, self._open, vector, row)
+        heaviest, score = vector.strongest(self.config.max_query_words), SCORES[self.config.score]
+        scores = score(self._map.index.cosines(heaviest, self._map.count_ended_by(self._open[-1]))).astype(np.float32)
+        # The first sequence has no predecessor, and no earlier sequences to compare with either.
+        previous = float(score(heaviest.cosine(self._waiting.vector))) if self._waiting else 1.0
+        row = normalize_row(scores, previous, self.config.min_divisor)
+        return _EndedSequence(images, self._open, vector, row)
 
-    def _answer(self, sequence: _Sequence, response: Floats | None) -> list[Opinion]:
-        assert response is not None  # a sequence waits, so the filter has its row
-        self._show(sequence.images[0], sequence.row, "similarity")
-        self._show(sequence.images[0], response, "filtered")
-        pool = self._map.images_near(_best_of((response, sequence.row), self.config.sequences))
+    def _answer(self, sequence: _EndedSequence, response: Floats | None) -> list[CandidateBeliefs]:
+        assert response is not None  # the filter has the row of each waiting sequence
+        self._record(sequence.images[0], sequence.row, "similarity")
+        self._record(sequence.images[0], response, "filtered")
+        # The filters suppress a pass in the opposite direction, so the best ones by plain similarity propose too.
+        pool = self._map.images_near(_best_columns((response, sequence.row), self.config.max_sequences))
         return [
-            self._opinion(location, pool[pool <= horizon], horizon, response)
-            for location, horizon in zip(sequence.images, sequence.horizons, strict=True)
+            self._match(location, pool[pool <= last_matchable], last_matchable, response)
+            for location, last_matchable in zip(sequence.images, sequence.last_matchable, strict=True)
         ]
 
-    def _show(self, query: int, row: Floats, stage: str) -> None:
+    def _record(self, query: int, row: Floats, stage: str) -> None:
+        """Hand a row to the matrix sink; each sequence has the id of its first image."""
         firsts = self._map.first(np.arange(len(row)))
         self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row.astype(np.float64), stage)
 
-    def _opinion(self, query: int, pool: Indices, horizon: int, response: Floats) -> Opinion:
-        alike = _spread(pool, self._words.correlation(query, pool), self.config.images)
-        proofs = self._judge.judge(query, alike, horizon)
-        return Opinion.of(int(self._route.ids[query]), proofs, lambda proof: self._belief(proof, response))
+    def _match(self, query: int, pool: Indices, last_matchable: int, response: Floats) -> CandidateBeliefs:
+        """Match the image at location `query` with the most similar images of a pool of locations."""
+        candidates = _most_similar(pool, self._words.correlation(query, pool), self.config.max_candidates)
+        results = self._verifier.verify(query, candidates, last_matchable)
+        query_id = int(self._route.ids[query])
+        return CandidateBeliefs.from_results(query_id, results, lambda result: self._make_belief(result, response))
 
     def _response_at(self, location: int, response: Floats) -> float:
-        """The response of the sequence of an image, or of the one before or after it if that is greater."""
+        """The largest response of the sequence of an image and of the sequences before and after it."""
+        # Sequences of two passes are cut at different images, so a match near the end may respond in the next one.
         sequence = self._map.sequence_of(location)
         around = response[max(sequence - 1, 0) : sequence + 2]
         return float(around.max()) if len(around) else 0.0
 
-    def _belief(self, proof: Proof, responses: Floats) -> Belief:
-        response = self._response_at(proof.location, responses)
+    def _make_belief(self, result: VerificationResult, responses: Floats) -> Belief:
+        response = self._response_at(result.location, responses)
         return Belief(
-            query=int(self._route.ids[proof.query]),
-            match=int(self._route.ids[proof.location]),
-            score=self.config.worth * max(response, 0.0) / self._threshold + proof.evidence,
-            accepted=proof.verified and response >= self.config.least_response,
-            inliers=proof.inliers,
-            verified=proof.verified,
-            pixels=proof.pixels,
+            query=int(self._route.ids[result.query]),
+            match=int(self._route.ids[result.location]),
+            score=self.config.response_weight * max(response, 0.0) / self._threshold + result.evidence,
+            accepted=result.verified and response >= self.config.min_response,
+            inliers=result.inliers,
+            verified=result.verified,
+            pixels=result.pixels,
         )
 
     def state(self) -> dict[str, Any]:
@@ -275,27 +295,29 @@ class SequenceMatching:
         self._waiting = None if state["waiting"] is None else _Sequence.from_state(state["waiting"])
 
 
-def _best_of(rows: tuple[Floats, ...], count: int) -> Indices:
-    """Columns, rising, that are among the first so many of at least one of the rows (S,), and above 0 there."""
-    return np.unique(np.concatenate([_best(row, count) for row in rows]))
+def _best_columns(rows: tuple[Floats, ...], max_count: int) -> Indices:
+    """Columns, rising, that are among the `max_count` best of at least one of the rows (S,) and positive there."""
+    return np.unique(np.concatenate([_best_of_row(row, max_count) for row in rows]))
 
 
-def _best(row: Floats, count: int) -> Indices:
-    best = np.argpartition(-row, count)[:count] if len(row) > count else np.arange(len(row))
+def _best_of_row(row: Floats, max_count: int) -> Indices:
+    # Their order does not matter, so a partition is enough: O(S) instead of O(S log S).
+    best = np.argpartition(-row, max_count)[:max_count] if len(row) > max_count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)
 
 
-def _spread(locations: Indices, likeness: Floats, count: int) -> list[int]:
-    """So many of the locations (K,), the most alike first; of neighbours the better one, as they show the same.
+def _most_similar(locations: Indices, similarity: Floats, max_count: int) -> list[int]:
+    """Up to `max_count` of the locations (K,), the most similar first, no two of them adjacent.
 
-    Images that are no more alike than any two, like those without features, are left out.
+    Adjacent images show the same, so the better one is enough. Images without any similarity are left out, like those
+    without features.
     """
     chosen: list[int] = []
-    order = np.argsort(-likeness, kind="stable")
-    for k in order[likeness[order] > 0]:
+    order = np.argsort(-similarity, kind="stable")
+    for k in order[similarity[order] > 0]:
         location = int(locations[k])
         if location - 1 not in chosen and location + 1 not in chosen:
             chosen.append(location)
-        if len(chosen) == count:
+        if len(chosen) == max_count:
             break
     return chosen

@@ -72,7 +72,7 @@ def places(
 
     Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
     """
-    from slam.places.command import recognise_places
+    from slam.places.command import recognize_places
     from slam.places.options import PlacesOptions
 
     options = PlacesOptions(
@@ -91,7 +91,7 @@ def places(
         kind=dataset_format,
         topics=tuple(image_topic or ()),
     )
-    interrupted = recognise_places(options, Console(stderr=True), Console(), json)
+    interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 

@@ -133,11 +133,11 @@ def _text(value: object) -> str:
 
 def _write(options: LoopsOptions, out: Path, metrics: dict[str, object], curve: PrecisionRecall) -> None:
     from slam.report.figures import save_png
-    from slam.report.place_figures import precision_recall_picture
+    from slam.report.place_figures import plot_precision_recall
 
     with RunFolder.create(out, options.overwrite) as folder:
         write_metrics(folder.path / "metrics.json", metrics)
         write_curve(folder.path / "precision_recall.csv", curve)
-        picture = precision_recall_picture({"all matches": curve}, options.matches.name)
+        picture = plot_precision_recall({"all matches": curve}, options.matches.name)
         save_png(picture, folder.path / "precision_recall.png")
         folder.commit()

@@ -12,7 +12,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from place_recognition.image_processing.features import FeatureExtractor
-from place_recognition.paradigms.catalogue import local_features
+from place_recognition.paradigms.catalogue import make_feature_extractor
 from slam.config import RunConfig, from_values
 from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError
@@ -95,7 +95,7 @@ def _extractor(store: MapDatabase) -> FeatureExtractor:
     """Of the features that the map is made of."""
     try:
         config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")
-        return local_features(config.place_recognition)
+        return make_feature_extractor(config.place_recognition)
     except (ConfigError, ValueError) as error:
         raise DataError(
             f"{store.path}: expected the settings of its drive, found others ({error}); run again"

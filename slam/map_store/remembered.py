@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from place_recognition.recognizer import RowSink
+from place_recognition.recognizer import MatrixSink
 from slam.config import RunConfig
 from slam.datasets.dataset import Frame
 from slam.datasets.source import Source
@@ -23,7 +23,7 @@ from slam.system import Components
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Build = Callable[[StereoCamera, RunConfig, RowSink | None], Components]
+Build = Callable[[StereoCamera, RunConfig, MatrixSink | None], Components]
 
 
 class ReplayedOdometry:
@@ -107,7 +107,7 @@ def replay_components(path: Path) -> Build:
     with MapDatabase.open(map_file(path)) as store:
         frames = list(store.frames())
 
-    def build(camera: StereoCamera, config: RunConfig, rows: RowSink | None = None) -> Components:
+    def build(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
         odometry = ReplayedOdometry([frame.motion for frame in frames], has_metric_scale=not config.mono)
         components = replace(build_components(camera, config, rows), odometry=odometry)
         landmarks = [frame.landmarks for frame in frames]

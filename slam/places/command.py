@@ -1,4 +1,4 @@
-"""`revisit places`: images in; matches, curves, matrices and their pictures out."""
+"""`revisit places`: reads images and writes matches, precision-recall curves, matrices and their pictures."""
 
 import math
 from collections.abc import Sequence
@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from place_recognition.paradigms.catalogue import ParadigmsConfig, excluding
+from place_recognition.paradigms.catalogue import ParadigmsConfig, with_exclusion
 from place_recognition.recognizer import Belief
 from slam.datasets.left_images import ImageRecording
 from slam.datasets.open import open_left_images
 from slam.errors import ConfigError
 from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
-from slam.places.drive import Bench, Recognised, recognise
-from slam.places.options import PlacesOptions, check
-from slam.places.results import PlacesRecord, make_record, summary, write_results
+from slam.places.drive import PlaceRecognitionRun, RecognizerFactory, run_recognizer
+from slam.places.options import PlacesOptions, check_options
+from slam.places.results import PlacesRecord, make_record, make_summary, write_results
 from slam.progress import progress_bar
 from slam.provenance import provenance
 from slam.stopping import stop_on_interrupt
@@ -24,50 +24,50 @@ from slam.storage.metrics import metrics_text
 from slam.storage.run_folder import RunFolder
 
 
-def recognise_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
+def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
     """Recognise the places of a drive and write every result into `options.out`.
 
     Args:
-        options: where to read and write, and how to recognise.
-        messages: for progress and warnings.
-        results: for the summary.
-        json: print the metrics as JSON instead of a table.
+        options: input, output and settings.
+        messages: console for progress and warnings.
+        results: console for the summary.
+        json: whether to print the metrics as JSON instead of a table.
 
     Returns:
-        Whether the drive was interrupted from the keyboard; its results so far are written all the same.
+        Whether the user interrupted the run; the results so far are written nevertheless.
 
     Raises:
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
-    check(options)
+    check_options(options)
     images = open_left_images(options.recording)
-    record = recognise_images(options, images, resolve_ground_truth(options, images), messages)
+    record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
 
-def recognise_images(
+def recognize_images(
     options: PlacesOptions, images: ImageRecording, truth: RevisitTruth, messages: Console
 ) -> PlacesRecord:
-    """Recognise the places of images that are open already, and write every result into `options.out`.
+    """Recognise the places of opened images and write every result into `options.out`.
 
     Raises:
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     config = _config(options, images)
     with RunFolder.create(options.out, options.overwrite) as folder:
-        done = _recognised(options, config, images, messages)
-        record = make_record(done, truth, provenance(options.source, images.name) | _settings(options))
+        run = _run(options, config, images, messages)
+        record = make_record(run, truth, provenance(options.source, images.name) | _settings(options))
         write_results(folder.path, record)
         folder.commit()
     return record
 
 
 def resolve_ground_truth(options: PlacesOptions, images: ImageRecording) -> RevisitTruth:
-    """The truth that was named, else that of the poses which the recording brings along, else none.
+    """Return the ground truth of the option, else that of the recording's own poses, else an unknown truth.
 
     Raises:
-        DataError: the file is missing, damaged or of another size than the drive.
+        DataError: the file is missing or damaged, or its size differs from the number of images.
     """
     if options.ground_truth is not None:
         truth = read_revisit_truth(options.ground_truth)
@@ -79,34 +79,34 @@ def resolve_ground_truth(options: PlacesOptions, images: ImageRecording) -> Revi
     return truth
 
 
-def without_recent(beliefs: Sequence[Belief], images: ImageRecording, seconds: float | None) -> list[Belief]:
-    """Take matches less than so many seconds old for no detection."""
+def drop_recent_matches(beliefs: Sequence[Belief], images: ImageRecording, min_age_s: float | None) -> list[Belief]:
+    """Replace beliefs whose match is less than `min_age_s` older than the query by beliefs without match."""
     times = images.timestamps
-    if seconds is None or times is None:
+    if min_age_s is None or times is None:
         return list(beliefs)
-    recent = [b.match is not None and times[b.query] - times[b.match] < seconds for b in beliefs]
+    recent = [b.match is not None and times[b.query] - times[b.match] < min_age_s for b in beliefs]
     return [Belief(b.query, None, 0.0, accepted=False) if r else b for b, r in zip(beliefs, recent, strict=True)]
 
 
-def _recognised(
+def _run(
     options: PlacesOptions, config: ParadigmsConfig, images: ImageRecording, messages: Console
-) -> Recognised:
+) -> PlaceRecognitionRun:
     import cv2
 
-    bench = Bench(options.paradigm, config)
+    factory = RecognizerFactory(options.paradigm, config)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
-        done = recognise(images, bench, progress, lambda: stop.requested)
-    if done.interrupted:
-        messages.print(f"Interrupted: finishing with the {done.images} images seen so far.")
-    return replace(done, beliefs=without_recent(done.beliefs, images, options.exclude))
+        run = run_recognizer(images, factory, progress, lambda: stop.requested)
+    if run.interrupted:
+        messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
+    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude))
 
 
 def _config(options: PlacesOptions, images: ImageRecording) -> ParadigmsConfig:
-    """Settings of the command line over the defaults.
+    """The settings of the paradigm: the defaults, changed by the options.
 
     Raises:
-        ConfigError: a time is to be excluded of images without times.
+        ConfigError: `--exclude` is given for images without timestamps.
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
     config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
@@ -116,8 +116,9 @@ def _config(options: PlacesOptions, images: ImageRecording) -> ParadigmsConfig:
         raise ConfigError(
             f"--exclude {options.exclude:g}: expected times.txt beside the images, found none; give --fps"
         )
-    step = float(np.median(np.diff(images.timestamps)))
-    return excluding(config, math.ceil(options.exclude / step - 1e-9))
+    period_s = float(np.median(np.diff(images.timestamps)))
+    # 1e-9: a whole number of periods must not be rounded up to one more.
+    return with_exclusion(config, math.ceil(options.exclude / period_s - 1e-9))
 
 
 def _settings(options: PlacesOptions) -> dict[str, object]:
@@ -133,5 +134,5 @@ def _print(record: PlacesRecord, out: Path, results: Console, json: bool) -> Non
     if json:
         results.print(metrics_text(record.metrics), markup=False, highlight=False, soft_wrap=True)
         return
-    results.print(summary(record))
+    results.print(make_summary(record))
     results.print(f"Pictures: {out / 'precision_recall.png'}, {out / 'matrix.png'}", markup=False, highlight=False)

@@ -1,4 +1,4 @@
-"""One drive through a recogniser: images in, beliefs out."""
+"""Runs a recogniser over a recording: images in, beliefs and stage times out."""
 
 import time
 from collections.abc import Callable
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.map_size import MapSize, map_size
 from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.image_processing.features import FeatureCache, FeatureExtractor, LocalFeatures
-from place_recognition.paradigms.catalogue import ParadigmsConfig, local_features
-from place_recognition.recognizer import Belief, PlaceRecognizer, RowSink
+from place_recognition.paradigms.catalogue import ParadigmsConfig, make_feature_extractor
+from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.clock import StageTimer, timed
 from slam.datasets.prefetch import Recording, prefetch
 from slam.parts import build_recognizer
@@ -19,20 +19,20 @@ from slam.parts import build_recognizer
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
-_WARM_UP_IMAGES = 3
+_WARM_UP_IMAGES = 3  # enough that every numba kernel is compiled before the clock starts
 
 
 @dataclass
-class Recognised:
-    """What became of a drive.
+class PlaceRecognitionRun:
+    """Everything that a run of a recogniser over a recording gave.
 
     Attributes:
-        beliefs: one for each image seen, in the order in which they came.
-        stage_ms: milliseconds by stage, an entry for each image.
-        rows: the matrices.
-        size: of the map in the end.
-        interrupted: the user stopped it.
-        wall_seconds: from the first image to the last belief.
+        beliefs: one for each image seen, in the order in which they became ready.
+        stage_ms: milliseconds of each stage, one entry per image.
+        rows: rows of the similarity matrices.
+        size: size of the map at the end.
+        interrupted: whether the user stopped the run.
+        wall_seconds: time from the first image to the last belief.
     """
 
     beliefs: list[Belief] = field(default_factory=list)
@@ -44,12 +44,12 @@ class Recognised:
 
     @property
     def images(self) -> int:
-        """Images seen."""
+        """Number of images seen."""
         return len(self.stage_ms)
 
 
-class ClockedExtractor:
-    """Counts the time of another extractor as the stage `features` (a FeatureExtractor)."""
+class TimedExtractor:
+    """Measures the time of another extractor as the stage `features` (a FeatureExtractor)."""
 
     def __init__(self, inner: FeatureExtractor, clock: StageTimer) -> None:
         self._inner, self._clock = inner, clock
@@ -60,71 +60,74 @@ class ClockedExtractor:
         return self._inner.kind
 
     def extract(self, image: Image) -> LocalFeatures:
-        """Features of a grey image (H, W) uint8."""
+        """Return the features of a grey image (H, W) uint8."""
         with self._clock.stage("features"):
             return self._inner.extract(image)
 
 
-class Bench:
-    """Builds recognisers of one paradigm whose features and time are accounted for."""
+class RecognizerFactory:
+    """Makes recognisers of one paradigm whose feature extraction is timed apart."""
 
     def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
         self.clock = StageTimer()
         self._paradigm, self._config = paradigm, config
 
-    def build(self, rows: RowSink | None = None) -> PlaceRecognizer:
-        """A recogniser that has seen nothing.
+    def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
+        """Make a recogniser that has seen nothing.
 
         Raises:
-            DataError: its vocabulary or its descriptor cannot serve.
+            DataError: its vocabulary or descriptor file cannot be used.
         """
-        features = FeatureCache(ClockedExtractor(local_features(self._config), self.clock))
+        features = FeatureCache(TimedExtractor(make_feature_extractor(self._config), self.clock))
         return build_recognizer(self._paradigm, features, self._config, rows)
 
 
-def recognise(
-    images: Recording[Image], bench: Bench, show: Callable[[int, int], None], stop: Callable[[], bool]
-) -> Recognised:
-    """Drive through all images, once, in order, with nothing known of the way.
+def run_recognizer(
+    images: Recording[Image],
+    factory: RecognizerFactory,
+    show_progress: Callable[[int, int], None],
+    should_stop: Callable[[], bool],
+) -> PlaceRecognitionRun:
+    """Run a recogniser once over all images, in order, without a measured distance.
 
     Args:
-        images: read ahead by a thread.
-        bench: what to drive with.
-        show: told how many images of how many are done.
-        stop: asked after each image whether to end the drive there.
+        images: images of the recording; a thread reads ahead.
+        factory: makes the recogniser.
+        show_progress: called after each image with the number of images done and their total number.
+        should_stop: called after each image; returns whether to end the run there.
 
     Raises:
-        DataError: an image cannot be read, or see `Bench.build`.
+        DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
     """
-    _warm_up(images, bench)
-    done = Recognised()
-    recognizer, start = bench.build(done.rows), time.perf_counter()
-    for index, image in enumerate(timed(prefetch(images), bench.clock)):
-        with bench.clock.stage("place recognition"):
-            done.beliefs += recognizer.observe(index, image, float("nan"))
-        done.stage_ms.append(_apart(bench.clock.lap()))
-        show(index + 1, len(images))
-        if stop():
-            done.interrupted = True
+    _warm_up(images, factory)
+    run = PlaceRecognitionRun()
+    recognizer, start = factory.make(run.rows), time.perf_counter()
+    for index, image in enumerate(timed(prefetch(images), factory.clock)):
+        with factory.clock.stage("place recognition"):
+            run.beliefs += recognizer.observe(index, image, float("nan"))
+        run.stage_ms.append(_subtract_features(factory.clock.lap()))
+        show_progress(index + 1, len(images))
+        if should_stop():
+            run.interrupted = True
             break
-    done.beliefs += recognizer.finish()
-    return replace(done, size=map_size(recognizer), wall_seconds=time.perf_counter() - start)
+    run.beliefs += recognizer.finish()
+    return replace(run, size=map_size(recognizer), wall_seconds=time.perf_counter() - start)
 
 
-def stage_times(done: Recognised) -> dict[str, Array]:
-    """Milliseconds of each stage for each image (N,)."""
-    stages = dict.fromkeys(stage for spent in done.stage_ms for stage in spent)
-    return {stage: np.array([spent.get(stage, 0.0) for spent in done.stage_ms]) for stage in stages}
+def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
+    """Return the milliseconds (N,) of each stage for the N images."""
+    stages = dict.fromkeys(stage for spent in run.stage_ms for stage in spent)
+    return {stage: np.array([spent.get(stage, 0.0) for spent in run.stage_ms]) for stage in stages}
 
 
-def _warm_up(images: Recording[Image], bench: Bench) -> None:
-    """Have everything compiled, so that the clock counts recognition alone."""
-    recognizer = bench.build()
+def _warm_up(images: Recording[Image], factory: RecognizerFactory) -> None:
+    """Have all kernels compiled on a second recogniser, so that the clock measures recognition alone."""
+    recognizer = factory.make()
     for index in range(min(_WARM_UP_IMAGES, len(images))):
         recognizer.observe(index, images[index], float("nan"))
-    bench.clock.lap()
+    factory.clock.lap()
 
 
-def _apart(spent: dict[str, float]) -> dict[str, float]:
-    """Take the features, which a recogniser asks for from within, out of its own time."""
+def _subtract_features(spent: dict[str, float]) -> dict[str, float]:
+    """Subtract the time of the features, which the recogniser extracts inside `observe`, from its own time."""
     return spent | {"place recognition": spent["place recognition"] - spent.get("features", 0.0)}

@@ -1,4 +1,4 @@
-"""What `revisit places` is asked to do."""
+"""Options of `revisit places`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,23 +12,23 @@ from slam.parts import check_features, check_paradigm
 
 @dataclass(frozen=True)
 class PlacesOptions:
-    """Where to read and write, and how to recognise.
+    """Input, output and settings of `revisit places`; the names are those of the command line.
 
     Attributes:
-        source: recording of any kind.
+        source: recording of any supported kind.
         paradigm: name of the recogniser.
         out: folder for the results.
-        sequence: which of its sequences; None where there is only one.
-        ground_truth: a matrix (.mat, .npz) or poses; None to use the poses that the source has.
-        features: local ones, by name.
-        vocabulary: file, or None for the general one.
-        descriptor: of `global-descriptor`.
-        exclude: images less than so many seconds old are no match; None for the recogniser's own guard alone.
-        fps: images a second, where there are no times.
-        seed: of every random generator.
-        overwrite: replace earlier results.
-        kind: of the source; None to recognise it.
-        topics: of the left camera in a bag; empty to find it.
+        sequence: name of the sequence; None where the source has only one.
+        ground_truth: file with a matrix (.mat, .npz) or with poses; None to use the poses of the source.
+        features: name of the local features.
+        vocabulary: vocabulary file; None for the general vocabulary.
+        descriptor: descriptor of `global-descriptor`.
+        exclude: images less than this number of seconds old are no match; None to leave it to the recogniser.
+        fps: images per second, where the source has no timestamps.
+        seed: seed of every random generator.
+        overwrite: whether to replace earlier results.
+        kind: kind of the source; None to detect it.
+        topics: topics of the left camera in a bag; empty to detect them.
     """
 
     source: Path
@@ -48,12 +48,12 @@ class PlacesOptions:
 
     @property
     def recording(self) -> Source:
-        """What to read."""
+        """The source with the options of how to read it."""
         return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
-def check(options: PlacesOptions) -> None:
-    """Raise ConfigError for a name that does not exist or a number that cannot work."""
+def check_options(options: PlacesOptions) -> None:
+    """Raise ConfigError for an unknown name or a number out of range."""
     check_paradigm(options.paradigm)
     check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:

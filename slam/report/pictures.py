@@ -10,7 +10,7 @@ from slam.record import RunRecord
 from slam.report.cells import cell
 from slam.report.charts import error_over_way, inliers_per_frame, time_per_stage
 from slam.report.maps import map_data, plan_view
-from slam.report.place_figures import matrix_picture, precision_recall_picture
+from slam.report.place_figures import plot_matrix, plot_precision_recall
 from slam.report.reading import alignment
 from slam.report.svg import inline_svg
 
@@ -66,12 +66,12 @@ def places(record: RunRecord) -> list[Picture]:
     if record.curve is not None:
         full = record.curve.recall_at_full_precision
         caption = f"The circle marks R@P100 = {full:.3f}: the highest recall at which no detection is false."
-        curve = precision_recall_picture({"all thresholds": record.curve}, "")
+        curve = plot_precision_recall({"all thresholds": record.curve}, "")
         pictures.append(_picture("places-curve", "Precision over recall", caption, curve))
     for stage, matrix in record.matrices.items():
         title = _STAGES.get(stage, stage)
         caption = "A line beside the diagonal is a stretch of the way that was driven again."
-        pictures.append(_picture(f"places-{stage}", title, caption, matrix_picture(matrix)))
+        pictures.append(_picture(f"places-{stage}", title, caption, plot_matrix(matrix)))
     return pictures
 
 

@@ -1,4 +1,4 @@
-"""The chapter's pictures of place recognition: matrices (Figures 4.7, 4.8, 4.9, 4.12) and curves (Figure 4.16)."""
+"""Figures of place recognition: matrices (the chapter's Figures 4.7, 4.8, 4.9, 4.12) and curves (Figure 4.16)."""
 
 from collections.abc import Mapping
 
@@ -16,11 +16,11 @@ from slam.report.figures import INK, new_figure, style
 Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
-_PANEL = 4.6  # inches
-_CELLS = 600  # a side of a matrix as it is drawn: about the pixels of a panel
+_PANEL_INCHES = 4.6  # side of a panel
+_MAX_CELLS = 600  # largest number of cells drawn along a side of a matrix: about the pixels of a panel
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
-# Colour and dashes of the curves: the dashes tell them apart where the colours do not.
+# Colour and dashes of the curves. The dashes tell them apart in print and for the colour-blind.
 _LINES = (
     (colours.CORRECTED, "-"),
     (colours.ODOMETRY, "--"),
@@ -31,20 +31,18 @@ _LINES = (
 )
 
 
-def places_picture(
-    title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None
-) -> Figure:
-    """Draw the matrices of a drive, before and after their filter, the detections, and the truth where there is one.
+def plot_places(title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None) -> Figure:
+    """Plot the matrices of a run, before and after their filter, the detections, and the ground truth if known.
 
     Args:
-        title: of the whole.
-        matrices: by stage.
-        detections: (K, 2) query and match.
-        truth: (N, N), row = query, column = earlier image.
+        title: title of the figure.
+        matrices: matrix of each stage.
+        detections: (K, 2) query and match of each detection.
+        truth: (N, N) True where two images show one place, row = query, column = earlier image; None if unknown.
     """
     count = len(matrices) + 1 + (truth is not None)
     columns = 2 if count == 4 else count
-    figure = new_figure(_PANEL * columns, (0.86 * _PANEL + 0.35) * -(-count // columns) + 0.35)
+    figure = new_figure(_PANEL_INCHES * columns, (0.86 * _PANEL_INCHES + 0.35) * -(-count // columns) + 0.35)
     figure.set_layout_engine("compressed")  # the panels are square
     panels = list(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
     for panel, (stage, matrix) in zip(panels, matrices.items(), strict=False):
@@ -57,9 +55,9 @@ def places_picture(
     return figure
 
 
-def matrix_picture(matrix: SimilarityMatrix) -> Figure:
-    """Draw one matrix alone."""
-    figure = new_figure(_PANEL + 0.9, _PANEL)
+def plot_matrix(matrix: SimilarityMatrix) -> Figure:
+    """Plot one matrix."""
+    figure = new_figure(_PANEL_INCHES + 0.9, _PANEL_INCHES)
     figure.set_layout_engine("compressed")  # the panel is square
     draw_matrix(figure.subplots(), matrix, "")
     return figure
@@ -68,11 +66,11 @@ def matrix_picture(matrix: SimilarityMatrix) -> Figure:
 def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
     _frame(ax, title, len(matrix.values) * matrix.step)
-    rows, columns, cells = drawn_cells(matrix)
+    rows, columns, cells = reduce_to_cells(matrix)
     if not np.isfinite(cells).any():
         ax.text(0.5, 0.5, "no images were compared", transform=ax.transAxes, ha="center", va="center", color=INK)
         return
-    # Filter responses go far below zero where nothing matches: only what is above the middle tells anything.
+    # Filter responses go far below zero where nothing matches, so colours start at their median.
     low, high = np.nanpercentile(cells, [50.0 if np.nanmin(cells) < 0 else 10.0, 99.8])
     mesh = ax.pcolormesh(
         columns, rows, cells, cmap=_SHADES, vmin=low, vmax=max(high, low + 1e-9), rasterized=True, shading="flat"
@@ -85,7 +83,7 @@ def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
 
 
 def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, images: int) -> None:
-    """Draw the accepted matches: Figure 4.7; right and wrong ones apart where there is a truth."""
+    """Draw the accepted matches: Figure 4.7; true and false ones in different colours if the truth is known."""
     _frame(ax, f"Detections: {len(detections)}", images)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
@@ -102,12 +100,12 @@ def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
     ax.plot(*_columns_first(np.argwhere(truth)), "s", color=colours.CORRECTED, ms=1.4, mew=0, rasterized=True)
 
 
-def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) -> Figure:
-    """Draw precision over recall with a circle at R@P100: Figure 4.16.
+def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> Figure:
+    """Plot precision over recall with a circle at R@P100: Figure 4.16.
 
     Args:
-        curves: by name; none where there is no ground truth.
-        title: of the picture.
+        curves: precision-recall curves by name; empty without ground truth.
+        title: title of the figure.
     """
     figure = new_figure(6.4, 4.8)
     ax = figure.subplots()
@@ -119,7 +117,7 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
         ax.plot(curve.recall, curve.precision, color=colour, ls=dashes, lw=1.8, label=f"{name}: R@P100 {full:.3f}")
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
     if curves:
-        title = "circle: highest recall without a false one"
+        title = "circle: largest recall without a false match"
         clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
         legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
         legend.get_title().set_color(INK)
@@ -130,22 +128,22 @@ def precision_recall_picture(curves: Mapping[str, PrecisionRecall], title: str) 
     return figure
 
 
-def drawn_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
-    """Cells (R, C) of a picture and the edges (R + 1,), (C + 1,) between them, images.
+def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
+    """Reduce a matrix to cells that can be drawn: edges (R + 1,) and (C + 1,) in images, and values (R, C).
 
     A matrix of sequences has rows and columns for a few images only: each stands for the images up to the next one.
-    Thin lines must survive where a cell holds many pairs, so the largest value of them is drawn.
+    A cell that holds many pairs of images gets their largest value, so that thin lines stay visible.
     """
     finite = np.isfinite(matrix.values)
     rows, columns = _begins(finite, axis=1), _begins(finite, axis=0)
     ends = _end(rows, len(finite)), _end(columns, len(finite))
-    rows, columns = rows[:: -(-len(rows) // _CELLS)], columns[:: -(-len(columns) // _CELLS)]
+    rows, columns = rows[:: -(-len(rows) // _MAX_CELLS)], columns[:: -(-len(columns) // _MAX_CELLS)]
     cells = np.fmax.reduceat(np.fmax.reduceat(matrix.values, rows, axis=0), columns, axis=1)
     return np.append(rows, ends[0]) * matrix.step, np.append(columns, ends[1]) * matrix.step, cells
 
 
 def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
-    """Where each cell begins: at the rows (axis 1) or columns (axis 0) that are there if these are few, else at all."""
+    """First row (axis 1) or column (axis 0) of each cell: those with values if they are at most half, else all."""
     there = np.flatnonzero(np.any(finite, axis=axis))
     if 2 * len(there) > len(finite) or not len(there):
         return np.arange(len(finite))
@@ -153,7 +151,7 @@ def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
 
 
 def _end(begins: Ids, size: int) -> int:
-    """Where the last cell ends: after as many images as a cell has at the most."""
+    """End of the last cell: as far from its begin as the longest of the other cells is long."""
     return min(int(begins[-1] + np.diff(begins).max(initial=1)), size)
 
 

@@ -1,4 +1,4 @@
-"""The naive baselines and what they stand on: dense maps, lines in a matrix, and where the present ends."""
+"""The naive baselines and their parts: dense maps, lines in a matrix, and the exclusion of recent images."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ WAY = float("nan")
 
 
 class Collected:
-    """Keeps the rows of each stage (a RowSink)."""
+    """Keeps the rows of each stage (a MatrixSink)."""
 
     def __init__(self):
         self.rows = {"similarity": {}, "filtered": {}}
@@ -112,14 +112,14 @@ def test_a_lap_driven_at_another_speed_is_recognised_by_its_sequence(speed):
     assert np.mean(right) > 0.9
 
 
-def test_a_sequence_is_surer_than_its_last_image():
+def test_a_sequence_has_a_higher_score_than_a_few_images():
     lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
     beliefs = drive(PixelSequences(), lap + lap)[40:]
     assert np.mean([b.score for b in beliefs[10:]]) > 2 * beliefs[2].score
     assert all(b.inliers is None and b.verified for b in beliefs)
 
 
-def test_baselines_hand_out_the_rows_of_their_matrices_up_to_the_present():
+def test_baselines_report_the_rows_of_their_matrices_up_to_the_exclusion():
     lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
     for make in (PixelSequences, lambda rows: GlobalDescriptorMatching(Hog(), rows=rows)):
         rows = Collected()

@@ -1,17 +1,17 @@
-"""Votes, chance and geometry say what they should."""
+"""Votes and their binomial density, descriptor matching, and epipolar verification."""
+
+import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from place_images import kitti_images
 from scipy.stats import binom
 
-from place_recognition.belief.geometric_verification import VerificationConfig, calibrated_inliers, epipolar_inliers
+from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.belief.quantised_matching import count_matches, match_pairs
-from place_recognition.belief.votes import Ballot, count_votes, log_binomial
-from place_recognition.image_processing.surf import Surf
+from place_recognition.belief.votes import Votes, count_votes, expand_spans, log_binomial
 from place_recognition.map.tracked_words import WordMap, Words
 from place_recognition.map.word_index import ExactWordIndex, nearest_words
 
@@ -28,19 +28,6 @@ def two_views(rng, n):
     R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     moved = points @ R.T + [0.8, 0.1, 0.3]
     return [(700 * p[:, :2] / p[:, 2:] + [600, 180]).astype(np.float32) for p in (points, moved)]
-
-
-K = np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]])  # of two_views
-VERIFICATIONS = {
-    "fundamental": epipolar_inliers,
-    "essential": lambda first, second, config: calibrated_inliers(first, second, K, config),
-}
-
-
-@pytest.fixture(params=VERIFICATIONS.values(), ids=VERIFICATIONS.keys())
-def inliers(request):
-    """Finds which matches agree with one geometry."""
-    return request.param
 
 
 @settings(max_examples=50, deadline=None)
@@ -63,45 +50,63 @@ def test_each_word_hit_votes_once_for_each_image_it_spans():
     for first, last in ((0, 1), (1, 1), (1, 2), (3, 4)):
         words.add(Words(np.zeros((1, 2), np.float32), np.array([first]), np.array([last])))
     words.activate_until(4)
-    ballot = count_votes(np.array([0, 2]), words)
-    np.testing.assert_array_equal(ballot.locations, [0, 1, 2])
-    np.testing.assert_array_equal(ballot.votes, [1, 2, 1])
-    np.testing.assert_allclose(ballot.expected, [0.5, 1.5, 0.5])
-    np.testing.assert_allclose(ballot.log_density, binom.logpmf(ballot.votes, 2, np.array([1, 3, 1]) / 4))
+    votes = count_votes(np.array([0, 2]), words)
+    np.testing.assert_array_equal(votes.locations, [0, 1, 2])
+    np.testing.assert_array_equal(votes.votes, [1, 2, 1])
+    np.testing.assert_allclose(votes.expected, [0.5, 1.5, 0.5])
+    np.testing.assert_allclose(votes.log_density, binom.logpmf(votes.votes, 2, np.array([1, 3, 1]) / 4))
+
+
+@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 5)), max_size=20))
+def test_spans_are_expanded_as_by_a_loop(spans):
+    array = np.array([(first, first + length) for first, length in spans], np.int32).reshape(-1, 2)
+    expected = [k for first, length in spans for k in range(first, first + length + 1)]
+    np.testing.assert_array_equal(expand_spans(array), expected)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 300), st.floats(0.001, 0.9))
+def test_above_the_expected_number_more_votes_are_less_likely(trials, p):
+    """The density may stand for the tail of the binomial distribution: beyond the mean both fall."""
+    votes = np.arange(math.ceil(trials * p + 1), trials + 1)
+    density = log_binomial(votes, trials, np.full(len(votes), p))
+    assert np.all(np.diff(density) < 0)
+    tail = binom.logsf(votes - 1, trials, p)  # of at least as many votes
+    assert np.all((density <= tail + 1e-7) | (density < -600))  # below, scipy's tail underflows to 0
 
 
 def test_without_hits_there_are_no_votes():
-    ballot = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
-    assert len(ballot.locations) == 0
-    assert ballot.leaders(3, 1, -20) == []
-    assert ballot.improbability(0, 6) == 0
+    votes = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
+    assert len(votes.locations) == 0
+    assert votes.top_locations(3, 1, -20) == []
+    assert votes.neg_log10_probability(0, 6) == 0
 
 
 @pytest.fixture
-def ballot():
+def example_votes():
     votes, expected, density = np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90])
-    return Ballot(np.array([3, 4, 8, 9]), votes, expected, density)
+    return Votes(np.array([3, 4, 8, 9]), votes, expected, density)
 
 
-def test_the_most_votes_lead_among_the_improbable_and_the_others_follow(ballot):
-    assert ballot.leaders(3, 1, log_threshold=-20) == [8, 4, 3]
-    assert ballot.leaders(3, 1, log_threshold=-100) == [4, 8, 3]
+def test_significant_locations_come_first_by_votes_and_the_others_follow(example_votes):
+    assert example_votes.top_locations(3, 1, log_threshold=-20) == [8, 4, 3]
+    assert example_votes.top_locations(3, 1, log_threshold=-100) == [4, 8, 3]
 
 
-def test_leaders_are_places_apart(ballot):
-    assert ballot.leaders(3, 2, log_threshold=-20) == [8, 4]
-    assert ballot.leaders(1, 1, log_threshold=-20) == [8]
+def test_top_locations_are_apart(example_votes):
+    assert example_votes.top_locations(3, 2, log_threshold=-20) == [8, 4]
+    assert example_votes.top_locations(1, 1, log_threshold=-20) == [8]
 
 
-def test_fewer_votes_than_expected_are_no_match_however_improbable():
-    poor = Ballot(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0]))
-    assert poor.leaders(3, 1, -20) == []
-    assert poor.improbability(7, 0) == 0
+def test_fewer_votes_than_expected_are_no_match_however_unlikely():
+    poor = Votes(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0]))
+    assert poor.top_locations(3, 1, -20) == []
+    assert poor.neg_log10_probability(7, 0) == 0
 
 
-def test_a_location_is_as_improbable_as_the_least_likely_beside_it(ballot):
-    assert ballot.improbability(3, 0) == pytest.approx(5 / np.log(10))
-    assert ballot.improbability(3, 1) == pytest.approx(40 / np.log(10))
+def test_a_location_takes_the_smallest_density_within_the_radius(example_votes):
+    assert example_votes.neg_log10_probability(3, 0) == pytest.approx(5 / np.log(10))
+    assert example_votes.neg_log10_probability(3, 1) == pytest.approx(40 / np.log(10))
 
 
 def test_mutual_matches_undo_a_shuffle():
@@ -127,13 +132,13 @@ def quantised(rng, n, d):
     return np.round(127 * unit(rng, n, d)).astype(np.int8)
 
 
-def plain_pairs(first, second, ratio):
-    """Mutual nearest neighbours that are nearer than ratio times the second nearest, in plain integers."""
+def plain_pairs(first, second):
+    """Mutual nearest neighbours that are nearer than 4/5 of the second nearest, in plain integers."""
     product = first.astype(np.int64) @ second.T.astype(np.int64)
     distance = np.maximum(127**2 - product, 0)
     nearest, back = product.argmax(axis=1), product.argmax(axis=0)
     others = [np.delete(distance[i], nearest[i]).min(initial=10**9) for i in range(len(first))]
-    clear = distance[np.arange(len(first)), nearest] < ratio**2 * np.array(others)
+    clear = 25 * distance[np.arange(len(first)), nearest] < 16 * np.array(others)  # squares of 5 and 4
     return [(i, nearest[i]) for i in range(len(first)) if back[nearest[i]] == i and clear[i]]
 
 
@@ -144,7 +149,7 @@ def test_quantised_descriptors_match_as_in_plain_integers(seed, n, m, d):
     first, second = quantised(rng, n, d), quantised(rng, m, d)
     shared = min(n, m) // 2
     second[:shared] = first[shared : 2 * shared]
-    expected = np.reshape(plain_pairs(first, second, 0.8), (-1, 2))
+    expected = np.reshape(plain_pairs(first, second), (-1, 2))
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
 
 
@@ -172,35 +177,35 @@ def test_an_image_without_features_matches_nothing():
     assert mutual_matches(np.empty((0, 64), np.float32), unit(np.random.default_rng(0), 5)).shape == (0, 2)
 
 
-def test_matches_of_a_rigid_scene_are_proved_and_outliers_named(inliers):
+def test_inliers_of_a_rigid_scene_are_found_and_outliers_are_not():
     rng = np.random.default_rng(3)
     first, second = two_views(rng, 100)
     second[:30] = rng.uniform([0, 0], [1200, 360], (30, 2))
-    agree = inliers(first, second, VerificationConfig())
+    agree = epipolar_inliers(first, second, EpipolarConfig())
     assert agree[30:].mean() > 0.95
     assert agree[:30].mean() < 0.2
 
 
-def test_verification_is_the_same_each_time(inliers):
+def test_verification_is_the_same_each_time():
     first, second = two_views(np.random.default_rng(4), 60)
     first += np.random.default_rng(5).normal(0, 1, first.shape).astype(np.float32)
-    masks = [inliers(first, second, VerificationConfig()) for _ in range(3)]
+    masks = [epipolar_inliers(first, second, EpipolarConfig()) for _ in range(3)]
     np.testing.assert_array_equal(masks[0], masks[1])
     np.testing.assert_array_equal(masks[0], masks[2])
 
 
 @pytest.mark.parametrize("count", [0, 3, 8, 40])
-def test_degenerate_matches_prove_nothing_or_themselves_without_an_error(inliers, count):
+def test_degenerate_matches_cause_no_error(count):
     same = np.full((count, 2), 5, np.float32)
-    agree = inliers(same, same, VerificationConfig())
+    agree = epipolar_inliers(same, same, EpipolarConfig())
     assert agree is None or len(agree) == count
 
 
-def test_random_matches_rarely_look_rigid(inliers):
+def test_random_matches_rarely_look_rigid():
     rng = np.random.default_rng(6)
-    config = VerificationConfig(least_inliers=20)
+    config = EpipolarConfig(min_inliers=20)
     pixels = rng.uniform([0, 0], [1200, 360], (20, 2, 60, 2)).astype(np.float32)
-    assert all(inliers(first, second, config) is None for first, second in pixels)
+    assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)
 
 
 def test_quantised_descriptors_of_real_size_match_as_floats_do():
@@ -210,29 +215,3 @@ def test_quantised_descriptors_of_real_size_match_as_floats_do():
     expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)
     assert len(expected) >= 85
-
-
-def test_an_essential_matrix_knows_the_camera_that_a_fundamental_one_must_guess():
-    rng = np.random.default_rng(7)
-    first, second = two_views(rng, 60)
-    stretched = (second * [1.3, 0.8]).astype(np.float32)  # another camera: still a fundamental matrix
-    config = VerificationConfig(distance=1.0)
-    assert epipolar_inliers(first, stretched, config).mean() > 0.9
-    agree = calibrated_inliers(first, stretched, K, config)
-    assert agree is None or agree.mean() < 0.7
-
-
-@pytest.mark.parametrize("wrong", [np.eye(4), np.zeros((3, 3)), np.full((3, 3), np.nan)])
-def test_what_is_no_calibration_matrix_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"expected a calibration matrix \(3, 3\) with positive focal lengths"):
-        calibrated_inliers(np.zeros((9, 2), np.float32), np.zeros((9, 2), np.float32), wrong, VerificationConfig())
-
-
-def test_both_geometries_find_the_same_inliers_in_real_images(test_data):
-    K05 = np.array([[707.0912, 0, 601.8873], [0, 707.0912, 183.1104], [0, 0, 1]])
-    first, second = (Surf().extract(image) for image in kitti_images(test_data, "05", range(0, 9, 8)))
-    pairs = mutual_matches(first.descriptors, second.descriptors)
-    now, then, config = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]], VerificationConfig()
-    fundamental, essential = epipolar_inliers(now, then, config), calibrated_inliers(now, then, K05, config)
-    assert fundamental.sum() > 50
-    assert np.mean(fundamental == essential) > 0.9

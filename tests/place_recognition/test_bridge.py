@@ -1,4 +1,4 @@
-"""An image between two sure revisits of one stretch of way is spoken for; nothing else changes."""
+"""Short gaps between accepted matches are filled with interpolated matches; nothing else changes."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from place_recognition.belief.bridge import Bridge, BridgeConfig
+from place_recognition.belief.bridge import GapFiller, GapFillerConfig
 from place_recognition.image_processing.features import LocalFeatures
 from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief
@@ -25,75 +25,75 @@ def route(images: int, step: int = 1, blank: tuple[int, ...] = ()) -> ImageHisto
     return made
 
 
-def sure(query: int, match: int) -> Belief:
+def accepted(query: int, match: int) -> Belief:
     return Belief(query, match, 90.0 + query, accepted=True, inliers=80)
 
 
-def unsure(query: int) -> Belief:
+def rejected(query: int) -> Belief:
     return Belief(query, 3, 2.0, accepted=False, inliers=0, verified=False)
 
 
-def settled(beliefs: list[Belief], step: int = 1, blank: tuple[int, ...] = ()) -> list[Belief]:
-    bridge = Bridge(route(100, step, blank))
-    return [b for belief in beliefs for b in bridge.add([belief])] + bridge.finish()
+def fill(beliefs: list[Belief], step: int = 1, blank: tuple[int, ...] = ()) -> list[Belief]:
+    filler = GapFiller(route(100, step, blank))
+    return [b for belief in beliefs for b in filler.add([belief])] + filler.finish()
 
 
-def test_an_image_between_two_sure_ones_gets_the_match_between_theirs():
-    before, between, after = settled([sure(50, 10), unsure(51), sure(52, 12)])
-    assert (before, after) == (sure(50, 10), sure(52, 12))
+def test_an_image_between_two_accepted_ones_gets_the_interpolated_match():
+    before, between, after = fill([accepted(50, 10), rejected(51), accepted(52, 12)])
+    assert (before, after) == (accepted(50, 10), accepted(52, 12))
     assert between == Belief(51, 11, 140.0, accepted=False, inliers=0, verified=True)
 
 
-def test_ids_with_gaps_are_bridged_to_ids_that_exist():
-    assert settled([sure(150, 30), unsure(153), unsure(156), sure(159, 36)], step=3)[1].match == 33
+def test_a_filled_match_has_an_id_that_exists_where_ids_have_gaps():
+    assert fill([accepted(150, 30), rejected(153), rejected(156), accepted(159, 36)], step=3)[1].match == 33
 
 
-def test_a_way_driven_backwards_is_bridged_too():
-    assert [b.match for b in settled([sure(50, 20), unsure(51), unsure(52), sure(53, 17)])] == [20, 19, 18, 17]
+def test_a_revisit_in_the_opposite_direction_is_filled_too():
+    assert [b.match for b in fill([accepted(50, 20), rejected(51), rejected(52), accepted(53, 17)])] == [20, 19, 18, 17]
 
 
 @pytest.mark.parametrize(
     "beliefs",
     [
-        [sure(50, 10), unsure(51), sure(52, 30)],
-        [sure(50, 10), unsure(51), unsure(52), unsure(53), sure(54, 14)],
-        [unsure(50), sure(51, 11), unsure(52)],
+        [accepted(50, 10), rejected(51), accepted(52, 30)],
+        [accepted(50, 10), rejected(51), rejected(52), rejected(53), accepted(54, 14)],
+        [rejected(50), accepted(51, 11), rejected(52)],
     ],
-    ids=["two places", "a long gap", "no sure one on one side"],
+    ids=["two places", "a long gap", "no accepted one on one side"],
 )
-def test_what_cannot_be_bridged_stays_as_it_is(beliefs):
-    assert settled(beliefs) == beliefs
+def test_beliefs_around_a_gap_that_cannot_be_filled_stay_as_they_are(beliefs):
+    assert fill(beliefs) == beliefs
 
 
-def test_an_image_that_shows_nothing_has_no_place():
-    assert settled([sure(50, 10), unsure(51), sure(52, 12)], blank=(51,))[1] == unsure(51)
+def test_a_blank_query_gets_no_match():
+    assert fill([accepted(50, 10), rejected(51), accepted(52, 12)], blank=(51,))[1] == rejected(51)
 
 
-def test_an_image_that_shows_nothing_is_no_place():
-    assert settled([sure(50, 10), unsure(51), sure(52, 12)], blank=(11,))[1].match == 10
-    assert settled([sure(50, 10), unsure(51), sure(52, 12)], blank=(9, 10, 11, 12, 13))[1] == unsure(51)
+def test_a_blank_image_is_no_match():
+    assert fill([accepted(50, 10), rejected(51), accepted(52, 12)], blank=(11,))[1].match == 10
+    assert fill([accepted(50, 10), rejected(51), accepted(52, 12)], blank=(9, 10, 11, 12, 13))[1] == rejected(51)
 
 
 def test_a_match_of_its_own_that_fits_is_kept():
     own = Belief(51, 12, 2.0, accepted=False, inliers=7, verified=False)
-    assert settled([sure(50, 10), own, sure(52, 12)])[1].match == 12
+    assert fill([accepted(50, 10), own, accepted(52, 12)])[1].match == 12
 
 
-def test_where_images_agree_goes_with_a_match_and_not_with_another():
+def test_pixels_are_kept_with_their_own_match_and_dropped_with_another():
     pixels = np.ones((7, 4), np.float32)
     own = Belief(51, 12, 2.0, accepted=False, inliers=7, pixels=pixels)
-    assert settled([sure(50, 10), own, sure(52, 12)])[1].pixels is pixels
-    moved = settled([sure(50, 10), replace(own, match=3), sure(52, 12)])[1]
+    assert fill([accepted(50, 10), own, accepted(52, 12)])[1].pixels is pixels
+    moved = fill([accepted(50, 10), replace(own, match=3), accepted(52, 12)])[1]
     assert moved.match == 11
     assert len(moved.pixels) == 0
 
 
 @given(st.lists(st.booleans(), max_size=40))
-def test_every_belief_comes_out_once_in_order_and_at_most_a_few_late(surely):
-    bridge, out = Bridge(route(100), BridgeConfig(longest=2)), []
-    for k, one in enumerate(surely, start=50):
-        out += bridge.add([sure(k, k - 50) if one else unsure(k)])
+def test_every_belief_is_returned_once_in_order_and_at_most_two_images_late(is_accepted):
+    filler, out = GapFiller(route(100), GapFillerConfig(max_gap_images=2)), []
+    for k, one in enumerate(is_accepted, start=50):
+        out += filler.add([accepted(k, k - 50) if one else rejected(k)])
         assert len(out) >= k - 50 + 1 - 2
-    out += bridge.finish()
-    assert [b.query for b in out] == list(range(50, 50 + len(surely)))
-    assert [b.accepted for b in out] == surely
+    out += filler.finish()
+    assert [b.query for b in out] == list(range(50, 50 + len(is_accepted)))
+    assert [b.accepted for b in out] == is_accepted

@@ -1,4 +1,4 @@
-"""All paradigms under one roof."""
+"""The registry makes every paradigm by its name and passes on an exclusion to each."""
 
 from dataclasses import fields, is_dataclass
 from typing import ClassVar
@@ -11,7 +11,7 @@ from place_recognition.evaluation.map_size import count_array_bytes, map_size
 from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
-from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, build, excluding
+from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig, make_recognizer, with_exclusion
 
 NAMES = {
     "sequence-histograms",
@@ -37,34 +37,38 @@ def test_the_names_are_those_of_the_command_line():
 
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(ValueError, match=r"unknown paradigm .guess.: expected one of .*tracked-words"):
-        build("guess", FeatureCache(Surf()))
+        make_recognizer("guess", FeatureCache(Surf()))
 
 
 def test_a_vocabulary_of_other_features_is_refused_with_its_file(tmp_path):
     file = tmp_path / "orb.vocabulary"
     save_vocabulary(file, Vocabulary("orb-256", np.eye(4, dtype=np.float32), np.ones(4, np.float32)))
     with pytest.raises(ValueError, match=r"orb\.vocabulary: expected a vocabulary of surf-upright-64 features"):
-        build("dynamic-sequences", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(file)))
+        make_recognizer("dynamic-sequences", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(file)))
 
 
 def test_a_damaged_vocabulary_is_refused_with_its_file(tmp_path):
     (tmp_path / "x.vocabulary").write_bytes(b"words")
     with pytest.raises(ValueError, match=r"x\.vocabulary"):
-        build("sequence-histograms", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary")))
+        make_recognizer(
+            "sequence-histograms", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary"))
+        )
 
 
 def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(ValueError, match="unknown global descriptor 'magic'"):
-        build("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor="magic"))
+        make_recognizer("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor="magic"))
     with pytest.raises(ValueError, match=r"none\.onnx: expected an ONNX file, found none"):
-        build("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx"))
+        make_recognizer(
+            "global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx")
+        )
 
 
 def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
     config = ParadigmsConfig()
-    changed = excluding(config, 40)
+    changed = with_exclusion(config, 40)
     assert exclusions(changed) == [40] * len(PARADIGMS)
-    assert excluding(changed, 0) == config
+    assert with_exclusion(changed, 0) == config
 
 
 class RememberingSurf(Surf):
@@ -86,9 +90,9 @@ def two_laps():
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_laps, name):
+def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two_laps, name):
     def beliefs(images):
-        recognizer = build(name, FeatureCache(RememberingSurf()), excluding(ParadigmsConfig(), images))
+        recognizer = make_recognizer(name, FeatureCache(RememberingSurf()), with_exclusion(ParadigmsConfig(), images))
         found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
         return found + recognizer.finish()
 
@@ -99,8 +103,8 @@ def test_nothing_within_an_exclusion_is_matched_but_what_is_beyond_still_is(two_
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_a_map_grows_with_what_is_seen(two_laps, name):
-    recognizer = build(name, FeatureCache(RememberingSurf()))
+def test_a_map_grows_with_the_images(two_laps, name):
+    recognizer = make_recognizer(name, FeatureCache(RememberingSurf()))
     sizes = []
     for i, image in enumerate(two_laps):
         recognizer.observe(i, image, float("nan"))

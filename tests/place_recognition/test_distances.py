@@ -59,3 +59,16 @@ def test_a_zero_vector_is_unlike_everything():
 def test_vectors_of_different_lengths_are_refused():
     with pytest.raises(ValueError, match=r"expected vectors of the same length, got shapes \(3,\) and \(4,\)"):
         euclidean_distance(np.zeros(3), np.zeros(4))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_distances_are_metrics_and_scores_of_word_vectors_lie_in_their_range(seed, n):
+    p, q, r = np.random.default_rng(seed).random((3, n))
+    for distance in (sum_of_absolute_differences, euclidean_distance):
+        assert distance(p, p) == 0
+        assert distance(p, q) == distance(q, p)
+        assert distance(p, r) <= distance(p, q) + distance(q, r) + 1e-12
+    assert 1 - np.sqrt(0.5) - 1e-12 <= l2_score(p, q) <= 1
+    assert 0 <= scaled_l2_score(p, q) <= 1
+    assert scaled_l2_score(p, 7 * q) == pytest.approx(scaled_l2_score(p, q))

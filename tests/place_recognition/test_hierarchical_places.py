@@ -77,7 +77,7 @@ def test_a_second_pass_through_a_changed_camera_is_recognised(passes, revisit):
     assert np.mean(offsets(revisit[2], len(passes[0])) <= 2) > 0.95
 
 
-def test_ever_new_places_are_not_recognised(passes, revisit):
+def test_new_places_are_not_recognised(passes, revisit):
     assert not any(b.accepted for b in revisit[2][: len(passes[0])])
 
 
@@ -104,7 +104,7 @@ def test_the_votes_of_an_image_go_to_the_place_that_holds_its_match(passes, revi
     assert beliefs[query].match in ids[votes == votes.max()]
 
 
-def test_words_are_asked_for_only_when_their_place_is_past(passes):
+def test_words_are_searched_only_when_their_place_is_outside_the_exclusion(passes):
     indices = []
     recognizer, _, _ = drive(passes[0], index=lambda: indices.append(CountingIndex()) or indices[-1])
     sizes = indices[0].sizes
@@ -112,7 +112,7 @@ def test_words_are_asked_for_only_when_their_place_is_past(passes):
     assert 0 < sizes[-1] < recognizer.word_count
 
 
-def test_an_image_with_hardly_any_features_gets_a_quiet_no_match(passes, revisit):
+def test_an_image_with_hardly_any_features_gets_no_match(passes, revisit):
     first, second = passes
     images = [*first, *second[:20], np.full_like(first[0], 90), *second[21:]]
     beliefs = drive(images)[2]

@@ -119,8 +119,8 @@ def test_votes_are_as_improbable_as_scipy_says():
     np.testing.assert_array_equal(ballot.places, [0])  # the others have no more than expected
     np.testing.assert_array_equal(ballot.votes, [5])
     assert ballot.log_density[0] == pytest.approx(binom.logpmf(5, 8, 10 / 40))
-    assert ballot.improbability(0) == pytest.approx(-np.log10(binom.pmf(5, 8, 0.25)))
-    assert ballot.improbability(2) == 0
+    assert ballot.neg_log10_probability(0) == pytest.approx(-np.log10(binom.pmf(5, 8, 0.25)))
+    assert ballot.neg_log10_probability(2) == 0
 
 
 def test_the_least_likely_place_comes_first():

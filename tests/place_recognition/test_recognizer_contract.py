@@ -1,4 +1,4 @@
-"""What every recogniser promises. A new paradigm joins by its line in the catalogue."""
+"""The contract of every recogniser. A new paradigm joins by its line in the registry."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ from place_images import sliding_view, textured_world
 
 from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
 from place_recognition.recognizer import Belief
 
 STEP = 2.0  # metres from image to image
@@ -37,12 +37,12 @@ class RememberingSurf(Surf):
 @pytest.fixture(scope="module", params=PARADIGMS)
 def make(request):
     """Makes a recogniser that has seen nothing."""
-    return lambda: build(request.param, FeatureCache(RememberingSurf()))
+    return lambda: make_recognizer(request.param, FeatureCache(RememberingSurf()))
 
 
 @pytest.fixture(scope="module")
 def lap():
-    """Forty images of one way past ever new things."""
+    """Forty images along one path, each with new texture."""
     return sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
 
 
@@ -67,7 +67,7 @@ def test_ids_may_start_anywhere_and_leave_gaps(make, two_laps, expected):
     assert [b.match for b in beliefs] == [None if b.match is None else 100 + 5 * b.match for b in expected]
 
 
-def test_matches_are_always_earlier_images_well_apart(expected):
+def test_matches_are_earlier_images_outside_the_latest_ones(expected):
     matched = [b for b in expected if b.match is not None]
     assert all(0 <= b.match < b.query - 2 for b in matched)
 
@@ -90,7 +90,7 @@ def test_two_runs_give_the_same_beliefs(make, two_laps, expected):
     assert all(np.array_equal(one.pixels, other.pixels) for one, other in zip(again, expected, strict=True))
 
 
-def test_where_two_images_agree_is_told_of_a_match_that_geometry_has_seen(expected):
+def test_a_verified_match_has_the_pixels_of_its_inliers(expected):
     lap = len(expected) // 2
     assert all(len(b.pixels) in (0, b.inliers or 0) for b in expected)
     seen_again = [b.pixels for b in expected if b.accepted and b.match == b.query - lap and len(b.pixels)]
@@ -98,13 +98,13 @@ def test_where_two_images_agree_is_told_of_a_match_that_geometry_has_seen(expect
     assert all(np.median(np.abs(pixels[:, :2] - pixels[:, 2:])) == 0 for pixels in seen_again)  # the very same image
 
 
-def test_beliefs_do_not_depend_on_what_comes_later(make, two_laps, expected):
+def test_beliefs_do_not_depend_on_later_images(make, two_laps, expected):
     recognizer = make()
     begun = [b for i, image in enumerate(two_laps[:60]) for b in recognizer.observe(i, image, STEP * i)]
     assert begun == expected[: len(begun)]
 
 
-def test_images_are_left_as_they_are_and_may_be_overwritten_after(make, two_laps, expected):
+def test_images_are_not_changed_and_may_be_overwritten_afterwards(make, two_laps, expected):
     recognizer, beliefs = make(), []
     buffer = np.empty_like(two_laps[0])
     for i, image in enumerate(two_laps):
@@ -114,7 +114,7 @@ def test_images_are_left_as_they_are_and_may_be_overwritten_after(make, two_laps
     assert beliefs + recognizer.finish() == expected
 
 
-def test_black_images_match_nothing_and_stop_nothing(make, two_laps):
+def test_black_images_match_nothing_and_the_others_are_still_recognised(make, two_laps):
     images = list(two_laps)
     for k in (0, 20, 21, 60):
         images[k] = np.zeros_like(images[k])
@@ -134,12 +134,12 @@ def test_images_may_change_their_size(make, two_laps):
     assert len(drive(make(), images)) == len(images)
 
 
-@pytest.mark.parametrize("way", [0.0, float("nan")], ids=["no way measured", "way unknown"])
-def test_standing_still_is_no_revisit(make, lap, way):
+@pytest.mark.parametrize("distance_m", [0.0, float("nan")], ids=["no distance measured", "distance unknown"])
+def test_standing_still_is_no_revisit(make, lap, distance_m):
     rng, recognizer, beliefs = np.random.default_rng(0), make(), []
     for i, image in enumerate(lap[:20] + 60 * [lap[20]] + lap[21:]):
         noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-        beliefs += recognizer.observe(i, noisy, way)
+        beliefs += recognizer.observe(i, noisy, distance_m)
     assert not any(b.accepted for b in beliefs + recognizer.finish())
 
 

@@ -7,11 +7,15 @@ from place_images import changed, kitti_images, sliding_view, textured_world
 from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.vocabulary import Vocabulary, default_vocabulary
-from place_recognition.paradigms.dynamic_sequences import DynamicSequences, DynamicSequencesConfig
-from place_recognition.paradigms.sequence_histograms import SequenceHistograms, SequenceHistogramsConfig
-from place_recognition.paradigms.sequence_matching import MatchingConfig
+from place_recognition.paradigms.sequence_matching import SequenceMatchingConfig
+from place_recognition.paradigms.sequences import (
+    DynamicSequencesConfig,
+    SequenceHistogramsConfig,
+    make_dynamic_sequences,
+    make_sequence_histograms,
+)
 
-PARADIGMS = pytest.mark.parametrize("paradigm", [SequenceHistograms, DynamicSequences])
+PARADIGMS = pytest.mark.parametrize("paradigm", [make_sequence_histograms, make_dynamic_sequences])
 
 
 class Rows(dict):
@@ -21,11 +25,11 @@ class Rows(dict):
         self[stage, query] = (matches, values)
 
 
-def beliefs_of(paradigm, images, way=float("nan"), config=None):
-    """Beliefs and rows of a drive; way from image to image, metres."""
+def beliefs_of(paradigm, images, step_m=float("nan"), config=None):
+    """Beliefs and rows of a drive; `step_m` is the distance between images."""
     rows = Rows()
     recognizer = paradigm(FeatureCache(Surf()), default_vocabulary(), config, rows)
-    beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, way * i)]
+    beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, step_m * i)]
     return beliefs + recognizer.finish(), rows
 
 
@@ -56,20 +60,21 @@ def test_a_second_pass_is_recognised_and_the_first_is_not(paradigm, two_passes):
 
 
 @PARADIGMS
-def test_a_camera_that_backs_home_finds_its_way_out_although_the_filter_suppresses_it(paradigm, test_data):
+def test_a_revisit_in_the_opposite_direction_is_recognised_although_the_filter_suppresses_it(paradigm, test_data):
     order = [*range(0, 60, 2), *range(59, 0, -2)]
     images = kitti_images(test_data, "05", range(60))
-    beliefs, _ = beliefs_of(paradigm, [images[k] for k in order], way=1.7)
+    beliefs, _ = beliefs_of(paradigm, [images[k] for k in order], step_m=1.7)
     accepted = [b for b in beliefs if b.accepted]
     assert len(accepted) > 10
     assert all(abs(order[b.query] - order[b.match]) <= 5 for b in accepted)
 
 
 @PARADIGMS
-def test_published_settings_accept_only_what_responds(paradigm, two_passes):
-    published = {SequenceHistograms: SequenceHistogramsConfig, DynamicSequences: DynamicSequencesConfig}[paradigm]
-    config = published.published()
-    assert config.filter.threshold == {SequenceHistograms: 0.32, DynamicSequences: 3.5}[paradigm]
+def test_published_settings_accept_only_sequences_with_a_response(paradigm, two_passes):
+    config = {make_sequence_histograms: SequenceHistogramsConfig, make_dynamic_sequences: DynamicSequencesConfig}[
+        paradigm
+    ].published()
+    assert config.filter.threshold == {make_sequence_histograms: 0.32, make_dynamic_sequences: 3.5}[paradigm]
     beliefs, rows = beliefs_of(paradigm, two_passes, config=config)
     starts = np.array(sorted(query for stage, query in rows if stage == "filtered"))
     for belief in beliefs:
@@ -79,15 +84,15 @@ def test_published_settings_accept_only_what_responds(paradigm, two_passes):
 
 
 @PARADIGMS
-def test_a_drive_of_one_sequence_or_of_none_is_answered(paradigm):
+def test_runs_of_at_most_one_sequence_are_answered(paradigm):
     images = sliding_view(textured_world(400, seed=2), [0, 10, 20])
     for count in range(4):
-        beliefs, _ = beliefs_of(paradigm, images[:count], way=1.0)
+        beliefs, _ = beliefs_of(paradigm, images[:count], step_m=1.0)
         assert [(b.query, b.match) for b in beliefs] == [(k, None) for k in range(count)]
 
 
 @PARADIGMS
-def test_words_of_other_features_are_refused(paradigm):
+def test_a_vocabulary_of_other_features_is_refused(paradigm):
     words = Vocabulary("orb-256", np.eye(256, dtype=np.float32), np.ones(256, np.float32))
     with pytest.raises(ValueError, match="expected a vocabulary of surf-upright-64 features, found one of orb-256"):
         paradigm(FeatureCache(Surf()), words)
@@ -95,4 +100,4 @@ def test_words_of_other_features_are_refused(paradigm):
 
 def test_an_unknown_score_is_refused():
     with pytest.raises(ValueError, match="expected a score of scaled-l2, l2, cosine, got 'l1'"):
-        MatchingConfig(score="l1")
+        SequenceMatchingConfig(score="l1")

@@ -16,11 +16,11 @@ class Rows(dict):
         self[query] = (matches, values)
 
 
-def beliefs_of(images, way=None):
+def beliefs_of(images, distances_m=None):
     rows = Rows()
     recognizer = TrackedWords(FeatureCache(Surf()), rows=rows)
-    ways = np.full(len(images), np.nan) if way is None else way
-    beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(ways[i]))]
+    distances_m = np.full(len(images), np.nan) if distances_m is None else distances_m
+    beliefs = [b for i, image in enumerate(images) for b in recognizer.observe(i, image, float(distances_m[i]))]
     return rows, beliefs + recognizer.finish()
 
 
@@ -45,26 +45,26 @@ def test_a_second_pass_through_a_changed_camera_is_recognised(drives, revisit):
     assert np.mean(np.abs(offsets) <= 2) > 0.95
 
 
-def test_ever_new_places_are_not_recognised(drives, revisit):
+def test_new_places_are_not_recognised(drives, revisit):
     assert not any(b.accepted for b in revisit[1][: len(drives[0])])
 
 
-def test_a_camera_that_backs_home_finds_the_places_of_its_way_out(test_data):
+def test_a_revisit_in_the_opposite_direction_is_recognised(test_data):
     frames = kitti_images(test_data, "05", range(60))
     order = [*range(0, 60, 2), *range(59, 0, -2)]
-    _, beliefs = beliefs_of([frames[k] for k in order], way=np.arange(60.0))
+    _, beliefs = beliefs_of([frames[k] for k in order], distances_m=np.arange(60.0))
     accepted = [b for b in beliefs if b.accepted]
     assert len(accepted) > 10
     assert all(abs(order[b.query] - order[b.match]) <= 5 for b in accepted)
 
 
-def test_a_match_keeps_the_least_way_from_its_query():
+def test_a_match_keeps_the_smallest_distance_from_its_query():
     images = sliding_view(textured_world(700, seed=3), list(range(0, 360, 9)))
-    way = 0.5 * np.arange(80)
-    _, beliefs = beliefs_of(images + images, way)
+    distance_m = 0.5 * np.arange(80)
+    _, beliefs = beliefs_of(images + images, distance_m)
     matched = [b for b in beliefs if b.match is not None]
     assert matched
-    assert all(way[b.query] - way[b.match] >= 20 for b in matched)
+    assert all(distance_m[b.query] - distance_m[b.match] >= 20 for b in matched)
 
 
 def test_the_votes_of_an_image_go_to_the_place_it_matches(drives, revisit):

@@ -62,18 +62,18 @@ def metrics(out: Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def judged(two_laps: Path, truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def evaluated(two_laps: Path, truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "run"
     assert places(two_laps, out, "--ground-truth", truth) == 0
     return out
 
 
-def test_every_file_is_written_and_nothing_else(judged: Path) -> None:
-    assert {path.name for path in judged.iterdir()} == FILES
+def test_every_file_is_written_and_nothing_else(evaluated: Path) -> None:
+    assert {path.name for path in evaluated.iterdir()} == FILES
 
 
-def test_the_metrics_hold_what_scripts_read(judged: Path) -> None:
-    found = metrics(judged)
+def test_the_metrics_hold_what_scripts_read(evaluated: Path) -> None:
+    found = metrics(evaluated)
     assert found["places"]["recall_at_100_precision"] > 0.8
     assert (found["places"]["truth_rows"], found["places"]["queries"], found["frames"]) == (LAP, 2 * LAP, 2 * LAP)
     assert found["places"]["words"] > 0
@@ -83,25 +83,25 @@ def test_the_metrics_hold_what_scripts_read(judged: Path) -> None:
     assert found["ground_truth"].endswith("loops.npz")
 
 
-def test_the_matches_are_read_back_and_agree_with_the_metrics(judged: Path) -> None:
-    beliefs = read_matches(judged / "matches.csv")
-    places_section = metrics(judged)["places"]
+def test_the_matches_are_read_back_and_agree_with_the_metrics(evaluated: Path) -> None:
+    beliefs = read_matches(evaluated / "matches.csv")
+    places_section = metrics(evaluated)["places"]
     assert [belief.query for belief in beliefs] == list(range(2 * LAP))
     accepted = [belief for belief in beliefs if belief.accepted]
     assert len(accepted) == places_section["true_positives"] + places_section["false_positives"]
-    with np.load(judged / "matrix.npz") as arrays:
+    with np.load(evaluated / "matrix.npz") as arrays:
         assert arrays["similarity"].shape == (2 * LAP, 2 * LAP)
         assert arrays["detections"].tolist() == [[b.query, b.match] for b in accepted]
 
 
-def test_the_curve_ends_at_the_recall_of_all_detections(judged: Path) -> None:
-    lines = (judged / "precision_recall.csv").read_text().splitlines()
+def test_the_curve_ends_at_the_recall_of_all_detections(evaluated: Path) -> None:
+    lines = (evaluated / "precision_recall.csv").read_text().splitlines()
     assert lines[0] == "threshold,precision,recall,true_positives,false_positives"
     thresholds = [float(line.split(",")[0]) for line in lines[1:]]
     assert thresholds == sorted(thresholds, reverse=True)
 
 
-def test_without_a_truth_its_figures_are_null_and_say_why(two_laps: Path, tmp_path: Path) -> None:
+def test_without_a_truth_its_metrics_are_null_with_a_reason(two_laps: Path, tmp_path: Path) -> None:
     assert places(two_laps, tmp_path / "out") == 0
     found = metrics(tmp_path / "out")
     assert found["places"]["recall_at_100_precision"] is None
@@ -132,7 +132,7 @@ def test_json_goes_to_standard_output_and_nothing_else_does(
     assert json.loads(capsys.readouterr().out) == metrics(tmp_path / "out")
 
 
-def test_what_is_excluded_is_matched_by_nobody(two_laps: Path, truth: Path, tmp_path: Path) -> None:
+def test_excluded_images_are_not_matched(two_laps: Path, truth: Path, tmp_path: Path) -> None:
     assert places(two_laps, tmp_path / "out", "--ground-truth", truth, "--exclude", 20, "--fps", 1) == 0
     assert metrics(tmp_path / "out")["places"]["true_positives"] > 10
     assert places(two_laps, tmp_path / "more", "--ground-truth", truth, "--exclude", 40, "--fps", 1) == 0
@@ -157,14 +157,14 @@ def test_black_images_and_changing_sizes_stop_nothing(tmp_path: Path, paradigm: 
 def test_an_interruption_keeps_what_there_is(
     two_laps: Path, truth: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupting(images, bench, show, stop):  # type: ignore[no-untyped-def]
-        def shown(done: int, total: int) -> None:
+    def interrupting(images, factory, show_progress, should_stop):  # type: ignore[no-untyped-def]
+        def interrupt_at_40(done: int, total: int) -> None:
             if done == 40:
                 os.kill(os.getpid(), signal.SIGINT)
 
-        return places_drive.recognise(images, bench, shown, stop)
+        return places_drive.run_recognizer(images, factory, interrupt_at_40, should_stop)
 
-    monkeypatch.setattr("slam.places.command.recognise", interrupting)
+    monkeypatch.setattr("slam.places.command.run_recognizer", interrupting)
     assert places(two_laps, tmp_path / "out", "--ground-truth", truth) == 130
     found = metrics(tmp_path / "out")
     assert (found["frames"], found["interrupted"], found["places"]["truth_rows"]) == (40, True, 10)
@@ -224,21 +224,21 @@ def garbage(folder: Path) -> Path:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_one_line_and_leaves_earlier_results_alone(
-    judged: Path, two_laps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str
+    evaluated: Path, two_laps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str
 ) -> None:
     arguments, code, message = FAULTS[fault]
-    before = {path.name: path.read_bytes() for path in judged.iterdir()}
-    assert places(two_laps, judged, "--overwrite", *arguments(tmp_path)) == code
+    before = {path.name: path.read_bytes() for path in evaluated.iterdir()}
+    assert places(two_laps, evaluated, "--overwrite", *arguments(tmp_path)) == code
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert message in error
-    assert {path.name: path.read_bytes() for path in judged.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in evaluated.iterdir()} == before
 
 
 def test_earlier_results_are_not_overwritten_unasked(
-    judged: Path, two_laps: Path, capsys: pytest.CaptureFixture[str]
+    evaluated: Path, two_laps: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert places(two_laps, judged) == 1
+    assert places(two_laps, evaluated) == 1
     assert "--overwrite" in capsys.readouterr().err
 
 

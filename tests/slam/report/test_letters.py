@@ -14,7 +14,7 @@ from matplotlib import image as images
 from place_recognition.evaluation.precision_recall import precision_recall
 from slam.report import letters
 from slam.report.figures import new_figure, save_png
-from slam.report.place_figures import precision_recall_picture
+from slam.report.place_figures import plot_precision_recall
 
 STREET = "街"
 
@@ -79,5 +79,5 @@ def test_a_font_file_that_is_damaged_is_passed_over(font: str, tmp_path: Path):
 
 def test_names_of_curves_are_no_formulas(tmp_path: Path):
     curve = precision_recall([], np.eye(3, dtype=bool))
-    save_png(precision_recall_picture({r"$\frac{a": curve}, r"$\frac{b"), tmp_path / "x.png")
+    save_png(plot_precision_recall({r"$\frac{a": curve}, r"$\frac{b"), tmp_path / "x.png")
     assert images.imread(tmp_path / "x.png").std() > 0.01

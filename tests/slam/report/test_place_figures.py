@@ -9,8 +9,8 @@ from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
 from slam.report.figures import png, save_png
-from slam.report.place_figures import drawn_cells, places_picture, precision_recall_picture
-from slam.report.recall_table import SETS, RecallTable, as_latex, as_picture, as_text
+from slam.report.place_figures import plot_places, plot_precision_recall, reduce_to_cells
+from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
 
 
 def thin_diagonal(size: int) -> SimilarityMatrix:
@@ -21,7 +21,7 @@ def thin_diagonal(size: int) -> SimilarityMatrix:
 
 @pytest.mark.parametrize("size", [7, 601, 1999])
 def test_a_line_of_one_image_is_drawn_however_large_the_matrix(size: int) -> None:
-    rows, columns, cells = drawn_cells(thin_diagonal(size))
+    rows, columns, cells = reduce_to_cells(thin_diagonal(size))
     assert max(cells.shape) <= 600 + 1
     assert (len(rows), len(columns)) == (cells.shape[0] + 1, cells.shape[1] + 1)
     lit = [row for row in range(len(cells)) if rows[row + 1] > size // 2]
@@ -31,14 +31,14 @@ def test_a_line_of_one_image_is_drawn_however_large_the_matrix(size: int) -> Non
 def test_a_matrix_of_sequences_fills_the_images_of_each() -> None:
     values = np.full((40, 40), np.nan, np.float32)
     values[np.ix_([10, 20, 30], [0, 10])] = np.arange(6).reshape(3, 2)
-    rows, columns, cells = drawn_cells(SimilarityMatrix(values))
+    rows, columns, cells = reduce_to_cells(SimilarityMatrix(values))
     assert rows.tolist() == [0, 10, 20, 30, 40]
     assert columns.tolist() == [0, 10, 20]
     assert cells[1:].tolist() == [[0, 1], [2, 3], [4, 5]]
 
 
 def test_cells_of_a_folded_matrix_are_in_images() -> None:
-    rows, _, _ = drawn_cells(SimilarityMatrix(np.zeros((5, 5), np.float32), step=4))
+    rows, _, _ = reduce_to_cells(SimilarityMatrix(np.zeros((5, 5), np.float32), step=4))
     assert rows.tolist() == [0, 4, 8, 12, 16, 20]
 
 
@@ -48,7 +48,7 @@ def test_there_is_a_panel_for_each_matrix_the_detections_and_the_truth(
     truth: np.ndarray | None, stages: tuple[str, ...]
 ) -> None:
     detections = np.array([[20, 5], [29, 3]])
-    figure = places_picture("a $drive$", dict.fromkeys(stages, thin_diagonal(30)), detections, truth)
+    figure = plot_places("a $drive$", dict.fromkeys(stages, thin_diagonal(30)), detections, truth)
     panels = [ax for ax in figure.axes if ax.get_xlabel() == "earlier image"]
     assert len(panels) == len(stages) + 1 + (truth is not None)
     labels = [text.get_text() for text in panels[len(stages)].get_legend().get_texts()]
@@ -58,43 +58,43 @@ def test_there_is_a_panel_for_each_matrix_the_detections_and_the_truth(
 
 def test_a_drive_in_which_nothing_was_compared_can_be_drawn(tmp_path: Path) -> None:
     nothing = SimilarityMatrix(np.full((1, 1), np.nan, np.float32))
-    save_png(places_picture("x", {"similarity": nothing}, np.empty((0, 2), np.int64), None), tmp_path / "x.png")
+    save_png(plot_places("x", {"similarity": nothing}, np.empty((0, 2), np.int64), None), tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 0
 
 
-def test_the_curve_is_circled_at_the_highest_recall_without_a_false_one() -> None:
+def test_the_curve_has_a_circle_at_the_largest_recall_without_a_false_match() -> None:
     truth = np.eye(4, k=-2) > 0
     curve = precision_recall([Belief(2, 0, 5.0, True), Belief(3, 0, 1.0, True)], truth)
-    ax = precision_recall_picture({"ours": curve}, "x").axes[0]
+    ax = plot_precision_recall({"ours": curve}, "x").axes[0]
     circle = ax.lines[1]
     assert (list(circle.get_xdata()), list(circle.get_ydata())) == ([0.5], [1.0])
     assert ax.get_legend().get_texts()[0].get_text() == "ours: R@P100 0.500"
 
 
 def test_without_truth_there_is_no_curve_but_a_picture() -> None:
-    assert "no ground truth" in precision_recall_picture({}, "x").axes[0].texts[0].get_text()
+    assert "no ground truth" in plot_precision_recall({}, "x").axes[0].texts[0].get_text()
 
 
 TABLE = RecallTable(("sequence-histograms", "pixel-sequences"), {("sequence-histograms", "KITTI 00"): 93.25})
 
 
-def test_the_table_has_ours_beside_the_published_and_marks_the_doubtful_value() -> None:
-    lines = as_text(TABLE).splitlines()
+def test_the_table_has_ours_beside_the_published_and_marks_the_disputed_value() -> None:
+    lines = format_text(TABLE).splitlines()
     assert lines[2].split("  ")[0] == "sequence-histograms"
     assert "93.2 (81.5)" in lines[2]
     assert "- (81.5*)" in lines[2]
-    assert lines[3].count("- (-)") == len(SETS)
+    assert lines[3].count("- (-)") == len(DATASETS)
     assert lines[-1].startswith("* 76.8")
 
 
 def test_the_latex_has_a_column_for_each_data_set_and_nothing_unescaped() -> None:
-    latex = as_latex(TABLE)
+    latex = format_latex(TABLE)
     body = [line for line in latex.splitlines() if line.endswith(r"\\")]
     assert len(body) == 3
-    assert all(line.count("&") == len(SETS) for line in body)
+    assert all(line.count("&") == len(DATASETS) for line in body)
     assert "%" not in latex.replace(r"\%", "").replace("% * 76.8", "")
 
 
 def test_the_table_can_be_drawn() -> None:
-    assert len([ax for ax in as_picture(TABLE).axes if ax.get_title() in SETS]) == len(SETS)
-    assert png(as_picture(TABLE)).startswith(b"\x89PNG")
+    assert len([ax for ax in plot_table(TABLE).axes if ax.get_title() in DATASETS]) == len(DATASETS)
+    assert png(plot_table(TABLE)).startswith(b"\x89PNG")

@@ -1,0 +1,90 @@
+"""The two paradigms of sequences: a segmentation and a matrix filter for one `SequenceRecognizer` each.
+
+* sequence-histograms (section 4.4.1): sequences of a fixed distance and a hand-made filter. Bampis, Amanatiadis,
+  Gasteratos, 'Encoding the Description of Image Sequences: A Two-Layered Pipeline for Loop Closure Detection', IROS
+  2016.
+* dynamic-sequences (section 4.4.2): sequences that end where the view changes and a learnt filter. Bampis, Amanatiadis,
+  Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1) 2018.
+
+How both deviate from the papers: `sequence_matching`.
+"""
+
+from dataclasses import dataclass, field
+
+from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
+from place_recognition.image_processing.features import SharedFeatures
+from place_recognition.map.sequences import FixedWay, FixedWayConfig, WordVariance, WordVarianceConfig
+from place_recognition.map.vocabulary import Vocabulary
+from place_recognition.paradigms.sequence_matching import (
+    SequenceMatchingConfig,
+    SequenceRecognizer,
+    make_published_matching,
+)
+from place_recognition.recognizer import MatrixSink
+
+
+@dataclass(frozen=True)
+class SequenceHistogramsConfig:
+    """Settings of the paradigm of sequences of a fixed distance.
+
+    Attributes:
+        sequences: length of a sequence.
+        filter: kernel of equation 4.8 and the threshold of its response.
+        matching: how sequences, and then images, are matched.
+    """
+
+    sequences: FixedWayConfig = field(default_factory=FixedWayConfig)
+    filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
+    matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
+
+    @classmethod
+    def published(cls) -> "SequenceHistogramsConfig":
+        """Return the paper's numbers: sequences of 5 m (Table III), threshold k = 0.32, 12 inliers."""
+        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), make_published_matching(0.32))
+
+
+@dataclass(frozen=True)
+class DynamicSequencesConfig:
+    """Settings of the paradigm of sequences that end where the view changes.
+
+    Attributes:
+        sequences: when a sequence ends.
+        filter: kernel of equation 4.12 and the threshold of its response. The paper's threshold is 3.5; damped term
+            frequencies (`SequenceMatchingConfig.tf_power`) make all responses smaller, and in simulated blocks those of
+            other places stayed below 2.2.
+        matching: how sequences, and then images, are matched.
+    """
+
+    sequences: WordVarianceConfig = field(default_factory=WordVarianceConfig)
+    filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNED, 2.2))
+    matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
+
+    @classmethod
+    def published(cls) -> "DynamicSequencesConfig":
+        """Return the paper's numbers: variance 0.75, for a vocabulary of a million words, and threshold k' = 3.5."""
+        sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
+        return cls(sequences, FilterConfig(LEARNED, 3.5), make_published_matching(3.5))
+
+
+def make_sequence_histograms(
+    features: SharedFeatures,
+    vocabulary: Vocabulary,
+    config: SequenceHistogramsConfig | None = None,
+    rows: MatrixSink | None = None,
+) -> SequenceRecognizer:
+    """Make a recogniser of sequences of a fixed distance that has seen nothing."""
+    config = config or SequenceHistogramsConfig()
+    segmentation = FixedWay(config.sequences)
+    return SequenceRecognizer(features, vocabulary, segmentation, config.matching, config.filter, rows)
+
+
+def make_dynamic_sequences(
+    features: SharedFeatures,
+    vocabulary: Vocabulary,
+    config: DynamicSequencesConfig | None = None,
+    rows: MatrixSink | None = None,
+) -> SequenceRecognizer:
+    """Make a recogniser of sequences that end where the view changes; it has seen nothing."""
+    config = config or DynamicSequencesConfig()
+    segmentation = WordVariance(len(vocabulary), config.sequences)
+    return SequenceRecognizer(features, vocabulary, segmentation, config.matching, config.filter, rows)
