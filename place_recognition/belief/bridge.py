@@ -100,9 +100,9 @@ class GapFiller:
     def state(self) -> dict[str, Any]:
         """The latest accepted belief and those after it, for a checkpoint."""
         before = None if self._before is None else dict(vars(self._before))
-        return {"accepted": before, "waiting": [dict(vars(belief)) for belief in self._unsure]}
+        return {"accepted": before, "waiting": [dict(vars(belief)) for belief in self._gap]}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._before = None if state["accepted"] is None else Belief(**state["accepted"])
-        self._unsure = [Belief(**belief) for belief in state["waiting"]]
+        self._gap = [Belief(**belief) for belief in state["waiting"]]

@@ -110,14 +110,14 @@ class CandidateBeliefs:
         """Beliefs and proofs as plain values and arrays, for a checkpoint."""
         return {
             "beliefs": [dict(vars(belief)) for belief in self.beliefs],
-            "proofs": [dict(vars(proof)) for proof in self.proofs],
+            "proofs": [dict(vars(proof)) for proof in self.results],
         }
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> "Opinion":
+    def from_state(cls, state: dict[str, Any]) -> "CandidateBeliefs":
         """The opinion of a state."""
         beliefs = tuple(Belief(**belief) for belief in state["beliefs"])
-        return cls(beliefs, tuple(Proof(**proof) for proof in state["proofs"]))
+        return cls(beliefs, tuple(VerificationResult(**proof) for proof in state["proofs"]))
 
 
 class SequenceConsensus:
@@ -198,15 +198,15 @@ class SequenceConsensus:
         return _sum_best_per_image(against, steps, np.ones(len(steps), bool))
 
     def state(self) -> dict[str, Any]:
-        """The opinions of the window, for a checkpoint."""
-        return {"opinions": [opinion.state() for opinion in self._opinions], "num_waiting": self._waiting}
+        """The candidate beliefs of the window, for a checkpoint."""
+        return {"candidates": [candidates.state() for candidates in self._candidates], "num_undecided": self._undecided}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        for opinion in map(Opinion.from_state, state["opinions"]):
-            self._opinions.append(opinion)
-            self._surest.append(_surest(opinion.proofs, self.config.window))
-        self._waiting = state["num_waiting"]
+        for candidates in map(CandidateBeliefs.from_state, state["candidates"]):
+            self._candidates.append(candidates)
+            self._witnesses.append(_best_apart(candidates.results, self.config.window))
+        self._undecided = state["num_undecided"]
 
 
 def _mean_best_evidence(own: Array, on_line: Array) -> Array:

@@ -110,7 +110,7 @@ class ImagePairMatches:
 
 
 def rank_candidates(
-    images: ImageStore, query: int, candidates: Sequence[int], config: CandidateVerificationConfig
+    images: FeatureStore, query: int, candidates: Sequence[int], config: CandidateVerificationConfig
 ) -> list[int]:
     """Return the `max_verified` candidates with the most feature matches, best first; ties keep their order."""
     if len(candidates) == 0:

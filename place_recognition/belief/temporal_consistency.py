@@ -84,4 +84,4 @@ class TemporalConsistency:
 
     def restore(self, state: list[dict[str, Any]]) -> None:
         """Continue from a state."""
-        self._recent = deque((Proof(**proof) for proof in state), maxlen=self._recent.maxlen)
+        self._recent = deque((VerificationResult(**proof) for proof in state), maxlen=self._recent.maxlen)

@@ -24,9 +24,9 @@ class DelayedDecision:
 
     def state(self) -> dict[str, Any]:
         """Everything that waits for later images, for a checkpoint."""
-        return {"consensus": self._hindsight.state(), "gaps": self._bridge.state()}
+        return {"consensus": self._consensus.state(), "gaps": self._gap_filler.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._hindsight.restore(state["consensus"])
-        self._bridge.restore(state["gaps"])
+        self._consensus.restore(state["consensus"])
+        self._gap_filler.restore(state["gaps"])

@@ -208,7 +208,7 @@ class WordMap:
         return {
             "index": self._index.state(),
             "spans": self._spans.state(),
-            "num_covering": self._covering,
+            "word_counts": self._word_counts,
             "waiting": [dict(vars(words)) for words in self._waiting],
         }
 
@@ -216,7 +216,7 @@ class WordMap:
         """Continue from a state."""
         self._index.restore(state["index"])
         self._spans.restore(state["spans"])
-        self._covering = state["num_covering"]
+        self._word_counts = state["word_counts"]
         self._waiting = deque(Words(**words) for words in state["waiting"])
 
 

@@ -235,8 +235,8 @@ class HierarchicalPlaces:
             "history": self._route.state(),
             "open_place": self._open.state(),
             "places": self._places.state(),
-            "consistency": self._judge.state(),
-            "decision": self._verdicts.state(),
+            "consistency": self._verifier.state(),
+            "decision": self._decision.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -244,5 +244,5 @@ class HierarchicalPlaces:
         self._route.restore(state["history"])
         self._open.restore(state["open_place"])
         self._places.restore(state["places"])
-        self._judge.restore(state["consistency"])
-        self._verdicts.restore(state["decision"])
+        self._verifier.restore(state["consistency"])
+        self._decision.restore(state["decision"])

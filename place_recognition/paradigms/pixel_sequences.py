@@ -118,7 +118,7 @@ class PixelSequences:
             "history": self._present.state(),
             "thumbnails": self._pictures.state(),
             "is_blank": self._blank.state(),
-            "likeness": list(self._likeness),
+            "likeness": list(self._similarity),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -127,12 +127,12 @@ class PixelSequences:
         Raises:
             ValueError: of another length of sequences.
         """
-        if len(state["likeness"]) != self.config.length:
-            raise ValueError(f"expected sequences of {self.config.length} images, got {len(state['likeness'])}")
+        if len(state["likeness"]) != self.config.sequence_length:
+            raise ValueError(f"expected sequences of {self.config.sequence_length} images, got {len(state['likeness'])}")
         self._present.restore(state["history"])
         self._pictures.restore(state["thumbnails"])
         self._blank.restore(state["is_blank"])
-        self._likeness.extend(state["likeness"])
+        self._similarity.extend(state["likeness"])
 
 
 @njit(cache=True)

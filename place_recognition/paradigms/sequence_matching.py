@@ -125,13 +125,13 @@ class _EndedSequence:
         return {
             "first_image": self.images.start,
             "last_image": self.images.stop - 1,
-            "horizons": self.horizons,
+            "horizons": self.last_matchable,
             "vector": dict(vars(self.vector)),
             "row": self.row,
         }
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> "_Sequence":
+    def from_state(cls, state: dict[str, Any]) -> "_EndedSequence":
         """The sequence of a state."""
         images = range(state["first_image"], state["last_image"] + 1)
         return cls(images, state["horizons"], WordVector(**state["vector"]), state["row"])
@@ -276,8 +276,8 @@ class SequenceRecognizer:
             "history": self._route.state(),
             "words": self._words.state(),
             "sequences": self._map.state(),
-            "consistency": self._judge.state(),
-            "decision": self._verdicts.state(),
+            "consistency": self._verifier.state(),
+            "decision": self._decision.state(),
             "open_horizons": list(self._open),
             "waiting": None if self._waiting is None else self._waiting.state(),
         }
@@ -289,10 +289,10 @@ class SequenceRecognizer:
         self._route.restore(state["history"])
         self._words.restore(state["words"])
         self._map.restore(state["sequences"])
-        self._judge.restore(state["consistency"])
-        self._verdicts.restore(state["decision"])
+        self._verifier.restore(state["consistency"])
+        self._decision.restore(state["decision"])
         self._open = list(state["open_horizons"])
-        self._waiting = None if state["waiting"] is None else _Sequence.from_state(state["waiting"])
+        self._waiting = None if state["waiting"] is None else _EndedSequence.from_state(state["waiting"])
 
 
 def _best_columns(rows: tuple[Floats, ...], max_count: int) -> Indices:

@@ -12,8 +12,8 @@ How both deviate from the papers: `sequence_matching`.
 from dataclasses import dataclass, field
 
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
-from place_recognition.image_processing.features import SharedFeatures
-from place_recognition.map.sequences import FixedWay, FixedWayConfig, WordVariance, WordVarianceConfig
+from place_recognition.image_processing.features import FeatureCache
+from place_recognition.map.sequences import FixedDistanceSegmentation, FixedDistanceConfig, WordVariance, WordVarianceConfig
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.paradigms.sequence_matching import (
     SequenceMatchingConfig,
@@ -33,14 +33,14 @@ class SequenceHistogramsConfig:
         matching: how sequences, and then images, are matched.
     """
 
-    sequences: FixedWayConfig = field(default_factory=FixedWayConfig)
+    sequences: FixedDistanceConfig = field(default_factory=FixedDistanceConfig)
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
     matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
 
     @classmethod
     def published(cls) -> "SequenceHistogramsConfig":
         """Return the paper's numbers: sequences of 5 m (Table III), threshold k = 0.32, 12 inliers."""
-        return cls(FixedWayConfig(way=5.0), FilterConfig(DIAGONAL, 0.32), make_published_matching(0.32))
+        return cls(FixedDistanceConfig(distance_m=5.0), FilterConfig(DIAGONAL, 0.32), make_published_matching(0.32))
 
 
 @dataclass(frozen=True)
@@ -62,24 +62,24 @@ class DynamicSequencesConfig:
     @classmethod
     def published(cls) -> "DynamicSequencesConfig":
         """Return the paper's numbers: variance 0.75, for a vocabulary of a million words, and threshold k' = 3.5."""
-        sequences = WordVarianceConfig(limit=0.75, of_usual=0.0, least=1, most=1000)
+        sequences = WordVarianceConfig(min_variance=0.75, min_variance_ratio=0.0, min_images=1, max_images=1000)
         return cls(sequences, FilterConfig(LEARNED, 3.5), make_published_matching(3.5))
 
 
 def make_sequence_histograms(
-    features: SharedFeatures,
+    features: FeatureCache,
     vocabulary: Vocabulary,
     config: SequenceHistogramsConfig | None = None,
     rows: MatrixSink | None = None,
 ) -> SequenceRecognizer:
     """Make a recogniser of sequences of a fixed distance that has seen nothing."""
     config = config or SequenceHistogramsConfig()
-    segmentation = FixedWay(config.sequences)
+    segmentation = FixedDistanceSegmentation(config.sequences)
     return SequenceRecognizer(features, vocabulary, segmentation, config.matching, config.filter, rows)
 
 
 def make_dynamic_sequences(
-    features: SharedFeatures,
+    features: FeatureCache,
     vocabulary: Vocabulary,
     config: DynamicSequencesConfig | None = None,
     rows: MatrixSink | None = None,

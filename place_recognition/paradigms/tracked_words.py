@@ -169,8 +169,8 @@ class TrackedWords:
             "tracks": self._tracks.state(),
             "history": self._route.state(),
             "words": self._words.state(),
-            "consistency": self._judge.state(),
-            "decision": self._verdicts.state(),
+            "consistency": self._verifier.state(),
+            "decision": self._decision.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -178,5 +178,5 @@ class TrackedWords:
         self._tracks.restore(state["tracks"])
         self._route.restore(state["history"])
         self._words.restore(state["words"])
-        self._judge.restore(state["consistency"])
-        self._verdicts.restore(state["decision"])
+        self._verifier.restore(state["consistency"])
+        self._decision.restore(state["decision"])
