@@ -63,7 +63,7 @@ def test_a_second_lap_ends_in_the_frame_of_the_first(circle_drive: Path, first: 
     truth = np.concatenate([truth[0:160:2], truth[170:320:2]])
     with MapDatabase.open(tmp_path / "run" / "map.db") as store:
         poses, sessions = store.poses(), store.sessions()
-    assert [session.world for session in sessions] == [0, 0]
+    assert [session.map_id for session in sessions] == [0, 0]
     assert all(session.finished for session in sessions)
     assert trajectory_errors(poses, truth, "se3").ate_m < 0.005 * path_length(truth)
     in_map = read_kitti(tmp_path / "run" / "trajectory_map.txt")
@@ -81,7 +81,7 @@ def test_drives_that_never_meet_stay_apart(circle_drive: Path, first: Path, tmp_
     assert metrics["map"]["kept"] == 0
     assert not (tmp_path / "run" / "trajectory_map.txt").exists()
     with MapDatabase.open(tmp_path / "run" / "map.db") as store, MapDatabase.open(first / "map.db") as known:
-        assert [session.world for session in store.sessions()] == [0, 1]
+        assert [session.map_id for session in store.sessions()] == [0, 1]
         np.testing.assert_array_equal(store.poses()[:80], known.poses())
     assert metrics["odometry"] == alone["odometry"]
     name = "trajectory_odometry.txt"
