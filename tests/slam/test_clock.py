@@ -36,7 +36,7 @@ def test_time_counts_even_when_the_stage_fails():
 def test_the_first_interrupt_is_a_request_and_the_second_one_stops():
     with stop_on_interrupt() as stop:
         os.kill(os.getpid(), signal.SIGINT)
-        assert stop.reserved
+        assert stop.requested
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
 

@@ -14,6 +14,7 @@ from slam.errors import DataError
 from slam.inspection.finding import MapUse, Status
 from slam.inspection.map import inspect_map, is_map
 from slam.localisation.saved_map import SavedMap
+from slam.map_store import schema
 from slam.map_store.store import MapDatabase
 from slam.map_store.summary import as_json, summarize
 
@@ -205,7 +206,7 @@ def test_commands_print_a_table_or_json(
     code, shown = run("info", map_path.parent)
     assert code == 0
     assert "landmarks in 45 key frames" in shown
-    assert json.loads(run("info", map_path, "--json")[1])["version"] == 1
+    assert json.loads(run("info", map_path, "--json")[1])["version"] == schema.VERSION
     code, shown = run("check", map_path)
     assert code == 0
     assert "revisit locate: will work" in shown

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from odometry.motion import Motion
+from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from place_recognition.recognizer import Belief
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import Landmarks, LoopClosure, Rejection
 from slam.map_database.inter_session import (
+    SessionFeatures,
     SessionLoopCloser,
     SessionRecognizer,
     SessionStart,
@@ -156,3 +158,23 @@ def test_a_loop_goes_into_the_map_and_back(geometry: LoopClosure | Rejection | N
 
 def test_a_belief_without_a_match_stays_without_one():
     assert belief_in_session(Belief(41, None, 0.0, accepted=False), FIRST) == Belief(1, None, 0.0, accepted=False)
+
+
+class NoExtractor:
+    """An extractor that must not be asked."""
+
+    kind = "none-8"
+
+    def extract(self, image: np.ndarray) -> LocalFeatures:
+        raise AssertionError("the features are in the cache")
+
+
+def test_the_feature_cache_of_the_map_counts_all_images():
+    cache = SharedFeatures(NoExtractor())
+    session = SessionFeatures(cache, FIRST)
+    ones = np.ones(1, np.float32)
+    features = LocalFeatures(np.ones((1, 2), np.float32), ones, ones, np.ones((1, 8), np.float32))
+    session.give(3, features)
+    assert cache.of(43, IMAGE) is features
+    assert session.of(3, IMAGE) is features
+    assert (session.kind, session.extractor) == (cache.kind, cache.extractor)
