@@ -109,7 +109,7 @@ def driven(drive: Drive) -> Driven:
         graph.add_odometry(T, np.diag(STEP_SIGMAS**2))
         for loop in loops.get(frame, ()):
             graph.add_loop(loop)
-        known.append(graph.latest())
+        known.append(graph.current_pose())
         processor.append(1e3 * (time.process_time() - start[0]))
         clock.append(1e3 * (time.perf_counter() - start[1]))
     at_loop = np.array([frame in loops for frame in range(1, len(known))])
@@ -153,7 +153,7 @@ def print_safety(poses: Array) -> None:
         for seed in (0, 1) if runs else (0,):
             mixed = with_false_runs(drive, runs, length, 3.5, seed)
             result = driven(mixed)
-            last = {change.loop: change.joined for change in result.graph.history}
+            last = {change.loop: change.joined for change in result.graph.loop_events}
             truth = {id(loop): good for loop, good in zip(mixed.loops, mixed.true, strict=True)}
             used = [truth[id(loop)] for k, loop in enumerate(result.graph.loops) if last[k]]
             print(

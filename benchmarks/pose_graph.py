@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from slam.graph_roles import roles
+from slam.graph_roles import classify_edges
 from slam.graph_truth import absolute_error, find_truth
 from slam.loop_closing import LoopClosure
 from slam.pose_graph import PoseGraph
-from slam.pose_graph_batch import chordal, minimum, refined
+from slam.pose_graph_batch import chordal_initialization, optimize, refine
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import inverse
-from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solved
+from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.storage.g2o import read_g2o
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def real_graphs(folder: Path) -> Iterator[Real]:
     """Read the nine graphs."""
     for path in sorted((folder / "pose_graphs" / "kitti_real_loops").glob("*.g2o")):
         graph = read_g2o(path)
-        sorted_ = roles(graph, path.name)
+        sorted_ = classify_edges(graph, path.name)
         truth = find_truth(path, graph, sorted_.trusted, folder / "kitti_poses")
         if truth.loops is not None and truth.positions is not None:
             yield Real(path.stem.removeprefix("kitti_"), sorted_.problem, truth.loops, truth.positions)
@@ -79,7 +79,7 @@ def agreeing(real: Real) -> Edges:
 def _with_false(real: Real, agreeing: bool) -> Edges:
     rng, loops, chain = np.random.default_rng(0), real.problem.loops, real.problem.start
     motions, previous, begin = loops.motions.copy(), (-100, -100), -1
-    late, early = np.maximum(loops.first, loops.second), np.minimum(loops.first, loops.second)
+    late, early = np.maximum(loops.first, loops.second), np.optimize(loops.first, loops.second)
     for k in np.lexsort((early, late)):
         if real.true[k]:
             continue
@@ -105,9 +105,9 @@ def scaled(edges: Edges, factor: float) -> Edges:
 def judge(real: Real, label: str, problem: LoopProblem, back_end: str) -> None:
     """Print one line: ATE against that of the true loops alone, verdicts, time."""
     start, clock = time.perf_counter(), time.process_time()
-    outcome = solved(problem, back_end)
+    outcome = solve(problem, back_end)
     seconds, busy = time.perf_counter() - start, time.process_time() - clock
-    poses = minimum(problem.using(real.true), problem.start) if real.true.any() else problem.start
+    poses = optimize(problem.edges_with(real.true), problem.start) if real.true.any() else problem.start
     best, ate = absolute_error(poses, real.positions), absolute_error(outcome.poses, real.positions)
     kept = outcome.kept
     ok = ate is not None and best is not None and ate <= 1.02 * best and not kept[~real.true].any()
@@ -150,11 +150,11 @@ def judge_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
 def judge_standard(folder: Path, back_ends: list[str]) -> None:
     """Print minima and times of public graphs from odometry alone, and what the back ends make of true loops."""
     for name in STANDARD:
-        problem = roles(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
-        edges = problem.using(np.ones(len(problem.loops), dtype=bool))
-        poses, seconds = timed(lambda edges=edges, problem=problem: minimum(edges, problem.start))
-        start, first = timed(lambda edges=edges, problem=problem: chordal(edges, problem.start))
-        _, plain = timed(lambda edges=edges, start=start: refined(edges, start))
+        problem = classify_edges(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
+        edges = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
+        poses, seconds = timed(lambda edges=edges, problem=problem: optimize(edges, problem.start))
+        start, first = timed(lambda edges=edges, problem=problem: chordal_initialization(edges, problem.start))
+        _, plain = timed(lambda edges=edges, start=start: refine(edges, start))
         print(
             f"{name:14} minimum {0.5 * edges.chi2(poses).sum():12.6g} in {seconds:5.2f} s from odometry; chordal start "
             f"{first:5.2f} s, plain Levenberg-Marquardt from it {plain:5.2f} s: {seconds / (first + plain):.2f} times "
@@ -162,7 +162,7 @@ def judge_standard(folder: Path, back_ends: list[str]) -> None:
             flush=True,
         )
         for back_end in back_ends:
-            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solved(problem, back_end))
+            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solve(problem, back_end))
             print(f"  {back_end:10} kept {outcome.kept.sum()} of {len(problem.loops)} in {seconds:.2f} s", flush=True)
 
 
@@ -212,7 +212,7 @@ def clock_online(drive: Drive) -> None:
         graph.add_odometry(T, covariance)
         if query in loops:
             graph.add_loop(loops[query])
-        graph.latest()
+        graph.current_pose()
         (loop_ms if query in loops else frame_ms).append(1e3 * (time.perf_counter() - start))
     online, batch = (absolute_error(poses, drive.positions) for poses in (graph.poses(), graph.optimize().poses))
     print(

@@ -17,13 +17,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slam.false_loops import KINDS, Contaminated, Injection, contaminated
-from slam.graph_roles import roles
-from slam.pose_graph_batch import minimum
+from slam.false_loops import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
+from slam.graph_roles import classify_edges
+from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Plane, compounded, inverse
 from slam.report.figures import new_figure, save_png, style
-from slam.robust import BACK_ENDS, LoopProblem, solved
+from slam.robust import BACK_ENDS, LoopProblem, solve
 from slam.storage.g2o import read_g2o
 from slam.storage.tables import write_table
 
@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("--back-ends", nargs="+", default=list(BACK_ENDS), choices=list(BACK_ENDS))
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    graphs = {path.stem: roles(read_g2o(path), str(path)).problem for path in arguments.graphs}
+    graphs = {path.stem: classify_edges(read_g2o(path), str(path)).problem for path in arguments.graphs}
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for name, problem in (graphs or {"two_laps": two_laps(arguments.seed)}).items():
@@ -72,12 +72,12 @@ def main() -> None:
 
 def measured(name: str, problem: LoopProblem, arguments: argparse.Namespace) -> Iterator[Row]:
     """Rows of one graph."""
-    clean = problem.using(np.ones(len(problem.loops), dtype=bool))
-    poses = minimum(clean, problem.start)
+    clean = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
+    poses = optimize(clean, problem.start)
     least = float(clean.chi2(poses).sum())
     for kind in arguments.kinds:
         for share in arguments.shares:
-            mixed = contaminated(problem, poses, Injection(kind, share, arguments.seed))
+            mixed = inject_outliers(problem, poses, OutlierConfig(kind, share, arguments.seed))
             for back_end in arguments.back_ends:
                 yield tried(Trial(name, kind, share, back_end), mixed, clean, least)
 
@@ -92,10 +92,10 @@ class Trial:
     back_end: str
 
 
-def tried(trial: Trial, mixed: Contaminated, clean: Edges, least: float) -> Row:
+def tried(trial: Trial, mixed: ContaminatedProblem, clean: Edges, least: float) -> Row:
     """Optimise under one back end and measure against the clean graph (its edges, its least chi-square)."""
     start = time.perf_counter()
-    outcome = solved(mixed.problem, trial.back_end)
+    outcome = solve(mixed.problem, trial.back_end)
     seconds = time.perf_counter() - start
     kept, true = outcome.kept, mixed.true
     ratio = float(clean.chi2(outcome.poses).sum()) / least

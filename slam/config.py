@@ -20,7 +20,7 @@ from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
 from slam.mapping.landmarks import LandmarkMapConfig
 from slam.pose_graph import PoseGraphConfig
-from slam.pose_graph_drift import DriftBudget
+from slam.pose_graph_drift import OdometryDriftModel
 from slam.robust import DEFAULT
 
 T = TypeVar("T")
@@ -33,13 +33,13 @@ class OneCameraConfig:
     Attributes:
         odometry: of one camera.
         drift: how wrong it may be.
-        unit_drift: change of the logarithm of its unit of length, one standard deviation over a metre of way,
+        scale_drift: change of the logarithm of its unit of length, one standard deviation over a metre of way,
             that grows with the square root of the way.
     """
 
     odometry: MonoOdometryConfig = field(default_factory=MonoOdometryConfig)
-    drift: DriftBudget = field(default_factory=lambda: DriftBudget(translation=0.03))
-    unit_drift: float = 0.01
+    drift: OdometryDriftModel = field(default_factory=lambda: OdometryDriftModel(sigma_m_per_m=0.03))
+    scale_drift: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class RunConfig:
         """What the graph believes, with so many cameras."""
         if not self.mono:
             return self.pose_graph
-        return replace(self.pose_graph, drift=self.one_camera.drift, unit_drift=self.one_camera.unit_drift)
+        return replace(self.pose_graph, drift=self.one_camera.drift, scale_drift=self.one_camera.scale_drift)
 
 
 def to_toml(config: RunConfig) -> str:

@@ -8,15 +8,15 @@ import numpy as np
 from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
-from slam.loop_trust import Change
+from slam.loop_trust import LoopEvent
 from slam.record import ONLINE_SEPARATOR, LoopRow, MatchedPixels, StageRow
-from slam.robust import LoopGate, Optimized
+from slam.robust import GateResult, OptimizationResult
 from slam.system import LoopAttempt
 
 Judge = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, measured pose -> true revisit?
 
 
-def write_ledger(attempts: Iterable[LoopAttempt], optimized: Optimized, judge: Judge) -> tuple[LoopRow, ...]:
+def write_ledger(attempts: Iterable[LoopAttempt], optimized: OptimizationResult, judge: Judge) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
@@ -52,7 +52,7 @@ def _refused(row: LoopRow, rejection: Rejection) -> LoopRow:
     return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
 
 
-def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, judge: Judge) -> LoopRow:
+def _judged(row: LoopRow, closure: LoopClosure, optimized: OptimizationResult, number: int, judge: Judge) -> LoopRow:
     return replace(
         row,
         matches=closure.matches,
@@ -67,7 +67,7 @@ def _judged(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: in
 
 
 def stage_rows(
-    attempts: Iterable[LoopAttempt], gates: Sequence[LoopGate], history: Iterable[Change]
+    attempts: Iterable[LoopAttempt], gates: Sequence[GateResult], history: Iterable[LoopEvent]
 ) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
@@ -93,7 +93,7 @@ def stage_rows(
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _measured(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
+def _measured(row: StageRow, closure: LoopClosure, gate: GateResult) -> StageRow:
     x, y, z = closure.T_match_query[:3, 3].tolist()
     variances = np.diag(closure.covariance)
     return replace(

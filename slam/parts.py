@@ -13,8 +13,8 @@ from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
 from slam.eyes import Eyes, OneEye, TwoEyes
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import LoopCloser, same_unit
-from slam.loop_geometry import compare_units
+from slam.loop_closing import LoopCloser, fixed_scale
+from slam.loop_geometry import estimate_relative_scale
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
 from slam.robust import back_end
@@ -80,9 +80,9 @@ def build_parts(camera: StereoCamera, config: RunConfig, rows: RowSink | None = 
     features = SharedFeatures(local_features(config.places))
     eyes: Eyes
     if config.mono:
-        eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), compare_units
+        eyes, compare = OneEye(MonoOdometry(camera, config.one_camera.odometry), camera), estimate_relative_scale
     else:
-        eyes, compare = TwoEyes(StereoOdometry(camera, config.odometry)), same_unit
+        eyes, compare = TwoEyes(StereoOdometry(camera, config.odometry)), fixed_scale
     return Parts(
         eyes=eyes,
         features=features,

@@ -34,7 +34,7 @@ from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
 from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
@@ -70,7 +70,7 @@ class Finished:
     slam: Slam
     drive_log: DriveLog
     rows: MatrixRows
-    optimized: Optimized
+    optimized: OptimizationResult
     interrupted: bool
     wall_seconds: float
     behind: int = 0
@@ -104,7 +104,7 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
         map_before=landmarks.cloud(odometry),
         map_after=landmarks.cloud(optimized.similarities),
         metrics={},
-        stages=stage_rows(log.attempts, graph.gates, graph.history),
+        stages=stage_rows(log.attempts, graph.gates, graph.loop_events),
         matched=matched_pixels(log.attempts),
         curve=places.curve,
         matrices={stage: finished.rows.matrix(len(table), stage) for stage in finished.rows.stages},
@@ -115,10 +115,10 @@ def make_record(finished: Finished, provenance: dict[str, object]) -> DriveRecor
     return record
 
 
-def _metres(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
+def _metres(optimized: OptimizationResult, truth: Array, alignment: Alignment) -> Array:
     """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
     fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
-    return fit.scale * optimized.lengths
+    return fit.scale * optimized.scales
 
 
 def judge_by(truth: Array | None, metres: Array | None) -> Judge:
@@ -178,7 +178,7 @@ def _write_calibration(folder: Path, finished: Finished) -> None:
 
 def _write_graphs(folder: Path, record: DriveRecord, finished: Finished) -> None:
     graph, optimized = finished.slam.parts.graph, finished.optimized
-    motions, loops = graph.levelled(optimized.lengths)
+    motions, loops = graph.in_common_scale(optimized.scales)
     closed = [loop for loop, keep in zip(loops, optimized.kept, strict=True) if keep]
     write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
     write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, motions, closed))
@@ -243,7 +243,9 @@ def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
     return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
 
 
-def _graph_metrics(record: DriveRecord, errors: dict[str, TrajectoryErrors], optimized: Optimized) -> dict[str, object]:
+def _graph_metrics(
+    record: DriveRecord, errors: dict[str, TrajectoryErrors], optimized: OptimizationResult
+) -> dict[str, object]:
     judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
     known = record.ground_truth is not None
     return {

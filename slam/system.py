@@ -13,12 +13,12 @@ from slam.clock import StageClock
 from slam.datasets.dataset import Frame
 from slam.eyes import Eyes
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import Geometry, Landmarks, LoopCloser, LoopClosure, Rejection
-from slam.loop_trust import Admission
+from slam.loop_closing import FrameLandmarks, LoopCloser, LoopClosure, LoopVerification, Rejection
+from slam.loop_trust import LoopDecision
 from slam.map_store.rows import StoredAttempt, StoredFrame
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 
 Array = NDArray[np.float64]
 
@@ -48,8 +48,8 @@ class LoopAttempt:
     """
 
     belief: Belief
-    geometry: Geometry
-    admission: Admission | None
+    geometry: LoopVerification
+    admission: LoopDecision | None
 
     @property
     def reason(self) -> str:
@@ -68,7 +68,7 @@ class LoopAttempt:
     @property
     def closed(self) -> bool:
         """Whether the online map leaned on the loop from that moment."""
-        return self.admission is not None and self.admission.joined
+        return self.admission is not None and self.admission.used
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Processed:
     motion: Motion
     T_world_camera_odometry: Array
     T_world_camera: Array
-    landmarks: Landmarks
+    landmarks: FrameLandmarks
     is_key_frame: bool
     attempts: tuple[LoopAttempt, ...]
     stage_ms: dict[str, float]
@@ -134,7 +134,7 @@ class Slam:
         attempts = self._close_all(beliefs)
         is_key_frame = self._map(frame.index, landmarks)
         with self.clock.stage("pose graph"):
-            T_world_camera = self.parts.graph.latest()
+            T_world_camera = self.parts.graph.current_pose()
         return Processed(
             frame,
             motion,
@@ -153,13 +153,13 @@ class Slam:
         left them.
         """
         self._advance(frame.motion)
-        self.parts.loop_closer.recall(frame.image, frame.landmarks)
+        self.parts.loop_closer.restore_frame(frame.image, frame.landmarks)
         recalled = tuple(self._enter(attempt.belief, attempt.geometry) for attempt in attempts)
         if frame.key_frame:
             self._draw(frame.image - self._first, frame.landmarks)
         return recalled
 
-    def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], Optimized]:
+    def finish(self, robust: str) -> tuple[tuple[LoopAttempt, ...], OptimizationResult]:
         """End the drive: answer the beliefs still open, then optimise everything with the named robust back end."""
         attempts = self._close_all(self.parts.recognizer.finish())
         return attempts, self.parts.graph.optimize(robust)
@@ -178,14 +178,14 @@ class Slam:
                 self.parts.graph.add_odometry(motion.T_previous_current, motion.covariance)
         self._frames += 1
 
-    def _look(self, frame: Frame, features: LocalFeatures | None) -> Landmarks:
+    def _look(self, frame: Frame, features: LocalFeatures | None) -> FrameLandmarks:
         image = self._first + frame.index
         if features is not None:
             self.parts.features.give(image, features)
         with self.clock.stage("features"):
             self.parts.features.of(image, frame.left)
         with self.clock.stage("landmarks"):
-            return self.parts.loop_closer.remember(image, frame.left, frame.right)
+            return self.parts.loop_closer.add_frame(image, frame.left, frame.right)
 
     def _recognise(self, frame: Frame) -> list[Belief]:
         with self.clock.stage("place recognition"):
@@ -199,10 +199,10 @@ class Slam:
         if belief.match is None or not belief.accepted:
             return self._enter(belief, None)
         with self.clock.stage("loop closing"):
-            geometry = self.parts.loop_closer.close(belief.query, belief.match)
+            geometry = self.parts.loop_closer.verify(belief.query, belief.match)
         return self._enter(belief, geometry)
 
-    def _enter(self, belief: Belief, geometry: Geometry) -> LoopAttempt:
+    def _enter(self, belief: Belief, geometry: LoopVerification) -> LoopAttempt:
         """Enter a loop within this drive into its graph; images are counted from its first one from here on."""
         belief = replace(belief, query=belief.query - self._first, match=self._counted(belief.match))
         if not isinstance(geometry, LoopClosure):
@@ -216,11 +216,11 @@ class Slam:
     def _counted(self, image: int | None) -> int | None:
         return None if image is None else image - self._first
 
-    def _map(self, index: int, landmarks: Landmarks) -> bool:
+    def _map(self, index: int, landmarks: FrameLandmarks) -> bool:
         is_key_frame = self.parts.key_frames.accepts(self._T_world_odometry)
         if is_key_frame:
             self._draw(index, landmarks)
         return is_key_frame
 
-    def _draw(self, index: int, landmarks: Landmarks) -> None:
+    def _draw(self, index: int, landmarks: FrameLandmarks) -> None:
         self.parts.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from slam.errors import DataError
-from slam.loop_closing import Landmarks
+from slam.loop_closing import FrameLandmarks
 from slam.map_store.store import MapStore
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class SavedMap:
         world = np.array([one.world for one in sessions])[session]
         return cls(store, sessions[0].camera, key_frames, poses, units, session, world, _numbers(store, key_frames))
 
-    def landmarks(self, image: int) -> Landmarks:
+    def landmarks(self, image: int) -> FrameLandmarks:
         """What an image saw, in its camera's frame and its own unit.
 
         Raises:

@@ -10,7 +10,7 @@ from odometry import se3
 from slam.config import RunConfig
 from slam.loop_closing import LoopClosure
 from slam.map_store.store import Corrected, MapStore, Session, Verdict
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.sessions import Drive, Joined, Step, join, meeting
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Ended:
         met: what it has to do with other drives; None where there are none.
     """
 
-    optimized: Optimized
+    optimized: OptimizationResult
     met: Met | None = None
 
 
@@ -58,14 +58,14 @@ class Conclusion:
     ended: Ended
 
 
-def stopped(session: Session, optimized: Optimized) -> Conclusion:
+def stopped(session: Session, optimized: OptimizationResult) -> Conclusion:
     """Correct a drive that was stopped before its end, by itself; it may go on and say more of its loops."""
     images = session.first_image + np.arange(len(optimized.poses))
-    corrected = Corrected(images, optimized.poses, optimized.lengths, {}, session.number)
+    corrected = Corrected(images, optimized.poses, optimized.scales, {}, session.number)
     return Conclusion(corrected, Ended(optimized))
 
 
-def conclude(store: MapStore, session: Session, optimized: Optimized, config: RunConfig) -> Conclusion:
+def conclude(store: MapStore, session: Session, optimized: OptimizationResult, config: RunConfig) -> Conclusion:
     """Correct the map at the end of a drive.
 
     Args:
@@ -77,7 +77,7 @@ def conclude(store: MapStore, session: Session, optimized: Optimized, config: Ru
     loops = list(_loops(store))
     own = [loop for loop in loops if loop[1].match >= session.first_image]
     images = session.first_image + np.arange(len(optimized.poses))
-    alone = Corrected(images, optimized.poses, optimized.lengths, _verdicts(own, optimized), session.number)
+    alone = Corrected(images, optimized.poses, optimized.scales, _verdicts(own, optimized), session.number)
     if session.first_image == 0:
         return Conclusion(alone, Ended(optimized))
     meetings = [loop for loop in loops if loop[1].match < session.first_image <= loop[1].query]
@@ -134,12 +134,12 @@ def _counted(loop: LoopClosure, matches: Images, queries: Images) -> LoopClosure
     return replace(loop, match=int(match), query=int(query))
 
 
-def _verdicts(loops: Sequence[Numbered], optimized: Optimized) -> dict[int, Verdict]:
+def _verdicts(loops: Sequence[Numbered], optimized: OptimizationResult) -> dict[int, Verdict]:
     columns = (optimized.kept, optimized.weights, optimized.residuals, optimized.reasons)
     return {number: Verdict(*said) for (number, _), *said in zip(loops, *columns, strict=True)}
 
 
-def _of_one(alone: Optimized, joined: Joined, mine: NDArray[np.bool_]) -> Optimized:
+def _of_one(alone: OptimizationResult, joined: Joined, mine: NDArray[np.bool_]) -> OptimizationResult:
     """What the joined graph says of the last drive, in that one's own frame; mine: (L,) which loops are within it."""
     said = joined.optimized
     return replace(

@@ -21,7 +21,7 @@ from slam.map_store.freezing import Freezer, Thawer
 from slam.map_store.rows import StoredAttempt, StoredFrame
 from slam.map_store.store import MAP_FILE, Checkpoint, MapStore, Session
 from slam.parts import build_parts
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.storage.atomic import replacing
 from slam.storage.run_folder import RunFolder
 from slam.system import Beginning, LoopAttempt, Processed, Slam
@@ -68,7 +68,7 @@ class Keeper(Protocol):
         """Keep everything so far: the drive ends here, or is stopped."""
         ...
 
-    def finish(self, late: Sequence[LoopAttempt], optimized: Optimized, ended: bool) -> Ended:
+    def finish(self, late: Sequence[LoopAttempt], optimized: OptimizationResult, ended: bool) -> Ended:
         """Keep the last answers and the corrected map; a drive that was stopped before its end may go on later."""
         ...
 
@@ -88,7 +88,7 @@ class NullKeeper:
     def pause(self) -> None:
         """Do nothing."""
 
-    def finish(self, late: Sequence[LoopAttempt], optimized: Optimized, ended: bool) -> Ended:
+    def finish(self, late: Sequence[LoopAttempt], optimized: OptimizationResult, ended: bool) -> Ended:
         """Forget the map."""
         return Ended(optimized)
 
@@ -126,7 +126,7 @@ class MapKeeper:
         answered = Answers(self._store.attempts(first))
         for frame in self._store.frames():
             if frame.image < first:
-                slam.parts.loop_closer.recall(frame.image, frame.landmarks)
+                slam.parts.loop_closer.restore_frame(frame.image, frame.landmarks)
                 continue
             attempts = answered.with_image(frame.image)
             self._answered += len(attempts)
@@ -178,7 +178,7 @@ class MapKeeper:
         self._last = time.perf_counter()
         self._cost = self._last - begin
 
-    def finish(self, late: Sequence[LoopAttempt], optimized: Optimized, ended: bool) -> Ended:
+    def finish(self, late: Sequence[LoopAttempt], optimized: OptimizationResult, ended: bool) -> Ended:
         """Keep the last answers and the corrected map; a drive that was stopped before its end may go on later."""
         with self._store.writing():
             if ended:

@@ -14,8 +14,8 @@ from slam.config import RunConfig
 from slam.datasets.dataset import Frame
 from slam.datasets.source import Source
 from slam.errors import DataError
-from slam.loop_closing import Landmarks, LoopCloser, same_unit
-from slam.loop_geometry import compare_units
+from slam.loop_closing import FrameLandmarks, LoopCloser, fixed_scale
+from slam.loop_geometry import estimate_relative_scale
 from slam.map_store.resuming import Stopped
 from slam.map_store.store import MapStore, map_file
 from slam.parts import build_parts
@@ -46,15 +46,17 @@ class RememberedEyes:
 class RememberedLandmarks(LoopCloser):
     """Closes loops by the landmarks of a map."""
 
-    def __init__(self, landmarks: Sequence[Landmarks], camera: StereoCamera, parts: Parts, config: RunConfig) -> None:
-        compare = compare_units if config.mono else same_unit
-        super().__init__(camera, parts.features, config.loop_closing, compare=compare)
-        self._landmarks = landmarks
+    def __init__(
+        self, landmarks: Sequence[FrameLandmarks], camera: StereoCamera, parts: Parts, config: RunConfig
+    ) -> None:
+        estimate_scale = estimate_relative_scale if config.mono else fixed_scale
+        super().__init__(camera, parts.features, config.loop_closing, estimate_scale=estimate_scale)
+        self._stored = landmarks
 
-    def remember(self, index: int, left: Image, right: Image | None) -> Landmarks:
+    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Landmarks of frame `index`, as they were found then."""
-        self.recall(index, self._landmarks[index])
-        return self._landmarks[index]
+        self.restore_frame(index, self._stored[index])
+        return self._stored[index]
 
 
 def read_drive(path: Path) -> Stopped:

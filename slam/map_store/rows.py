@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from place_recognition.recognizer import Belief
-from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
-from slam.loop_geometry import Unit
+from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
+from slam.loop_geometry import ScaleRatio
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class StoredFrame:
     motion: Motion
     T_world_odometry: Array
     T_world_online: Array
-    landmarks: Landmarks
+    landmarks: FrameLandmarks
     key_frame: bool
     stage_ms: Mapping[str, float]
     T_world_camera: Array | None = None
@@ -58,7 +58,7 @@ class StoredAttempt:
 
     at_image: int | None
     belief: Belief
-    geometry: Geometry
+    geometry: LoopVerification
 
 
 def frame_row(frame: StoredFrame, session: int) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def attempt_row(number: int, attempt: StoredAttempt) -> dict[str, Any]:
     }
 
 
-def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> StoredFrame:
+def read_frame(row: sqlite3.Row, landmarks: FrameLandmarks) -> StoredFrame:
     """A frame from its row."""
     motion = Motion(
         T_previous_current=unpack(row["T_previous_camera"], "<f8", 4, 4),
@@ -143,11 +143,11 @@ def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> StoredFrame:
     )
 
 
-def read_landmarks(row: sqlite3.Row) -> Landmarks:
+def read_landmarks(row: sqlite3.Row) -> FrameLandmarks:
     """What a frame saw, from its row."""
     pixels = unpack(row["pixels"], "<f4", -1, 2)
     count = len(pixels)
-    return Landmarks(
+    return FrameLandmarks(
         pixels=pixels,
         points=unpack(row["points"], "<f4", count, 3),
         grey=unpack(row["grey"], "u1", count),
@@ -169,16 +169,16 @@ def read_attempt(row: sqlite3.Row) -> StoredAttempt:
     return StoredAttempt(row["at_image"], belief, _geometry(row))
 
 
-def _details(geometry: Geometry) -> dict[str, Any]:
+def _details(geometry: LoopVerification) -> dict[str, Any]:
     if geometry is None:
         return {}
     counts = {"matches": int(geometry.matches), "inliers": int(geometry.inliers)}
     if isinstance(geometry, Rejection):
         return counts | {"reason": geometry.reason}
-    return counts | {"unit_log": float(geometry.unit.log), "unit_sigma": float(geometry.unit.sigma)}
+    return counts | {"unit_log": float(geometry.scale.log), "unit_sigma": float(geometry.scale.sigma)}
 
 
-def _geometry(row: sqlite3.Row) -> Geometry:
+def _geometry(row: sqlite3.Row) -> LoopVerification:
     details = json.loads(row["geometry"])
     seen: dict[str, Any] = {
         "pixels_query": unpack(row["pixels_query"], "<f4", -1, 2),
@@ -188,13 +188,13 @@ def _geometry(row: sqlite3.Row) -> Geometry:
         return None
     if row["outcome"] == "rejected":
         return Rejection(**details, **seen)
-    unit = Unit(details.pop("unit_log"), details.pop("unit_sigma"))
+    scale = ScaleRatio(details.pop("unit_log"), details.pop("unit_sigma"))
     return LoopClosure(
         query=row["query"],
         match=row["match"],
         T_match_query=unpack(row["T_match_query"], "<f8", 4, 4),
         covariance=unpack(row["covariance"], "<f8", 6, 6),
-        unit=unit,
+        scale=scale,
         **details,
         **seen,
     )

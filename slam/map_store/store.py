@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.errors import OutputError
-from slam.loop_closing import Landmarks
+from slam.loop_closing import FrameLandmarks
 from slam.map_store import schema
 from slam.map_store.pieces import read_arrays, write_arrays
 from slam.map_store.rows import (
@@ -275,7 +275,7 @@ class MapStore:
             found = self._connection.execute("SELECT image FROM frame WHERE key_frame ORDER BY image")
             return tuple(row[0] for row in found)
 
-    def landmarks(self, image: int) -> Landmarks:
+    def landmarks(self, image: int) -> FrameLandmarks:
         """What one image saw.
 
         Raises:

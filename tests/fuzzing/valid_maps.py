@@ -12,7 +12,7 @@ from place_recognition.evaluation.matrix import MatrixRows
 from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
-from slam.loop_closing import Landmarks, LoopClosure, Rejection
+from slam.loop_closing import FrameLandmarks, LoopClosure, Rejection
 from slam.map_store.freezing import Freezer, Thawer
 from slam.map_store.rows import StoredAttempt, StoredFrame
 from slam.map_store.store import Checkpoint, Corrected, MapStore, Session, Verdict
@@ -58,7 +58,7 @@ def read_map(path: Path) -> None:
 
 def _frame(image: int) -> StoredFrame:
     rng = np.random.default_rng(image)
-    landmarks = Landmarks(
+    landmarks = FrameLandmarks(
         rng.random((4, 2)).astype(np.float32), rng.random((4, 3)).astype(np.float32),
         rng.integers(0, 255, 4).astype(np.uint8), rng.random((4, 8)).astype(np.float16),
     )  # fmt: skip

@@ -55,5 +55,5 @@ def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     odometry = replace(config.one_camera.odometry, height_m=1.65)
     config = replace(config, one_camera=replace(config.one_camera, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
-    assert config.graph.unit_drift > 0
+    assert config.graph.scale_drift > 0
     assert RunConfig().graph == RunConfig().pose_graph

@@ -5,23 +5,24 @@ import numpy as np
 from place_recognition.recognizer import Belief
 from slam.ledger import matched_pixels, stage_rows, write_ledger
 from slam.loop_closing import LoopClosure, Rejection
-from slam.loop_trust import Admission, Change
+from slam.loop_trust import LoopDecision, LoopEvent
 from slam.record import LoopRow
-from slam.robust import LoopGate, Optimized
+from slam.robust import GateResult, OptimizationResult
 from slam.system import LoopAttempt
 
-GATE = LoopGate(True, 0.5, "drift explains it")
-PASSED = Admission(True, True, 0.5, "drift explains it")
+GATE = GateResult(True, 0.5, "drift explains it")
+PASSED = LoopDecision(True, True, 0.5, "drift explains it")
 
 
 def closure(query: int, match: int) -> LoopClosure:
     return LoopClosure(query, match, np.eye(4), np.eye(6), inliers=40, matches=60)
 
 
-def optimized(*kept: bool) -> Optimized:
+def optimized(*kept: bool) -> OptimizationResult:
     verdicts = np.array(kept, dtype=bool)
     reasons = tuple("kept" if keep else "left out" for keep in kept)
-    return Optimized(np.eye(4)[None], verdicts * 1.0, np.full(len(kept), 1.5), verdicts, reasons, 2.0, 1.0, 0.1)
+    residuals = np.full(len(kept), 1.5)
+    return OptimizationResult(np.eye(4)[None], verdicts * 1.0, residuals, verdicts, reasons, 2.0, 1.0, 0.1, np.ones(1))
 
 
 def ledger(*attempts: LoopAttempt, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
@@ -74,7 +75,7 @@ def test_stages_hand_on_the_relative_pose_the_gate_and_the_life_of_each_closure(
         LoopAttempt(Belief(9, 2, 20.0, True), Rejection("no"), None),
         LoopAttempt(Belief(7, 3, 20.0, True), closure(7, 3), PASSED),
     ]
-    history = [Change(8, 0, False, "waits"), Change(9, 1, True, "joined"), Change(9, 0, True, "joined")]
+    history = [LoopEvent(8, 0, False, "waits"), LoopEvent(9, 1, True, "joined"), LoopEvent(9, 0, True, "joined")]
     late, first, refused = stage_rows(attempts, [GATE, GATE], history)
     assert (first.query, first.epipolar_inliers, first.online) == (8, 30, "frame 8: waits | frame 9: joined")
     assert (late.query, late.online) == (7, "frame 9: joined")

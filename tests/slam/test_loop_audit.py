@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam.loop_audit import Audit
+from slam.loop_audit import LeaveOneOutTest
 
 LIMIT = 34.0
 
 
-def audited(groups: dict[int, list[int]], says: dict[int, float]) -> Audit:
+def audited(groups: dict[int, list[int]], says: dict[int, float]) -> LeaveOneOutTest:
     """Audit groups whose loops each claim a number; a loop is as far off as from the median of the others."""
     of = {k: group for group, members in groups.items() for k in members}
 
@@ -19,7 +19,7 @@ def audited(groups: dict[int, list[int]], says: dict[int, float]) -> Audit:
         claims = sorted(says[of[k]] for k in others)
         return (says[of[number]] - claims[len(claims) // 2]) ** 2
 
-    audit = Audit(groups, surprise, LIMIT)
+    audit = LeaveOneOutTest(groups, surprise, LIMIT)
     for _ in range(100):
         if audit.step():
             return audit

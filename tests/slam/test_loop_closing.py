@@ -12,10 +12,10 @@ from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
 from slam.loop_closing import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
-from slam.loop_geometry import SAME_UNIT, GeometryConfig, compare_units, relative_pose
+from slam.loop_geometry import UNIT_SCALE, RelativePoseConfig, estimate_relative_scale, relative_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
-UNBIASED = GeometryConfig(
+UNBIASED = RelativePoseConfig(
     systematic_rad=0.0,
     systematic_rad_per_m=0.0,
     systematic_m=0.0,
@@ -72,12 +72,12 @@ def closer_over(scene: World, poses: list[np.ndarray], config: LoopCloserConfig 
     closer = LoopCloser(CAMERA, SharedFeatures(scene), config, scene.disparity)
     for index, pose in enumerate(poses):
         image = scene.look(pose)
-        closer.remember(index, image, image)
+        closer.add_frame(index, image, image)
     return closer
 
 
 def test_a_loop_is_closed_with_the_right_pose() -> None:
-    answer = closer_over(world(), [np.eye(4), MOTION]).close(1, 0)
+    answer = closer_over(world(), [np.eye(4), MOTION]).verify(1, 0)
     assert isinstance(answer, LoopClosure)
     error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
     assert np.abs(error[:3]).max() < 1e-3
@@ -90,7 +90,7 @@ def test_the_covariance_is_honest() -> None:
     nees = []
     for seed in range(25):
         config = LoopCloserConfig(geometry=UNBIASED)
-        answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).close(1, 0)
+        answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).verify(1, 0)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
         nees.append(error @ np.linalg.solve(answer.covariance, error))
@@ -101,7 +101,7 @@ def test_more_noise_makes_a_larger_covariance() -> None:
     quiet, loud = world(), world()
     loud.noise = 1.0
     config = LoopCloserConfig(geometry=UNBIASED)
-    one, two = (closer_over(w, [np.eye(4), MOTION], config).close(1, 0) for w in (quiet, loud))
+    one, two = (closer_over(w, [np.eye(4), MOTION], config).verify(1, 0) for w in (quiet, loud))
     assert isinstance(one, LoopClosure)
     assert isinstance(two, LoopClosure)
     assert np.trace(two.covariance[3:, 3:]) > 2.0 * np.trace(one.covariance[3:, 3:])
@@ -112,8 +112,8 @@ def test_a_disparity_bias_stays_within_the_covariance() -> None:
     closer = LoopCloser(CAMERA, SharedFeatures(scene), None, lambda *view: scene.disparity(*view) + 0.4)
     for index, pose in enumerate([np.eye(4), MOTION]):
         image = scene.look(pose)
-        closer.remember(index, image, image)
-    answer = closer.close(1, 0)
+        closer.add_frame(index, image, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, LoopClosure)
     error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
     assert error @ np.linalg.solve(answer.covariance, error) < 12.0
@@ -124,7 +124,7 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     points_query = se3.transform(se3.inverse(MOTION), points)
     visible = np.flatnonzero(points_query[:, 2] > 3)
     points_query[visible[::2]] = rng.uniform([-15, -4, 4], [15, 2, 40], (len(visible[::2]), 3))
-    answer = relative_pose(CAMERA, points[visible], points_query[visible], GeometryConfig())
+    answer = relative_pose(CAMERA, points[visible], points_query[visible], RelativePoseConfig())
     assert answer is not None
     np.testing.assert_allclose(answer.T_a_b, MOTION, atol=0.02)
     assert answer.inliers[1::2].all()
@@ -139,7 +139,7 @@ def test_landmarks_near_infinity_do_not_throw_the_pose_off(seed: int) -> None:
     points_match, points_query = (
         measured(rng, se3.transform(se3.inverse(T), points)) for T in (np.eye(4), T_match_query)
     )
-    answer = relative_pose(CAMERA, points_match, points_query, GeometryConfig())
+    answer = relative_pose(CAMERA, points_match, points_query, RelativePoseConfig())
     assert answer is not None
     assert answer.inliers.sum() > 80
     np.testing.assert_allclose(answer.T_a_b[:3, 3], T_match_query[:3, 3], atol=0.05)
@@ -156,8 +156,8 @@ def test_images_of_different_places_are_rejected() -> None:
     image = there.look(np.eye(4))
     closer = closer_over(here, [np.eye(4)])
     here.views.append(there.views[0])
-    closer.remember(1, image + 1, image)
-    answer = closer.close(1, 0)
+    closer.add_frame(1, image + 1, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert "landmarks match, expected at least 20" in answer.reason
 
@@ -167,8 +167,8 @@ def test_matches_without_a_common_motion_are_rejected() -> None:
     closer = closer_over(scene, [np.eye(4)])
     scene.points = np.random.default_rng(9).permutation(scene.points)
     image = scene.look(np.eye(4))
-    closer.remember(1, image, image)
-    answer = closer.close(1, 0)
+    closer.add_frame(1, image, image)
+    answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert answer.matches > 100
     assert "relative pose" in answer.reason
@@ -179,7 +179,7 @@ def test_landmarks_in_one_corner_are_rejected() -> None:
     pixels = CAMERA.project(scene.points)
     corner = (pixels[:, 0] < 250) & (pixels[:, 2] < 150)
     scene.points, scene.descriptors = scene.points[corner], scene.descriptors[corner]
-    answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).close(1, 0)
+    answer = closer_over(scene, [np.eye(4), se3.exp(np.array([0, 0, 0, 0.1, 0, 0]))]).verify(1, 0)
     assert isinstance(answer, Rejection)
     assert "cells" in answer.reason
     assert len(answer.pixels_query) == len(answer.pixels_match) == answer.inliers > 0
@@ -190,7 +190,7 @@ def test_landmarks_come_back_in_the_camera_frame() -> None:
     scene = world()
     scene.noise = 0.0
     image = scene.look(MOTION)
-    landmarks = LoopCloser(CAMERA, SharedFeatures(scene), None, scene.disparity).remember(7, image, image)
+    landmarks = LoopCloser(CAMERA, SharedFeatures(scene), None, scene.disparity).add_frame(7, image, image)
     seen = CAMERA.project(landmarks.points.astype(np.float64))
     np.testing.assert_allclose(seen[:, [0, 2]], landmarks.pixels, atol=1e-2)
     assert landmarks.points.dtype == landmarks.pixels.dtype == np.float32
@@ -206,13 +206,13 @@ def test_features_without_disparity_are_no_landmarks() -> None:
         return np.where(np.arange(len(pixels)) % 2, np.nan, scene.disparity(left, right, pixels))
 
     closer = LoopCloser(CAMERA, SharedFeatures(scene), None, every_other)
-    assert len(closer.remember(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
+    assert len(closer.add_frame(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
 
 
 def test_an_image_without_features_is_rejected_not_an_error() -> None:
     scene = world()
     scene.points = np.zeros((0, 3))
-    answer = closer_over(scene, [np.eye(4), np.eye(4)]).close(1, 0)
+    answer = closer_over(scene, [np.eye(4), np.eye(4)]).verify(1, 0)
     assert isinstance(answer, Rejection)
     assert answer.reason == "0 landmarks match, expected at least 20"
 
@@ -220,16 +220,16 @@ def test_an_image_without_features_is_rejected_not_an_error() -> None:
 def test_the_same_images_give_the_same_bits() -> None:
     one, two = (closer_over(world(), [np.eye(4), MOTION]) for _ in range(2))
     cv2.setRNGSeed(99)
-    first, second = one.close(1, 0), two.close(1, 0)
+    first, second = one.verify(1, 0), two.verify(1, 0)
     assert isinstance(first, LoopClosure)
     assert isinstance(second, LoopClosure)
     assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
     assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
-def test_a_frame_that_was_not_remembered_is_named() -> None:
-    with pytest.raises(ValueError, match="expected a frame that was remembered, got 4"):
-        closer_over(world(), [np.eye(4)]).close(4, 0)
+def test_a_frame_that_was_not_added_is_named() -> None:
+    with pytest.raises(ValueError, match="expected a frame that was added, got 4"):
+        closer_over(world(), [np.eye(4)]).verify(4, 0)
 
 
 def test_matches_are_mutual_and_distinct() -> None:
@@ -280,10 +280,10 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
     camera = StereoCamera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline, width, height)
     closer = LoopCloser(camera, SharedFeatures(Sift()), None, tracked_disparity)
     for k, (left, right) in zip((0, 3, 20, 23), images, strict=True):
-        closer.remember(k, left, right)
+        closer.add_frame(k, left, right)
     poses = [se3.pose(row[:, :3], row[:, 3]) for row in rows]
     for match, query in ((0, 3), (20, 23)):
-        answer = closer.close(query, match)
+        answer = closer.verify(query, match)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(answer.T_match_query) @ se3.inverse(poses[match]) @ poses[query])
         assert np.abs(error[:3]).max() < 5e-3
@@ -291,25 +291,25 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
         assert error @ np.linalg.solve(answer.covariance, error) < 30.0
 
 
-@pytest.mark.parametrize("unit", [0.6, 1.0, 1.7])
-def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -> None:
+@pytest.mark.parametrize("scale", [0.6, 1.0, 1.7])
+def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(scale: float) -> None:
     """The query's depths are in a unit of its own: the loop is in the match's, and says how long the other is."""
     scene = world()
 
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
-        return scene.disparity(left, left, pixels) * (unit if left[0, 0] == 1 else 1.0)
+        return scene.disparity(left, left, pixels) * (scale if left[0, 0] == 1 else 1.0)
 
-    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, depths_in_own_unit, compare_units)
+    closer = LoopCloser(CAMERA, SharedFeatures(scene), None, depths_in_own_unit, estimate_relative_scale)
     for index, pose in enumerate([np.eye(4), MOTION]):
-        closer.remember(index, scene.look(pose), None)
-    loop = closer.close(1, 0)
+        closer.add_frame(index, scene.look(pose), None)
+    loop = closer.verify(1, 0)
     assert isinstance(loop, LoopClosure)
     np.testing.assert_allclose(se3.log(se3.inverse(MOTION) @ loop.T_match_query), 0, atol=0.05)
-    assert abs(loop.unit.log - np.log(unit)) < 4 * loop.unit.sigma
-    assert loop.unit.sigma < 0.05
+    assert abs(loop.scale.log - np.log(scale)) < 4 * loop.scale.sigma
+    assert loop.scale.sigma < 0.05
 
 
 def test_units_of_places_that_are_not_the_same_are_not_compared() -> None:
     rng = np.random.default_rng(4)
     one, other = (rng.uniform([-10, -4, 4], [10, 2, 40], (4, 3)) for _ in range(2))
-    assert compare_units(CAMERA, one, other, GeometryConfig()) == SAME_UNIT
+    assert estimate_relative_scale(CAMERA, one, other, RelativePoseConfig()) == UNIT_SCALE

@@ -20,7 +20,7 @@ from slam.map_store.keeping import Keeper, MapKeeper, NullKeeper
 from slam.map_store.rows import StoredFrame
 from slam.map_store.store import MapStore, Session
 from slam.parts import build_parts
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.system import Slam
 
 
@@ -48,7 +48,7 @@ class End:
     slam: Slam
     rows: MatrixRows
     log: DriveLog
-    optimized: Optimized
+    optimized: OptimizationResult
 
 
 def drive_on(drive: Every, config: RunConfig, keeper: Keeper, stop: int | None = None) -> End | None:
