@@ -9,9 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
-from slam.errors import ConfigError
+from slam.errors import ConfigError, GraphError
 from slam.pose_graph_batch import optimize, refine
 from slam.robust_consensus import grow_consensus
 from slam.robust_evidence import MIN_LOG_RATIO
@@ -148,14 +150,32 @@ def solve(problem: LoopProblem, name: str = DEFAULT) -> BackEndResult:
 
     Raises:
         ConfigError: the name is not known.
-        GraphError: the trusted edges do not connect all poses.
+        GraphError: the trusted edges do not connect all poses, or an information matrix is not positive definite.
     """
     run = back_end(name)
+    _check(problem)
     if not len(problem.loops):
         return _fit_from_odometry(problem, np.zeros(0, dtype=bool))
     screening = screen(problem)
     result = run(problem, screening)
     return replace(result, reasons=_reasons(problem, screening, result))
+
+
+def _check(problem: LoopProblem) -> None:
+    """GraphError, one line, for a problem that has no unique solution."""
+    trusted, count = problem.trusted, len(problem.start)
+    links = sparse.coo_array((np.ones(len(trusted)), (trusted.first, trusted.second)), shape=(count, count))
+    part = connected_components(links, directed=False)[1]
+    connected = int((part == part[0]).sum())
+    if connected < count:
+        raise GraphError(
+            f"expected trusted edges that connect all poses, but only {connected} poses of {count} are connected to "
+            "the first; add the missing edge, or split the graph"
+        )
+    try:
+        _ = trusted.sqrt_information, problem.loops.sqrt_information
+    except np.linalg.LinAlgError as error:
+        raise GraphError("expected positive definite information in every edge; correct that edge") from error
 
 
 def _fit_from_odometry(problem: LoopProblem, kept: Mask) -> BackEndResult:
