@@ -75,7 +75,7 @@ def optimize_graphs(options: OptimizeOptions, messages: Console, results: Consol
         RevisitError: a graph, its truth, the settings or the output folder cannot be used; what was there
             before stays untouched.
     """
-    back_end(options.robust)
+    back_end(options.robust)  # an unknown name is an error before any graph is read
     if len({path.stem for path in options.graphs}) < len(options.graphs):
         raise ConfigError("expected graphs with different names, found two of one; optimise them one by one")
     table = _table()
@@ -104,6 +104,7 @@ def _optimize(path: Path, options: OptimizeOptions) -> OptimizedGraph:
 
 def _in_place(done: OptimizedGraph) -> Array:
     """Optimised poses (N, n, n) in the file's order, the fixed pose (else the first by id) where the file has it."""
+    # The back ends hold the first pose by id; a file may fix another one, whose place must stay.
     poses = np.empty_like(done.result.poses)
     poses[done.edges.order] = done.result.poses
     known = np.flatnonzero(done.graph.ids == done.graph.fixed)
@@ -147,6 +148,7 @@ def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
     graph, problem, result = done.graph, done.edges.problem, done.result
     trusted, count = done.edges.trusted, len(done.edges.trusted)
     weight, residual = np.ones(count), np.empty(count)
+    # Objects, as an edge of odometry has no truth: None, an empty cell.
     truth, reason = np.full(count, None, dtype=object), np.full(count, "trusted", dtype=object)
     weight[~trusted] = result.weights
     residual[trusted] = np.sqrt(problem.trusted.chi2(result.poses))

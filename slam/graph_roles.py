@@ -65,6 +65,7 @@ def classify_edges(graph: Graph, name: str) -> ClassifiedEdges:
 
 def _spanning_tree(edges: Edges, count: int) -> tuple[Mask, Mask]:
     """(M,) edges of a spanning tree, successive poses first, and those of them that join other poses."""
+    # A tree, so that the trusted edges have one solution without residuals: every other edge is a loop.
     successive = np.abs(edges.first - edges.second) == 1
     pieces = DisjointSet(range(count))
     trusted, other = np.zeros(len(edges), dtype=bool), np.zeros(len(edges), dtype=bool)
@@ -97,6 +98,7 @@ def _compose_along(tree: Edges, first: Array, count: int) -> Array:
 
 def _visits(tree: Edges, count: int) -> list[tuple[int, int, int]]:
     """Rows of the tree from row 0 outwards, that row left out: row, the row before it, the edge between."""
+    # By the set of its ends: an edge may run against the order in which the tree is walked.
     between = {frozenset(ends): k for k, ends in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True))}
     joined = sparse.csr_array((np.ones(len(tree)), (tree.first, tree.second)), shape=(count, count))
     rows, before = breadth_first_order(joined, 0, directed=False)

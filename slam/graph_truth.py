@@ -81,6 +81,7 @@ def _positions(file: Path, graph: Graph) -> Array:
             "give the truth of the same drive"
         )
     positions = poses[ids, :3, 3]
+    # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
     return np.column_stack([positions[:, 2], -positions[:, 0]]) if graph.poses.shape[-1] == 3 else positions
 
 

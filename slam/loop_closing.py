@@ -89,7 +89,7 @@ class LoopCloserConfig:
     min_inliers: int = 20  # landmarks that agree with a relative pose
     min_cells: int = 4  # cells with inliers, of the 4 x 4 cells of the query image
     max_disagreement_sigma: float = 3.0  # between the poses found forwards and backwards, by the covariance of one
-    geometry: RelativePoseConfig = field(default_factory=RelativePoseConfig)
+    relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
 
 
 @dataclass(frozen=True)
@@ -163,11 +163,11 @@ class LoopCloser:
             return Rejection(f"{len(pairs)} landmarks match, expected at least {min_inliers}", len(pairs))
         points_match = then.points[pairs[:, 0]].astype(np.float64)
         points_query = now.points[pairs[:, 1]].astype(np.float64)
-        scale = self._estimate_scale(self._camera, points_match, points_query, self._config.geometry)
+        scale = self._estimate_scale(self._camera, points_match, points_query, self._config.relative_pose)
         points_query *= scale.ratio
         # Both directions: the matches of a false loop seldom give one pose and its inverse.
-        forward = relative_pose(self._camera, points_match, points_query, self._config.geometry)
-        backward = relative_pose(self._camera, points_query, points_match, self._config.geometry)
+        forward = relative_pose(self._camera, points_match, points_query, self._config.relative_pose)
+        backward = relative_pose(self._camera, points_query, points_match, self._config.relative_pose)
         reason = self._rejection_reason(forward, backward, now.pixels[pairs[:, 1]])
         agreeing = pairs[:0] if forward is None else pairs[forward.inliers]
         pixels_query, pixels_match = now.pixels[agreeing[:, 1]], then.pixels[agreeing[:, 0]]

@@ -209,7 +209,7 @@ class PoseGraph:
         verb = "drift explains" if passed else "drift does not explain"
         distance, angle = np.linalg.norm(difference[:3, 3]), np.degrees(se3.angle(difference))
         reason = (
-            f"{verb} {distance:.1f} m and {angle:.1f} deg over {between.path_length_m:.0f} m of way: "
+            f"{verb} {distance:.1f} m and {angle:.1f} deg over {between.path_length_m:.0f} m of path: "
             f"{residual:.1f} sigma (limit {np.sqrt(self.config.max_gate_chi2):.1f})"
         )
         return GateResult(passed, residual, reason)

@@ -23,6 +23,7 @@ def optimize(edges: Edges, start: Array) -> Array:
         GraphError: the edges leave poses undetermined.
     """
     graph = _graph(edges, start[0])
+    # Drifted odometry may lie in a local minimum that the chordal start, which needs no start, avoids.
     starts = [_values(start), *_chordal_starts(graph, start, edges)]
     return _poses(_levenberg_marquardt(graph, min(starts, key=graph.error)), start)
 

@@ -45,6 +45,7 @@ class Edges:
     @cached_property
     def sqrt_information(self) -> Array:
         """(M, dof, dof) upper triangular square roots of the information, which whiten errors."""
+        # With information L L^T, chi-square is |L^T e|^2.
         return np.asarray(np.linalg.cholesky(self.information).swapaxes(1, 2), dtype=np.float64)
 
     @cached_property

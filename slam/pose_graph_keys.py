@@ -83,6 +83,7 @@ class NodeChain:
             return None
         T_query_node, Ad = se3.inverse(query.T_node_frame), se3.adjoint(query.T_node_frame)
         T_match_node = closure.T_match_query @ T_query_node
+        # The motion back from the query to its node: the inverse of a motion has its covariance moved by the adjoint.
         own = se3.compose_covariance(closure.covariance, T_query_node, Ad @ query.covariance @ Ad.T)
         return replace(
             closure,

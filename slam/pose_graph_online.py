@@ -65,7 +65,7 @@ class IncrementalPoseGraph:
         self._estimate.insert(self._newest, pose)
 
     def register_loop(self, number: int, loop: LoopClosure) -> None:
-        """Make a loop between nodes known, without using it yet: `chi2` then answers for it."""
+        """Register a loop between nodes for `chi2` and `add_loops`, without using it yet."""
         self._registered[number] = factors.loop_factor(loop)
 
     def add_loops(self, loops: Mapping[int, LoopClosure]) -> None:

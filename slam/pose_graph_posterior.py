@@ -54,6 +54,7 @@ def sample_posterior(poses: Array, edges: Edges, seed: int = 0) -> Posterior:
     """Sample the posterior of a connected graph at poses (N, n, n), the first pose held."""
     dof = edges.group.dof
     jacobian = whitened_jacobian(poses, edges)[:, dof:]
+    # The least-squares answer to unit noise in the whitened errors is a sample of the posterior.
     noise = np.random.default_rng(seed).normal(size=(jacobian.shape[0], SAMPLES))
     moved = factorize_jacobian(jacobian).solve(jacobian.T @ noise)
     samples = np.concatenate([np.zeros((dof, SAMPLES)), moved]).reshape(len(poses), dof, SAMPLES)

@@ -126,6 +126,7 @@ def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     return _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
 
 
+# The problem and the screening of its loops -> poses and weights; `solve` adds the reasons.
 BackEnd = Callable[[LoopProblem, Screening], BackEndResult]
 BACK_ENDS: dict[str, BackEnd] = {
     "none": _all_loops,
@@ -139,7 +140,7 @@ BACK_ENDS: dict[str, BackEnd] = {
 
 
 def back_end(name: str) -> BackEnd:
-    """Look up a back end; ConfigError names the known ones."""
+    """Back end of a name; ConfigError lists the names there are."""
     if name not in BACK_ENDS:
         raise ConfigError(f"unknown robust back end '{name}': expected one of {', '.join(BACK_ENDS)}")
     return BACK_ENDS[name]
@@ -149,14 +150,14 @@ def solve(problem: LoopProblem, name: str = DEFAULT) -> BackEndResult:
     """Solve a problem by the named back end: poses, and a weight and a reason for each loop.
 
     Raises:
-        ConfigError: the name is not known.
+        ConfigError: there is no back end of this name.
         GraphError: the trusted edges do not connect all poses, or an information matrix is not positive definite.
     """
     run = back_end(name)
     _check(problem)
     if not len(problem.loops):
         return _fit_from_odometry(problem, np.zeros(0, dtype=bool))
-    screening = screen(problem)
+    screening = screen(problem)  # of `none` too: its reasons need the scale of covariances
     result = run(problem, screening)
     return replace(result, reasons=_reasons(problem, screening, result))
 
@@ -192,6 +193,7 @@ def _fit_nearby(problem: LoopProblem, kept: Mask, poses: Array) -> BackEndResult
 
 def _reasons(problem: LoopProblem, screening: Screening, result: BackEndResult) -> tuple[str, ...]:
     """(L,) why each loop was kept or left out, a sentence each."""
+    # Residuals on the calibrated scale: stated covariances may be wrong by any factor.
     after = np.sqrt(problem.loops.chi2(result.poses) / screening.scale)
     before = np.sqrt(screening.likelihood.chi2 / screening.scale)
     log_ratio = screening.likelihood.log_ratio_at(screening.scale)

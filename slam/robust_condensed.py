@@ -38,6 +38,7 @@ class CondensedProblem:
             return poses
         correction = poses @ inverse(self.whole[self.rows])
         row = np.arange(len(self.whole))
+        # Each pose lies between two that stayed; the last one belongs to the interval before it.
         at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
         share = (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
         group = self.problem.trusted.group

@@ -35,6 +35,7 @@ def conflicting_loops(
     dof, loops = problem.loops.group.dof, problem.loops
     rows = np.flatnonzero(kept)
     conflicting = np.zeros(len(loops), dtype=bool)
+    # The first pose is held: it has no columns.
     bends = _bends(problem.edges_with(kept), poses, loops[contenders[:MAX_CONTENDERS]])
     moved = jacobian_of_errors(poses, loops[rows])[:, dof:] @ bends
     errors = loops[rows].errors(poses)[:, :, None] + moved.reshape(len(rows), dof, -1)

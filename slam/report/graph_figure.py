@@ -39,7 +39,7 @@ def graph_figure(name: str, problem: LoopProblem, result: BackEndResult, truth: 
         positions = positions @ plane
         _loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
         _loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))
-        if truth is not None:
+        if truth is not None:  # above the estimate, dashed, so that both are seen where they agree
             ax.plot(
                 *(truth @ plane).T, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4
             )

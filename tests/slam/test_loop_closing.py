@@ -29,7 +29,7 @@ MOTION = se3.exp(np.array([0.02, -0.08, 0.01, 0.4, -0.1, 1.2]))
 class World:
     """Points with descriptors, and stereo cameras that see them with half a pixel of noise.
 
-    An image says in its first pixel which view it is; its features and disparities are looked up by that.
+    The first pixel of an image is the number of its view; its features and disparities are looked up by that.
     """
 
     points: np.ndarray
@@ -89,7 +89,7 @@ def test_a_loop_is_closed_with_the_right_pose() -> None:
 def test_the_covariance_is_honest() -> None:
     nees = []
     for seed in range(25):
-        config = LoopCloserConfig(geometry=UNBIASED)
+        config = LoopCloserConfig(relative_pose=UNBIASED)
         answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).verify(1, 0)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
@@ -100,7 +100,7 @@ def test_the_covariance_is_honest() -> None:
 def test_more_noise_makes_a_larger_covariance() -> None:
     quiet, loud = world(), world()
     loud.noise = 1.0
-    config = LoopCloserConfig(geometry=UNBIASED)
+    config = LoopCloserConfig(relative_pose=UNBIASED)
     one, two = (closer_over(w, [np.eye(4), MOTION], config).verify(1, 0) for w in (quiet, loud))
     assert isinstance(one, LoopClosure)
     assert isinstance(two, LoopClosure)
@@ -293,7 +293,7 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
 
 @pytest.mark.parametrize("scale", [0.6, 1.0, 1.7])
 def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(scale: float) -> None:
-    """The query's depths are in a unit of its own: the loop is in the match's, and says how long the other is."""
+    """The query's depths are in a unit of its own: the loop is in that of the match, with the ratio of the two."""
     scene = world()
 
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Online, no loop is trusted by itself, and what proves inconsistent leaves without a trace."""
+"""Online, no loop is used by itself, and one that proves inconsistent leaves without a trace."""
 
 import numpy as np
 import pytest
@@ -13,16 +13,16 @@ BIG = laps(side=150, laps=1.3, bias=(1e-4, 0.005))  # first true loop at frame 6
 
 
 def drift_like(drive: Drive, query: int, match: int, sigmas: float, seed: int, count: int = 1) -> list[LoopClosure]:
-    """False loops that agree with one another and that drift would explain: so many sigmas from odometry."""
+    """False loops that agree with one another and that drift would explain, at a number of sigmas from odometry."""
     rng, graph = np.random.default_rng(seed), drive.graph([])
     between = graph._chain.between(match, query)
     xi = np.linalg.cholesky(between.covariance) @ rng.normal(size=6)
     xi *= sigmas / np.sqrt(xi @ np.linalg.solve(between.covariance, xi))
-    claimed, poses = between.T_first_second @ se3.exp(xi), graph.odometry_poses()
+    measured, poses = between.T_first_second @ se3.exp(xi), graph.odometry_poses()
     out = []
     for k in range(0, 2 * count, 2):
         back, on = se3.inverse(poses[match + k]) @ poses[match], se3.inverse(poses[query]) @ poses[query + k]
-        T = back @ claimed @ on @ se3.exp(noise(rng, LOOP_COVARIANCE))
+        T = back @ measured @ on @ se3.exp(noise(rng, LOOP_COVARIANCE))
         out.append(LoopClosure(query + k, match + k, T, LOOP_COVARIANCE, 50))
     return out
 
@@ -111,7 +111,7 @@ def test_a_loop_that_was_taken_out_leaves_no_trace() -> None:
     np.testing.assert_allclose(graph.poses()[:, :3, 3], never.poses()[:, :3, 3], atol=0.02)
 
 
-def test_every_change_is_told_once_and_in_order() -> None:
+def test_every_change_is_logged_once_and_in_order() -> None:
     graph, _ = driven(BIG, [*drift_like(BIG, 480, 100, 4.5, 0, count=3), *BIG.loops])
     frames = [change.frame for change in graph.loop_events]
     assert frames == sorted(frames)

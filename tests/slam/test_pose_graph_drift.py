@@ -16,8 +16,8 @@ def bend(count: int) -> list[np.ndarray]:
     return [se3.exp(np.array([0.01, 0.06 * np.sin(k / 5), 0.0, 0.0, 0.05, 1.0])) for k in range(count)]
 
 
-def chain(motions: list[np.ndarray], budget: OdometryDriftModel = NO_DRIFT) -> OdometryChain:
-    out = OdometryChain(budget)
+def chain(motions: list[np.ndarray], model: OdometryDriftModel = NO_DRIFT) -> OdometryChain:
+    out = OdometryChain(model)
     for T in motions:
         out.append(T, COVARIANCE)
     return out
@@ -66,9 +66,9 @@ def test_covariance_is_gtsams_marginal() -> None:
     np.testing.assert_allclose(chain(motions).between(0, 30).covariance, marginal, rtol=1e-5, atol=1e-9)
 
 
-def test_a_lasting_bias_stays_within_the_budget() -> None:
+def test_a_lasting_bias_stays_within_the_covariance() -> None:
     motions = bend(400)
-    bias = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.01])  # one sigma of the default budget, all the way
+    bias = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.01])  # one sigma of the default model, for the whole path
     between = chain(motions, OdometryDriftModel()).between(0, 400)
     T = np.eye(4)
     for motion in motions:
@@ -77,7 +77,7 @@ def test_a_lasting_bias_stays_within_the_budget() -> None:
     assert error @ np.linalg.solve(between.covariance, error) < 2.5  # two directions biased by one sigma each
 
 
-def test_standing_still_uses_no_drift_budget() -> None:
+def test_standing_still_adds_no_drift() -> None:
     still = chain([np.eye(4)] * 10, OdometryDriftModel()).between(0, 10)
     np.testing.assert_allclose(still.covariance, 10 * COVARIANCE, rtol=1e-12)
     assert still.path_length_m == 0.0

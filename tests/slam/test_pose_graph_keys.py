@@ -1,4 +1,4 @@
-"""Frames hang on their keys, and loops move to them without a change of what they say."""
+"""Frames are attached to nodes, and loops move to the nodes without a change of what they measure."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,11 @@ from slam.pose_graph_keys import NodeChain, NodeSpacing
 
 from .laps import LOOP_COVARIANCE, STEP_COVARIANCE, laps, loop_between
 
-NO_TURN = 1e9  # radians: turning makes no key
+NO_TURN = 1e9  # radians: turning makes no node
 
 
 def filled(spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain, list[np.ndarray]]:
-    """Keys and chain of a noisy lap, and T_world_key of each key."""
+    """Nodes and chain of a noisy lap, and T_world_node of each node."""
     nodes, chain = NodeChain(spacing), OdometryChain(OdometryDriftModel(0.0, 0.0))
     T_world_nodes = [np.eye(4)]
     for T in laps(laps=1.0).motions:
@@ -25,31 +25,31 @@ def filled(spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain, list[np.ndar
 
 
 @pytest.mark.parametrize("min_distance_m", [0.0, 2.5, 10.0, 1000.0])
-def test_frames_on_unmoved_keys_lie_where_odometry_puts_them(min_distance_m: float) -> None:
+def test_frames_on_unmoved_nodes_lie_where_odometry_puts_them(min_distance_m: float) -> None:
     nodes, chain, T_world_nodes = filled(NodeSpacing(min_distance_m, NO_TURN))
     np.testing.assert_allclose(nodes.poses(np.array(T_world_nodes)), chain.poses, atol=1e-9)
 
 
-def test_a_frame_becomes_a_key_after_the_way_or_after_turning_on_the_spot() -> None:
+def test_a_frame_becomes_a_node_after_a_distance_or_after_turning_on_the_spot() -> None:
     nodes = NodeChain(NodeSpacing(min_distance_m=2.5, min_angle_rad=0.5))
     forward, turn = se3.exp(np.array([0, 0, 0, 0, 0, 1.0])), se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
     assert [nodes.append(forward, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
     assert [nodes.append(turn, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
 
 
-def test_standing_still_makes_no_keys() -> None:
+def test_standing_still_makes_no_nodes() -> None:
     nodes = NodeChain(NodeSpacing())
     assert all(nodes.append(np.eye(4), STEP_COVARIANCE) is None for _ in range(50))
     assert nodes[50].node == 0
 
 
-def test_a_frame_hangs_on_its_key_as_unsurely_as_the_chain_between_them() -> None:
+def test_a_frame_has_the_covariance_of_the_chain_from_its_node() -> None:
     nodes, chain, _ = filled(NodeSpacing(10.0, NO_TURN))
     first = next(k for k in range(1, 100) if nodes[k].node == 3)
     np.testing.assert_allclose(nodes[first + 6].covariance, chain.between(first, first + 6).covariance, atol=1e-12)
 
 
-def test_a_loop_between_keys_says_the_same_as_the_loop_between_frames() -> None:
+def test_a_loop_between_nodes_measures_the_same_as_the_loop_between_frames() -> None:
     drive = laps()
     nodes = NodeChain(NodeSpacing(min_distance_m=4.5))
     T_world_nodes = [np.eye(4)]
@@ -90,6 +90,6 @@ def test_the_covariance_of_a_moved_loop_is_that_of_random_trials() -> None:
     assert nees.mean() == pytest.approx(6.0, abs=0.4)
 
 
-def test_a_loop_within_one_key_is_none() -> None:
+def test_a_loop_within_one_node_is_none() -> None:
     nodes, *_ = filled(NodeSpacing(1000.0, NO_TURN))
     assert nodes.between_nodes(loop_between(np.random.default_rng(0), laps().poses, 50, 5)) is None

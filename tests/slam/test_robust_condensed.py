@@ -1,4 +1,4 @@
-"""A chain with fewer poses: the same errors, the same way back."""
+"""A condensed chain: the same errors, and the same poses after expansion."""
 
 from dataclasses import replace
 

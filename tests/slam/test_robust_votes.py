@@ -1,4 +1,4 @@
-"""How loops speak for and against one another: votes of neighbours, company, contests, the tails of errors."""
+"""How loops support and contradict one another: votes of neighbours, pairs, conflicts, the tails of errors."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def laps(wrong: dict[int, float], seed: int = 0) -> LoopProblem:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_false_loop_that_drift_explains_is_outvoted_by_those_next_to_it(seed: int) -> None:
+def test_a_false_loop_that_drift_explains_is_contradicted_by_its_neighbors(seed: int) -> None:
     problem = laps({30: 1.5}, seed)
     likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
     rows = np.arange(len(problem.loops))
@@ -43,7 +43,7 @@ def test_a_false_loop_that_drift_explains_is_outvoted_by_those_next_to_it(seed: 
     assert not len(contradicted_by_neighbors(likelihood, rows[30:31], 1.0))
 
 
-def test_what_two_loops_miss_the_map_by_is_no_quarrel_between_them() -> None:
+def test_two_loops_far_from_the_map_do_not_contradict_each_other_for_that() -> None:
     problem = laps({10: 0.4, 60: -0.4})
     every = np.ones(len(problem.loops), dtype=bool)
     every[[10, 60]] = False
@@ -55,7 +55,7 @@ def test_what_two_loops_miss_the_map_by_is_no_quarrel_between_them() -> None:
     assert not pairwise_consistency(by_odometry, np.array([10]), np.array([11]), 1.0).any()
 
 
-def test_company_counts_from_afar_only() -> None:
+def test_a_pair_counts_only_if_its_loops_are_far_apart() -> None:
     problem = laps({77: 4.0})
     likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
     together = best_pair_log_ratio(likelihood, np.array([0, 2, 70, 77]), 1.0)
