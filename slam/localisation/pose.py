@@ -83,9 +83,7 @@ class CameraPose:
 
 def camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
     """Pose of a camera by RANSAC, refined; None without consensus."""
-    start = pnp_ransac(
-        camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations
-    )
+    start = pnp_ransac(camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations)
     return None if start is None else refined_pose(camera, matches, start, config)
 
 
