@@ -28,11 +28,11 @@ Array = NDArray[np.float64]
 STEP_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m a frame
 STEP_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])  # what KITTI odometry was seen to have
 LOOP_SIGMAS = np.repeat([2e-3, 0.03], 3)
-OLDEST_S, RADIUS = 100, 4.0  # frames between revisits; metres
+MIN_GAP_FRAMES, MAX_DISTANCE_M = 100, 4.0  # between the two frames of a revisit
 
 
 @dataclass(frozen=True)
-class Drive:
+class SyntheticDrive:
     """True poses (N, 4, 4), measured motions, and loops of which some are true."""
 
     poses: Array
@@ -42,7 +42,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Driven:
+class OnlineRun:
     """The graph at the end, what it knew at each moment (N, 4, 4), and milliseconds a frame by both clocks."""
 
     graph: PoseGraph
@@ -61,31 +61,31 @@ def true_poses(folder: Path, sequence: str) -> Array:
     return poses
 
 
-def drive_along(poses: Array, every: int, seed: int = 0) -> Drive:
-    """Drive with odometry of honest noise and drift, and a loop at every so many frames of each revisit."""
+def make_drive(poses: Array, every: int, seed: int = 0) -> SyntheticDrive:
+    """Drive with odometry of honest noise and drift, and a loop at every `every`-th frame of each revisit."""
     rng = np.random.default_rng(seed)
     steps = se3.inverse(poses[:-1]) @ poses[1:]
     motions = tuple(T @ se3.exp(STEP_BIAS + rng.normal(0.0, STEP_SIGMAS)) for T in steps)
     tree, loops = cKDTree(poses[:, :3, 3]), []
     for query in range(0, len(poses), every):
         distances = np.linalg.norm(poses[:, :3, 3] - poses[query, :3, 3], axis=1)
-        near = [m for m in tree.query_ball_point(poses[query, :3, 3], RADIUS) if m < query - OLDEST_S]
+        near = [m for m in tree.query_ball_point(poses[query, :3, 3], MAX_DISTANCE_M) if m < query - MIN_GAP_FRAMES]
         if near:
             match = min(near, key=lambda m, distances=distances: float(distances[m]))
             T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
             loops.append(LoopClosure(query, int(match), T, np.diag(LOOP_SIGMAS**2), 100))
-    return Drive(poses, motions, tuple(loops), np.ones(len(loops), bool))
+    return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))
 
 
-def with_false_runs(drive: Drive, runs: int, length: int, sigmas: float, seed: int) -> Drive:
-    """Add runs of false loops that agree with one another, each so many sigmas from odometry by its drift budget."""
+def with_false_runs(drive: SyntheticDrive, runs: int, length: int, sigmas: float, seed: int) -> SyntheticDrive:
+    """Add runs of false loops that agree with one another, `sigmas` from odometry."""
     rng, chain = np.random.default_rng(seed), OdometryChain(PoseGraphConfig().drift)
     for T in drive.motions:
         chain.append(T, np.diag(STEP_SIGMAS**2))
     poses, false = chain.poses, []
     for _ in range(runs):
         query = int(rng.integers(300, len(poses) - 3 * length))
-        match = int(rng.integers(0, query - OLDEST_S - 3 * length))
+        match = int(rng.integers(0, query - MIN_GAP_FRAMES - 3 * length))
         between = chain.between(match, query)
         xi = np.linalg.cholesky(between.covariance) @ rng.normal(size=6)
         xi *= sigmas / np.sqrt(xi @ np.linalg.solve(between.covariance, xi))
@@ -98,7 +98,7 @@ def with_false_runs(drive: Drive, runs: int, length: int, sigmas: float, seed: i
     return replace(drive, loops=(*drive.loops, *false), true=true)
 
 
-def driven(drive: Drive) -> Driven:
+def run_online(drive: SyntheticDrive) -> OnlineRun:
     """Drive, asking for the pose of each frame."""
     graph, loops = PoseGraph(), {}
     for loop in drive.loops:
@@ -109,11 +109,11 @@ def driven(drive: Drive) -> Driven:
         graph.add_odometry(T, np.diag(STEP_SIGMAS**2))
         for loop in loops.get(frame, ()):
             graph.add_loop(loop)
-        known.append(graph.latest())
+        known.append(graph.current_pose())
         processor.append(1e3 * (time.process_time() - start[0]))
         clock.append(1e3 * (time.perf_counter() - start[1]))
     at_loop = np.array([frame in loops for frame in range(1, len(known))])
-    return Driven(graph, np.array(known), np.array(processor), np.array(clock), at_loop)
+    return OnlineRun(graph, np.array(known), np.array(processor), np.array(clock), at_loop)
 
 
 def ate(poses: Array, truth: Array) -> float:
@@ -123,7 +123,7 @@ def ate(poses: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((rotation.apply(a) - b) ** 2, axis=1))))
 
 
-def spread(times: Array) -> str:
+def summarize(times: Array) -> str:
     """Sum up times in three numbers."""
     return f"{np.median(times):6.1f} {np.percentile(times, 99):6.1f} {times.max():6.1f}"
 
@@ -133,12 +133,13 @@ def print_times(poses: Array) -> None:
     print("times in ms: median, 99th percentile, worst\n")
     print("loops  poses   all poses, processor   all poses, clock       at a loop, processor   map ATE (odometry) m")
     for every in (5, 3, 1):
-        drive = drive_along(poses, every)
-        result = driven(drive)
+        drive = make_drive(poses, every)
+        result = run_online(drive)
         odometry = np.array(list(accumulate(drive.motions, np.matmul, initial=np.eye(4))))
         print(
-            f"{len(drive.loops):5d}  {len(poses):5d}   {spread(result.processor_ms)}   {spread(result.clock_ms)}   "
-            f"{spread(result.processor_ms[result.at_loop])}   {ate(result.graph.poses(), poses):.2f} "
+            f"{len(drive.loops):5d}  {len(poses):5d}   {summarize(result.processor_ms)}   "
+            f"{summarize(result.clock_ms)}   "
+            f"{summarize(result.processor_ms[result.at_loop])}   {ate(result.graph.poses(), poses):.2f} "
             f"({ate(odometry, poses):.2f})",
             flush=True,
         )
@@ -148,12 +149,12 @@ def print_safety(poses: Array) -> None:
     """Print what false loops that pass the gate do to the map."""
     print("\nfalse loops that pass the gate, 3.5 sigma of drift from odometry, among 264 true ones\n")
     print("runs  of  seed   used at the end: true  false   map ATE m   known at each moment: ATE m   worst ms")
-    drive = drive_along(poses, 3)
+    drive = make_drive(poses, 3)
     for runs, length in ((0, 0), (10, 1), (40, 1), (1, 5), (3, 5), (1, 15), (5, 5), (5, 10)):
         for seed in (0, 1) if runs else (0,):
             mixed = with_false_runs(drive, runs, length, 3.5, seed)
-            result = driven(mixed)
-            last = {change.loop: change.joined for change in result.graph.history}
+            result = run_online(mixed)
+            last = {event.loop: event.used for event in result.graph.loop_events}
             truth = {id(loop): good for loop, good in zip(mixed.loops, mixed.true, strict=True)}
             used = [truth[id(loop)] for k, loop in enumerate(result.graph.loops) if last[k]]
             print(

@@ -22,27 +22,27 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from slam.graph_roles import roles
+from slam.graph_roles import classify_edges
 from slam.graph_truth import absolute_error, find_truth
 from slam.loop_closing import LoopClosure
 from slam.pose_graph import PoseGraph
-from slam.pose_graph_batch import chordal, minimum, refined
+from slam.pose_graph_batch import chordal_initialization, optimize, refine
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import inverse
-from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solved
+from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.storage.g2o import read_g2o
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SIZE_OF_FALSE = (2.0, 0.5, 0.1)  # m, m, rad: standard deviations of the motions that false loops are given
-RUN_GAP = 15  # poses between loops of one run, at most
+FALSE_SIGMAS = (2.0, 0.5, 0.1)  # m, m, rad: standard deviations of the motions that false loops are given
+MAX_RUN_GAP = 15  # poses between loops of one run, at most
 FACTORS = (1.0, 1 / 16, 16.0)
 STANDARD = ("smallGrid3D", "CSAIL", "intel", "manhattan", "parking-garage", "sphere2500", "torus3D", "city10000")
 
 
 @dataclass(frozen=True)
-class Real:
+class RealGraph:
     """A real graph in the plane, with the truth about it."""
 
     name: str
@@ -51,44 +51,44 @@ class Real:
     positions: Array
 
 
-def real_graphs(folder: Path) -> Iterator[Real]:
+def real_graphs(folder: Path) -> Iterator[RealGraph]:
     """Read the nine graphs."""
     for path in sorted((folder / "pose_graphs" / "kitti_real_loops").glob("*.g2o")):
         graph = read_g2o(path)
-        sorted_ = roles(graph, path.name)
-        truth = find_truth(path, graph, sorted_.trusted, folder / "kitti_poses")
+        classified = classify_edges(graph, path.name)
+        truth = find_truth(path, graph, classified.trusted, folder / "kitti_poses")
         if truth.loops is not None and truth.positions is not None:
-            yield Real(path.stem.removeprefix("kitti_"), sorted_.problem, truth.loops, truth.positions)
+            yield RealGraph(path.stem.removeprefix("kitti_"), classified.problem, truth.loops, truth.positions)
 
 
-def zero(real: Real) -> Edges:
+def zero(real: RealGraph) -> Edges:
     """Loops as in the file."""
     return real.problem.loops
 
 
-def random(real: Real) -> Edges:
+def random(real: RealGraph) -> Edges:
     """Loops whose false ones measure small random motions."""
     return _with_false(real, agreeing=False)
 
 
-def agreeing(real: Real) -> Edges:
+def agreeing(real: RealGraph) -> Edges:
     """Loops whose false ones agree along odometry with the first of their run."""
     return _with_false(real, agreeing=True)
 
 
-def _with_false(real: Real, agreeing: bool) -> Edges:
+def _with_false(real: RealGraph, agreeing: bool) -> Edges:
     rng, loops, chain = np.random.default_rng(0), real.problem.loops, real.problem.start
     motions, previous, begin = loops.motions.copy(), (-100, -100), -1
-    late, early = np.maximum(loops.first, loops.second), np.minimum(loops.first, loops.second)
+    late, early = np.maximum(loops.first, loops.second), np.optimize(loops.first, loops.second)
     for k in np.lexsort((early, late)):
         if real.true[k]:
             continue
         ends = (int(loops.first[k]), int(loops.second[k]))
-        if agreeing and max(abs(ends[0] - previous[0]), abs(ends[1] - previous[1])) <= RUN_GAP:
+        if agreeing and max(abs(ends[0] - previous[0]), abs(ends[1] - previous[1])) <= MAX_RUN_GAP:
             i, j = loops.first[begin], loops.second[begin]
             motions[k] = inverse(chain[ends[0]]) @ chain[i] @ motions[begin] @ inverse(chain[j]) @ chain[ends[1]]
         else:
-            motions[k] = loops.group.exp(rng.normal(0.0, SIZE_OF_FALSE)[None])[0]
+            motions[k] = loops.group.exp(rng.normal(0.0, FALSE_SIGMAS)[None])[0]
             begin = k
         previous = ends
     return replace(loops, motions=motions)
@@ -102,12 +102,12 @@ def scaled(edges: Edges, factor: float) -> Edges:
     return replace(edges, information=edges.information / factor)
 
 
-def judge(real: Real, label: str, problem: LoopProblem, back_end: str) -> None:
-    """Print one line: ATE against that of the true loops alone, verdicts, time."""
+def print_case(real: RealGraph, label: str, problem: LoopProblem, back_end: str) -> None:
+    """Print one line: ATE against that of the true loops alone, kept loops, time."""
     start, clock = time.perf_counter(), time.process_time()
-    outcome = solved(problem, back_end)
+    outcome = solve(problem, back_end)
     seconds, busy = time.perf_counter() - start, time.process_time() - clock
-    poses = minimum(problem.using(real.true), problem.start) if real.true.any() else problem.start
+    poses = optimize(problem.edges_with(real.true), problem.start) if real.true.any() else problem.start
     best, ate = absolute_error(poses, real.positions), absolute_error(outcome.poses, real.positions)
     kept = outcome.kept
     ok = ate is not None and best is not None and ate <= 1.02 * best and not kept[~real.true].any()
@@ -119,7 +119,7 @@ def judge(real: Real, label: str, problem: LoopProblem, back_end: str) -> None:
     )
 
 
-def judge_real(folder: Path, back_ends: list[str]) -> None:
+def print_real(folder: Path, back_ends: list[str]) -> None:
     """Print the table of the real graphs, their variants and their scales."""
     for real in real_graphs(folder):
         for variant, changed in VARIANTS.items():
@@ -127,10 +127,10 @@ def judge_real(folder: Path, back_ends: list[str]) -> None:
             for factor in FACTORS:
                 problem = LoopProblem(scaled(real.problem.trusted, factor), scaled(loops, factor), real.problem.start)
                 for back_end in back_ends:
-                    judge(real, f"{variant}, x {factor:g}", problem, back_end)
+                    print_case(real, f"{variant}, x {factor:g}", problem, back_end)
 
 
-def judge_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
+def print_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
     """Print the table of the real graphs with hardly any true loop left."""
     for real in real_graphs(folder):
         if not real.name.endswith("0.15"):
@@ -144,17 +144,17 @@ def judge_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
             left[picked] = True
             problem = replace(real.problem, loops=zero(real)[left])
             for back_end in back_ends:
-                judge(Real(real.name, problem, real.true[left], real.positions), label, problem, back_end)
+                print_case(RealGraph(real.name, problem, real.true[left], real.positions), label, problem, back_end)
 
 
-def judge_standard(folder: Path, back_ends: list[str]) -> None:
+def print_standard(folder: Path, back_ends: list[str]) -> None:
     """Print minima and times of public graphs from odometry alone, and what the back ends make of true loops."""
     for name in STANDARD:
-        problem = roles(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
-        edges = problem.using(np.ones(len(problem.loops), dtype=bool))
-        poses, seconds = timed(lambda edges=edges, problem=problem: minimum(edges, problem.start))
-        start, first = timed(lambda edges=edges, problem=problem: chordal(edges, problem.start))
-        _, plain = timed(lambda edges=edges, start=start: refined(edges, start))
+        problem = classify_edges(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
+        edges = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
+        poses, seconds = timed(lambda edges=edges, problem=problem: optimize(edges, problem.start))
+        start, first = timed(lambda edges=edges, problem=problem: chordal_initialization(edges, problem.start))
+        _, plain = timed(lambda edges=edges, start=start: refine(edges, start))
         print(
             f"{name:14} minimum {0.5 * edges.chi2(poses).sum():12.6g} in {seconds:5.2f} s from odometry; chordal start "
             f"{first:5.2f} s, plain Levenberg-Marquardt from it {plain:5.2f} s: {seconds / (first + plain):.2f} times "
@@ -162,7 +162,7 @@ def judge_standard(folder: Path, back_ends: list[str]) -> None:
             flush=True,
         )
         for back_end in back_ends:
-            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solved(problem, back_end))
+            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solve(problem, back_end))
             print(f"  {back_end:10} kept {outcome.kept.sum()} of {len(problem.loops)} in {seconds:.2f} s", flush=True)
 
 
@@ -174,7 +174,7 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 
 @dataclass(frozen=True)
-class Drive:
+class SyntheticDrive:
     """A synthetic drive: motions with covariances, loops, true positions (N, 3)."""
 
     name: str
@@ -183,7 +183,7 @@ class Drive:
     positions: Array
 
 
-def synthetic_drive(folder: Path, sequence: str, every: int) -> Drive:
+def synthetic_drive(folder: Path, sequence: str, every: int) -> SyntheticDrive:
     """Make a drive of true shape with biased, noisy odometry and all revisits within 4 m, measured well."""
     rng = np.random.default_rng(0)
     rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
@@ -200,10 +200,10 @@ def synthetic_drive(folder: Path, sequence: str, every: int) -> Drive:
             match = min(near, key=lambda m: float(np.linalg.norm(poses[m, :3, 3] - poses[query, :3, 3])))
             T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, sigmas))
             loops.append(LoopClosure(query, match, T, np.diag(sigmas**2), 100))
-    return Drive(f"{sequence} synthetic", motions, loops, poses[:, :3, 3])
+    return SyntheticDrive(f"{sequence} synthetic", motions, loops, poses[:, :3, 3])
 
 
-def clock_online(drive: Drive) -> None:
+def time_online(drive: SyntheticDrive) -> None:
     """Print the time of adding a frame and asking for its pose, with and without a loop."""
     graph, loops = PoseGraph(), {loop.query: loop for loop in drive.loops}
     frame_ms, loop_ms = [], []
@@ -212,29 +212,29 @@ def clock_online(drive: Drive) -> None:
         graph.add_odometry(T, covariance)
         if query in loops:
             graph.add_loop(loops[query])
-        graph.latest()
+        graph.current_pose()
         (loop_ms if query in loops else frame_ms).append(1e3 * (time.perf_counter() - start))
     online, batch = (absolute_error(poses, drive.positions) for poses in (graph.poses(), graph.optimize().poses))
     print(
-        f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose {spread(frame_ms)}; "
-        f"at a loop {spread(loop_ms)}; ATE of the last online map {online:.2f} m, of the batch {batch:.2f} m",
+        f"{drive.name}: {len(graph)} poses, {len(loop_ms)} loops; ms a pose {summarize(frame_ms)}; "
+        f"at a loop {summarize(loop_ms)}; ATE of the last online map {online:.2f} m, of the batch {batch:.2f} m",
         flush=True,
     )
 
 
-def spread(times: list[float]) -> str:
+def summarize(times: list[float]) -> str:
     """Sum up times in three numbers."""
     return f"median {np.median(times):.2f}, p99 {np.percentile(times, 99):.1f}, worst {max(times):.0f}"
 
 
-def judge_online(folder: Path, back_ends: list[str]) -> None:
+def print_online(folder: Path, back_ends: list[str]) -> None:
     """Print online times of synthetic drives."""
     for sequence in ("07", "00"):
         for every in (5, 1):
-            clock_online(synthetic_drive(folder, sequence, every))
+            time_online(synthetic_drive(folder, sequence, every))
 
 
-PARTS = {"real": judge_real, "few": judge_few, "standard": judge_standard, "online": judge_online}
+PARTS = {"real": print_real, "few": print_few, "standard": print_standard, "online": print_online}
 
 
 def main() -> None:

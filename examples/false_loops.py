@@ -17,13 +17,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slam.false_loops import KINDS, Contaminated, Injection, contaminated
-from slam.graph_roles import roles
-from slam.pose_graph_batch import minimum
+from slam.false_loops import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
+from slam.graph_roles import classify_edges
+from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Plane, compounded, inverse
 from slam.report.figures import new_figure, save_png, style
-from slam.robust import BACK_ENDS, LoopProblem, solved
+from slam.robust import BACK_ENDS, LoopProblem, solve
 from slam.storage.g2o import read_g2o
 from slam.storage.tables import write_table
 
@@ -59,32 +59,32 @@ def main() -> None:
     parser.add_argument("--back-ends", nargs="+", default=list(BACK_ENDS), choices=list(BACK_ENDS))
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    graphs = {path.stem: roles(read_g2o(path), str(path)).problem for path in arguments.graphs}
+    graphs = {path.stem: classify_edges(read_g2o(path), str(path)).problem for path in arguments.graphs}
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for name, problem in (graphs or {"two_laps": two_laps(arguments.seed)}).items():
-        for row in measured(name, problem, arguments):
+        for row in evaluate(name, problem, arguments):
             rows.append(row)
-            print(shown(row), flush=True)
+            print(format_row(row), flush=True)
     write_table(arguments.out / "false_loops.csv", COLUMNS, (vars(row).values() for row in rows))
-    save_png(drawn(rows), arguments.out / "false_loops.png")
+    save_png(draw(rows), arguments.out / "false_loops.png")
 
 
-def measured(name: str, problem: LoopProblem, arguments: argparse.Namespace) -> Iterator[Row]:
+def evaluate(name: str, problem: LoopProblem, arguments: argparse.Namespace) -> Iterator[Row]:
     """Rows of one graph."""
-    clean = problem.using(np.ones(len(problem.loops), dtype=bool))
-    poses = minimum(clean, problem.start)
-    least = float(clean.chi2(poses).sum())
+    clean = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
+    poses = optimize(clean, problem.start)
+    minimum = float(clean.chi2(poses).sum())
     for kind in arguments.kinds:
         for share in arguments.shares:
-            mixed = contaminated(problem, poses, Injection(kind, share, arguments.seed))
+            mixed = inject_outliers(problem, poses, OutlierConfig(kind, share, arguments.seed))
             for back_end in arguments.back_ends:
-                yield tried(Trial(name, kind, share, back_end), mixed, clean, least)
+                yield run_trial(Trial(name, kind, share, back_end), mixed, clean, minimum)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is tried."""
+    """A graph, a kind and a share of false loops, and a back end."""
 
     graph: str
     kind: str
@@ -92,13 +92,13 @@ class Trial:
     back_end: str
 
 
-def tried(trial: Trial, mixed: Contaminated, clean: Edges, least: float) -> Row:
-    """Optimise under one back end and measure against the clean graph (its edges, its least chi-square)."""
+def run_trial(trial: Trial, mixed: ContaminatedProblem, clean: Edges, minimum: float) -> Row:
+    """Optimise under one back end and measure against the clean graph (its edges, its minimum chi-square)."""
     start = time.perf_counter()
-    outcome = solved(mixed.problem, trial.back_end)
+    result = solve(mixed.problem, trial.back_end)
     seconds = time.perf_counter() - start
-    kept, true = outcome.kept, mixed.true
-    ratio = float(clean.chi2(outcome.poses).sum()) / least
+    kept, true = result.kept, mixed.true
+    ratio = float(clean.chi2(result.poses).sum()) / minimum
     counts = (int(true.sum()), int(kept[true].sum()), int((~true).sum()), int(kept[~true].sum()))
     return Row(*vars(trial).values(), ratio, *counts, seconds)
 
@@ -116,14 +116,14 @@ def two_laps(seed: int, side: int = 100) -> LoopProblem:
     rows = np.arange(count, dtype=np.int64)
     trusted = Edges(rows, rows + 1, odometry, np.tile(np.diag(step_sigma**-2), (count, 1, 1)))
     later = np.arange(4 * side + 4, count, 2, dtype=np.int64)
-    measured_ = (
+    measured = (
         inverse(poses[later - 4 * side]) @ poses[later] @ group.exp(rng.normal(size=(len(later), 3)) * loop_sigma)
     )
-    loops = Edges(later - 4 * side, later, measured_, np.tile(np.diag(loop_sigma**-2), (len(later), 1, 1)))
+    loops = Edges(later - 4 * side, later, measured, np.tile(np.diag(loop_sigma**-2), (len(later), 1, 1)))
     return LoopProblem(trusted, loops, compounded(np.eye(3), odometry))
 
 
-def shown(row: Row) -> str:
+def format_row(row: Row) -> str:
     """One line for the terminal."""
     return (
         f"{row.graph:16} {row.kind:9} {row.share:4.0%}  {row.back_end:10} error x {row.error_ratio:<9.4g} "
@@ -131,7 +131,7 @@ def shown(row: Row) -> str:
     )
 
 
-def drawn(rows: list[Row]) -> Figure:
+def draw(rows: list[Row]) -> Figure:
     """Error and time over the share of false loops: a column for each graph and kind."""
     panels = list(dict.fromkeys((row.graph, row.kind) for row in rows))
     figure = new_figure(3.6 * len(panels) + 1.5, 6.5)

@@ -20,7 +20,7 @@ from slam.keyframes import KeyFrameConfig
 from slam.loop_closing import LoopCloserConfig
 from slam.mapping.landmarks import LandmarkMapConfig
 from slam.pose_graph import PoseGraphConfig
-from slam.pose_graph_drift import DriftBudget
+from slam.pose_graph_drift import OdometryDriftModel
 from slam.robust import DEFAULT
 
 T = TypeVar("T")
@@ -33,13 +33,13 @@ class MonoConfig:
     Attributes:
         odometry: settings of the odometry.
         drift: drift model of the odometry in the pose graph.
-        unit_drift: standard deviation of the change of the logarithm of its unit of length over a path of one metre;
+        scale_drift: standard deviation of the change of the logarithm of its unit of length over a path of one metre;
             it grows with the square root of the path length.
     """
 
     odometry: MonoOdometryConfig = field(default_factory=MonoOdometryConfig)
-    drift: DriftBudget = field(default_factory=lambda: DriftBudget(translation=0.03))
-    unit_drift: float = 0.01
+    drift: OdometryDriftModel = field(default_factory=lambda: OdometryDriftModel(sigma_m_per_m=0.03))
+    scale_drift: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class RunConfig:
         """Settings of the pose graph, with the drift of the odometry that is used."""
         if not self.mono:
             return self.pose_graph
-        return replace(self.pose_graph, drift=self.mono_odometry.drift, unit_drift=self.mono_odometry.unit_drift)
+        return replace(self.pose_graph, drift=self.mono_odometry.drift, scale_drift=self.mono_odometry.scale_drift)
 
 
 def to_toml(config: RunConfig) -> str:

@@ -1,6 +1,6 @@
-"""False loops to test back ends with: as wrong as real ones, and as hard to tell from true ones.
+"""Outlier config: false loops to test back ends with, as hard to tell from true ones as real ones are.
 
-Their transforms are those of true loops of the same graph, and so is their information; only the places are
+Their measured poses are those of true loops of the same graph, and so is their information; only the places are
 wrong. `random` ones are single; `grouped` ones come in runs of successive pairs, as when a recogniser takes one
 street for another; `coherent` runs agree among themselves as well, as when the streets look alike metre by metre.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import ConfigError
-from slam.pose_graph_edges import Edges, joined
+from slam.pose_graph_edges import Edges, concatenate
 from slam.pose_graph_lie import inverse
 from slam.robust_problem import LoopProblem
 
@@ -22,62 +22,62 @@ KINDS = ("random", "grouped", "coherent")
 
 
 @dataclass(frozen=True)
-class Injection:
-    """Which false loops to add, and how many."""
+class OutlierConfig:
+    """Kind and number of the false loops to add."""
 
     kind: str = "random"  # one of KINDS
-    share: float = 0.5  # of all loops that are false afterwards, 0 to below 1
+    share: float = 0.5  # of false loops among all loops, 0 to below 1
     seed: int = 0
-    run: int = 10  # loops in a run
-    least_gap: int = 20  # poses between the two ends of a loop
+    run_length: int = 10  # loops in a run
+    min_gap: int = 20  # poses between the two ends of a loop
 
 
 @dataclass(frozen=True)
-class Contaminated:
+class ContaminatedProblem:
     """A graph with false loops among the true ones, shuffled.
 
     Attributes:
         problem: trusted edges, loops and start.
-        true: (L,) bool.
+        true: (L,) bool, which loops are true.
     """
 
     problem: LoopProblem
     true: Mask
 
 
-def contaminated(problem: LoopProblem, poses: Array, injection: Injection) -> Contaminated:
+def inject_outliers(problem: LoopProblem, poses: Array, config: OutlierConfig) -> ContaminatedProblem:
     """Add false loops to a graph.
 
     Args:
-        problem: with true loops only, at least one.
-        poses: (N, n, n) its solution, after which coherent runs bend.
-        injection: which.
+        problem: problem with true loops only, at least one.
+        poses: (N, n, n) solution of the problem, along which coherent runs agree, metres.
+        config: kind and number of the false loops.
 
     Raises:
-        ConfigError: an unknown kind, or a share that cannot be.
+        ConfigError: the kind is unknown, or the share is not in [0, 1).
     """
-    if injection.kind not in KINDS or not 0 <= injection.share < 1:
+    if config.kind not in KINDS or not 0 <= config.share < 1:
         raise ConfigError(
-            f"expected one of {', '.join(KINDS)} and a share in [0, 1), got '{injection.kind}' and {injection.share}"
+            f"expected one of {', '.join(KINDS)} and a share in [0, 1), got '{config.kind}' and {config.share}"
         )
-    rng = np.random.default_rng(injection.seed)
-    count = round(len(problem.loops) * injection.share / (1.0 - injection.share))
-    loops = joined(problem.loops, _false(rng, problem.loops, poses, injection, count))
+    rng = np.random.default_rng(config.seed)
+    count = round(len(problem.loops) * config.share / (1.0 - config.share))
+    loops = concatenate(problem.loops, _false_loops(rng, problem.loops, poses, config, count))
     order = rng.permutation(len(loops))
     true = np.arange(len(loops)) < len(problem.loops)
-    return Contaminated(LoopProblem(problem.trusted, loops[order], problem.start), true[order])
+    return ContaminatedProblem(LoopProblem(problem.trusted, loops[order], problem.start), true[order])
 
 
-def _false(rng: np.random.Generator, true: Edges, poses: Array, injection: Injection, count: int) -> Edges:
-    """So many false loops."""
-    length = 1 if injection.kind == "random" else injection.run
+def _false_loops(rng: np.random.Generator, true: Edges, poses: Array, config: OutlierConfig, count: int) -> Edges:
+    """`count` false loops."""
+    length = 1 if config.kind == "random" else config.run_length
     runs = -(-count // length)
-    starts = _ends(rng, len(poses) - length, runs, injection.least_gap)
+    starts = _ends(rng, len(poses) - length, runs, config.min_gap)
     within = np.tile(np.arange(length), runs)[:count]
     first, second = (np.repeat(starts, length, axis=0)[:count] + within[:, None]).T
     copied = rng.integers(len(true), size=count)
     motions = true.motions[copied]
-    if injection.kind == "coherent":
+    if config.kind == "coherent":
         begin = np.repeat(np.arange(runs) * length, length)[:count]
         motions = (
             inverse(poses[first]) @ poses[first[begin]] @ motions[begin] @ inverse(poses[second[begin]]) @ poses[second]
@@ -86,9 +86,9 @@ def _false(rng: np.random.Generator, true: Edges, poses: Array, injection: Injec
     return Edges(first, second, motions, true.information[copied])
 
 
-def _ends(rng: np.random.Generator, rows: int, count: int, least_gap: int) -> NDArray[np.int64]:
+def _ends(rng: np.random.Generator, rows: int, count: int, min_gap: int) -> NDArray[np.int64]:
     """(count, 2) rows of two poses each, the earlier first, that lie far enough apart."""
-    gap = min(least_gap, rows // 2)
+    gap = min(min_gap, rows // 2)
     apart = rng.integers(gap, rows, size=count)
     first = rng.integers(0, rows - apart)
     return np.stack([first, first + apart], axis=1).astype(np.int64)
@@ -97,4 +97,4 @@ def _ends(rng: np.random.Generator, rows: int, count: int, least_gap: int) -> ND
 def _noise(rng: np.random.Generator, edges: Edges) -> Array:
     """(M, dof) errors as the edges' information has them."""
     normal = rng.normal(size=(len(edges), edges.group.dof, 1))
-    return np.asarray(np.linalg.solve(edges.root, normal)[..., 0])
+    return np.asarray(np.linalg.solve(edges.sqrt_information, normal)[..., 0])

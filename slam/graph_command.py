@@ -1,4 +1,4 @@
-"""`revisit optimize`: pose graphs in, corrected ones out, with a verdict on every loop."""
+"""`revisit optimize`: optimise stored pose graphs and decide on every loop."""
 
 import time
 from dataclasses import dataclass, replace
@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from slam.errors import ConfigError
-from slam.graph_roles import Roles, roles
+from slam.graph_roles import ClassifiedEdges, classify_edges
 from slam.graph_truth import GraphTruth, absolute_error, find_truth
 from slam.pose_graph_lie import inverse
 from slam.provenance import peak_memory_mb, provenance
 from slam.report.figures import save_png
 from slam.report.graph_figure import graph_figure
-from slam.robust import DEFAULT, Outcome, back_end, solved
+from slam.robust import DEFAULT, BackEndResult, back_end, solve
 from slam.storage.g2o import Graph, read_g2o, write_g2o
 from slam.storage.metrics import write_metrics
 from slam.storage.run_folder import RunFolder
@@ -30,14 +30,14 @@ EDGE_COLUMNS = ("first", "second", "role", "kept", "weight", "residual", "truth"
 
 @dataclass(frozen=True)
 class OptimizeOptions:
-    """What `revisit optimize` was asked for.
+    """Options of `revisit optimize`.
 
     Attributes:
-        graphs: g2o files.
+        graphs: g2o files to optimise.
         out: folder for the results; one folder each inside it where there are several graphs.
-        robust: back end by name.
+        robust: name of the back end.
         ground_truth: poses (KITTI, TUM), or a folder of them, each named as a word of the graph's name.
-        overwrite: replace earlier results.
+        overwrite: whether to replace earlier results.
     """
 
     graphs: tuple[Path, ...]
@@ -48,22 +48,22 @@ class OptimizeOptions:
 
 
 @dataclass(frozen=True)
-class Solved:
-    """One graph, what was made of it, and what is known to be true.
+class OptimizedGraph:
+    """A stored graph, the result of its optimisation, and its ground truth.
 
     Attributes:
-        path: of the graph.
-        graph: as read.
-        roles: its edges, sorted.
-        outcome: poses and verdicts, the fixed pose in its place.
-        truth: positions and loops.
-        seconds: wall clock of the optimisation.
+        path: file of the graph.
+        graph: the graph as read.
+        edges: its edges, classified as odometry and loops.
+        result: optimised poses by id, and a weight and a reason for each loop.
+        truth: ground truth of positions and loops, where there is any.
+        seconds: wall-clock time of the optimisation.
     """
 
     path: Path
     graph: Graph
-    roles: Roles
-    outcome: Outcome
+    edges: ClassifiedEdges
+    result: BackEndResult
     truth: GraphTruth
     seconds: float
 
@@ -75,15 +75,15 @@ def optimize_graphs(options: OptimizeOptions, messages: Console, results: Consol
         RevisitError: a graph, its truth, the settings or the output folder cannot be used; what was there
             before stays untouched.
     """
-    back_end(options.robust)
+    back_end(options.robust)  # an unknown name is an error before any graph is read
     if len({path.stem for path in options.graphs}) < len(options.graphs):
         raise ConfigError("expected graphs with different names, found two of one; optimise them one by one")
     table = _table()
     for path in options.graphs:
         out = options.out if len(options.graphs) == 1 else options.out / path.stem
         with RunFolder.create(out, options.overwrite) as folder:
-            done = _solve(path, options)
-            for warning in done.graph.warnings + done.roles.warnings:
+            done = _optimize(path, options)
+            for warning in done.graph.warnings + done.edges.warnings:
                 messages.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
             section = _section(done, options)
             _write(folder.path, done, _metrics(done, section))
@@ -92,20 +92,21 @@ def optimize_graphs(options: OptimizeOptions, messages: Console, results: Consol
     results.print(table)
 
 
-def _solve(path: Path, options: OptimizeOptions) -> Solved:
+def _optimize(path: Path, options: OptimizeOptions) -> OptimizedGraph:
     graph = read_g2o(path)
-    sorted_ = roles(graph, str(path))
-    truth = find_truth(path, graph, sorted_.trusted, options.ground_truth)
+    edges = classify_edges(graph, str(path))
+    truth = find_truth(path, graph, edges.trusted, options.ground_truth)
     start = time.perf_counter()
-    outcome = solved(sorted_.problem, options.robust)
+    result = solve(edges.problem, options.robust)
     seconds = time.perf_counter() - start
-    return Solved(path, graph, sorted_, outcome, truth, seconds)
+    return OptimizedGraph(path, graph, edges, result, truth, seconds)
 
 
-def _in_place(done: Solved) -> Array:
+def _in_place(done: OptimizedGraph) -> Array:
     """Optimised poses (N, n, n) in the file's order, the fixed pose (else the first by id) where the file has it."""
-    poses = np.empty_like(done.outcome.poses)
-    poses[done.roles.order] = done.outcome.poses
+    # The back ends hold the first pose by id; a file may fix another one, whose place must stay.
+    poses = np.empty_like(done.result.poses)
+    poses[done.edges.order] = done.result.poses
     known = np.flatnonzero(done.graph.ids == done.graph.fixed)
     if known.size and done.graph.placed:
         T_file_ours = done.graph.poses[known[0]] @ inverse(poses[known[0]])
@@ -113,7 +114,7 @@ def _in_place(done: Solved) -> Array:
     return poses
 
 
-def _write(folder: Path, done: Solved, metrics: dict[str, object]) -> None:
+def _write(folder: Path, done: OptimizedGraph, metrics: dict[str, object]) -> None:
     write_metrics(folder / "metrics.json", metrics)
     kept = _kept_edges(done)
     graph = done.graph
@@ -130,68 +131,61 @@ def _write(folder: Path, done: Solved, metrics: dict[str, object]) -> None:
     )
     write_table(folder / "edges.csv", EDGE_COLUMNS, _rows(done))
     save_png(
-        graph_figure(done.path.stem, done.roles.problem, done.outcome, done.truth.positions),
+        graph_figure(done.path.stem, done.edges.problem, done.result, done.truth.positions),
         folder / "before_after.png",
     )
 
 
-def _kept_edges(done: Solved) -> Mask:
-    """(M,) edges of the file that the poses lean on."""
-    kept = done.roles.trusted.copy()
-    kept[~done.roles.trusted] = done.outcome.kept
+def _kept_edges(done: OptimizedGraph) -> Mask:
+    """(M,) bool, edges of the file that the poses are fitted to."""
+    kept = done.edges.trusted.copy()
+    kept[~done.edges.trusted] = done.result.kept
     return kept
 
 
-def _rows(done: Solved) -> list[tuple[object, ...]]:
-    """One row for each edge, in the file's order."""
-    graph, problem = done.graph, done.roles.problem
-    trusted_residual = iter(np.sqrt(problem.trusted.chi2(done.outcome.poses)).tolist())
-    residual = np.sqrt(problem.loops.chi2(done.outcome.poses)).tolist()
-    truth = [None] * len(residual) if done.truth.loops is None else done.truth.loops.tolist()
-    loops = iter(
-        zip(
-            done.outcome.kept.tolist(),
-            done.outcome.weights.tolist(),
-            residual,
-            truth,
-            done.outcome.reasons,
-            strict=True,
-        )
-    )
-    rows: list[tuple[object, ...]] = []
-    for i, j, trusted in zip(graph.first.tolist(), graph.second.tolist(), done.roles.trusted.tolist(), strict=True):
-        if trusted:
-            rows.append((i, j, "odometry", True, 1.0, next(trusted_residual), None, "trusted"))
-        else:
-            rows.append((i, j, "loop", *next(loops)))
-    return rows
+def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
+    """One row for each edge, in the file's order; the columns are `EDGE_COLUMNS`."""
+    graph, problem, result = done.graph, done.edges.problem, done.result
+    trusted, count = done.edges.trusted, len(done.edges.trusted)
+    weight, residual = np.ones(count), np.empty(count)
+    # Objects, as an edge of odometry has no truth: None, an empty cell.
+    truth, reason = np.full(count, None, dtype=object), np.full(count, "trusted", dtype=object)
+    weight[~trusted] = result.weights
+    residual[trusted] = np.sqrt(problem.trusted.chi2(result.poses))
+    residual[~trusted] = np.sqrt(problem.loops.chi2(result.poses))
+    reason[~trusted] = result.reasons
+    if done.truth.loops is not None:
+        truth[~trusted] = done.truth.loops
+    role = np.where(trusted, "odometry", "loop")
+    columns = (graph.first, graph.second, role, _kept_edges(done), weight, residual, truth, reason)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _section(done: Solved, options: OptimizeOptions) -> dict[str, object]:
-    """The part of metrics.json that is about the graph."""
-    problem, outcome = done.roles.problem, done.outcome
-    ate = [absolute_error(poses, done.truth.positions) for poses in (problem.start, outcome.poses)]
+def _section(done: OptimizedGraph, options: OptimizeOptions) -> dict[str, object]:
+    """Section `graph` of metrics.json."""
+    problem, result = done.edges.problem, done.result
+    ate = [absolute_error(poses, done.truth.positions) for poses in (problem.start, result.poses)]
     true = done.truth.loops
     return {
         "robust": options.robust,
         "poses": len(problem.start),
         "odometry_edges": len(problem.trusted),
         "loop_edges": len(problem.loops),
-        "loops_kept": int(outcome.kept.sum()),
+        "loops_kept": int(result.kept.sum()),
         "true": None if true is None else int(true.sum()),
-        "true_kept": None if true is None else int(outcome.kept[true].sum()),
-        "false_kept": None if true is None else int(outcome.kept[~true].sum()),
+        "true_kept": None if true is None else int(result.kept[true].sum()),
+        "false_kept": None if true is None else int(result.kept[~true].sum()),
         "ate_initial_m": ate[0],
         "ate_m": ate[1],
-        "error_initial": problem.error(outcome.kept, problem.start),
-        "error_final": problem.error(outcome.kept, outcome.poses),
+        "error_initial": problem.error(result.kept, problem.start),
+        "error_final": problem.error(result.kept, result.poses),
         "seconds": done.seconds,
     }
 
 
-def _metrics(done: Solved, section: dict[str, object]) -> dict[str, object]:
+def _metrics(done: OptimizedGraph, section: dict[str, object]) -> dict[str, object]:
     notes = {f"graph.{name}": done.truth.why(name) for name, value in section.items() if value is None}
-    warnings = list(done.graph.warnings + done.roles.warnings)
+    warnings = list(done.graph.warnings + done.edges.warnings)
     rest: dict[str, object] = {"peak_memory_mb": peak_memory_mb(), "warnings": warnings, "notes": notes}
     return provenance(done.path, done.path.stem) | {"graph": section} | rest
 

@@ -1,4 +1,4 @@
-"""Which edges of a stored graph are trusted and which are loops, and where the trusted ones lead."""
+"""Classify the edges of a stored graph as odometry or loops, and make a problem for the back ends of it."""
 
 from dataclasses import dataclass
 
@@ -19,14 +19,14 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Roles:
-    """A stored graph, sorted for the back ends.
+class ClassifiedEdges:
+    """Edges of a stored graph, classified for the back ends.
 
     Attributes:
-        order: (N,) rows of the graph's poses by id: the order of `problem.start`.
-        trusted: (M,) bool, edges taken for odometry.
+        order: (N,) rows of the graph's poses, sorted by id: the order of `problem.start`.
+        trusted: (M,) bool, edges that are taken for odometry.
         problem: trusted edges and loops, each in the file's order.
-        warnings: what had to be assumed.
+        warnings: assumptions that had to be made, a sentence each.
     """
 
     order: NDArray[np.int64]
@@ -35,36 +35,37 @@ class Roles:
     warnings: tuple[str, ...]
 
 
-def roles(graph: Graph, name: str) -> Roles:
-    """Trust the first edge between poses of successive ids, and as many others as hold the graph together.
+def classify_edges(graph: Graph, name: str) -> ClassifiedEdges:
+    """Take the first edge between poses of successive ids for odometry, and others only to connect the graph.
 
     Args:
-        graph: as read.
-        name: of its file, for complaints.
+        graph: the graph as read.
+        name: name of its file, for messages.
 
     Raises:
-        GraphError: the edges do not join all poses.
+        GraphError: the edges do not connect all poses.
     """
     order = np.argsort(graph.ids, kind="stable")
     ids = graph.ids[order]
     edges = Edges(
         np.searchsorted(ids, graph.first), np.searchsorted(ids, graph.second), graph.motions, graph.information
     )
-    trusted, joined_by_loops = _spanning(edges, len(ids))
+    trusted, not_successive = _spanning_tree(edges, len(ids))
     _check_connected(edges[trusted], ids, name)
-    start = _walked(edges[trusted], graph.poses[order][0], len(ids))
+    start = _compose_along(edges[trusted], graph.poses[order][0], len(ids))
     warnings: tuple[str, ...] = ()
-    if joined_by_loops.any():
-        one = int(np.flatnonzero(joined_by_loops)[0])
+    if not_successive.any():
+        one = int(np.flatnonzero(not_successive)[0])
         warnings = (
-            f"{name}: no odometry leads to some poses; {joined_by_loops.sum()} other edges are trusted instead, "
+            f"{name}: no odometry leads to some poses; {not_successive.sum()} other edges are trusted instead, "
             f"the first from {graph.first[one]} to {graph.second[one]}",
         )
-    return Roles(order, trusted, LoopProblem(edges[trusted], edges[~trusted], start), warnings)
+    return ClassifiedEdges(order, trusted, LoopProblem(edges[trusted], edges[~trusted], start), warnings)
 
 
-def _spanning(edges: Edges, count: int) -> tuple[Mask, Mask]:
-    """Edges of a spanning tree, successive poses first; and those of them that do not join successive poses."""
+def _spanning_tree(edges: Edges, count: int) -> tuple[Mask, Mask]:
+    """(M,) edges of a spanning tree, successive poses first, and those of them that join other poses."""
+    # A tree, so that the trusted edges have one solution without residuals: every other edge is a loop.
     successive = np.abs(edges.first - edges.second) == 1
     pieces = DisjointSet(range(count))
     trusted, other = np.zeros(len(edges), dtype=bool), np.zeros(len(edges), dtype=bool)
@@ -85,7 +86,7 @@ def _check_connected(tree: Edges, ids: NDArray[np.int64], name: str) -> None:
     )
 
 
-def _walked(tree: Edges, first: Array, count: int) -> Array:
+def _compose_along(tree: Edges, first: Array, count: int) -> Array:
     """Poses (N, n, n) along a spanning tree."""
     poses = np.tile(first, (count, 1, 1))
     backwards = inverse(tree.motions)
@@ -97,6 +98,7 @@ def _walked(tree: Edges, first: Array, count: int) -> Array:
 
 def _visits(tree: Edges, count: int) -> list[tuple[int, int, int]]:
     """Rows of the tree from row 0 outwards, that row left out: row, the row before it, the edge between."""
+    # By the set of its ends: an edge may run against the order in which the tree is walked.
     between = {frozenset(ends): k for k, ends in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True))}
     joined = sparse.csr_array((np.ones(len(tree)), (tree.first, tree.second)), shape=(count, count))
     rows, before = breadth_first_order(joined, 0, directed=False)

@@ -23,11 +23,11 @@ _NO_LABELS = f"there is no list of true loops beside the graph (GRAPH{LABELS})"
 
 @dataclass(frozen=True)
 class GraphTruth:
-    """What is known about a graph.
+    """Ground truth of a graph.
 
     Attributes:
-        positions: (N, n - 1) metres, of the poses by id, or None.
-        loops: (L,) bool, the true ones among the loops in the file's order, or None.
+        positions: (N, n - 1) true positions of the poses by id, metres, or None.
+        loops: (L,) bool, which loops are true, in the file's order, or None.
     """
 
     positions: Array | None
@@ -40,15 +40,15 @@ class GraphTruth:
 
 
 def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | None) -> GraphTruth:
-    """Truth of a graph's poses from a file or a folder, and of its loops from the list beside it.
+    """Ground truth of a graph's poses from a file or a folder, and of its loops from the list beside the graph.
 
     The pose of id i is that of line i, counted from zero. In the plane x is KITTI's z and y its -x.
 
     Args:
-        path: of the graph.
-        graph: as read.
-        trusted: (M,) bool, edges that are no loops.
-        ground_truth: poses (KITTI, TUM), or a folder of them, or None.
+        path: file of the graph.
+        graph: the graph as read.
+        trusted: (M,) bool, edges that are not loops.
+        ground_truth: file of poses (KITTI, TUM), or a folder of such files, or None.
 
     Raises:
         DataError: a file is missing or damaged, or has too few poses.
@@ -81,6 +81,7 @@ def _positions(file: Path, graph: Graph) -> Array:
             "give the truth of the same drive"
         )
     positions = poses[ids, :3, 3]
+    # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
     return np.column_stack([positions[:, 2], -positions[:, 0]]) if graph.poses.shape[-1] == 3 else positions
 
 
@@ -94,7 +95,7 @@ def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
 
 
 def aligned(estimate: Array, positions: Array) -> Array:
-    """Positions (N, d) laid over true ones (N, d), metres, by the best rigid motion."""
+    """Positions (N, d) aligned to true ones (N, d), metres, by the best rigid motion."""
     return umeyama(estimate, positions).apply(estimate)
 
 

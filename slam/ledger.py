@@ -8,15 +8,15 @@ import numpy as np
 from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing import LoopClosure, Rejection
-from slam.loop_trust import Change
+from slam.loop_trust import LoopEvent
 from slam.record import LoopEventRow, LoopRow, MatchedPixels, StageRow
-from slam.robust import LoopGate, Optimized
+from slam.robust import GateResult, OptimizationResult
 from slam.system import LoopCandidate
 
 LoopTruth = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, relative pose -> true revisit?
 
 
-def loop_rows(candidates: Iterable[LoopCandidate], optimized: Optimized, truth: LoopTruth) -> tuple[LoopRow, ...]:
+def loop_rows(candidates: Iterable[LoopCandidate], optimized: OptimizationResult, truth: LoopTruth) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
@@ -52,7 +52,7 @@ def _with_rejection(row: LoopRow, rejection: Rejection) -> LoopRow:
     return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
 
 
-def _with_closure(row: LoopRow, closure: LoopClosure, optimized: Optimized, number: int, truth: LoopTruth) -> LoopRow:
+def _with_closure(row: LoopRow, closure: LoopClosure, optimized: OptimizationResult, number: int, truth: LoopTruth) -> LoopRow:
     return replace(
         row,
         matches=closure.matches,
@@ -86,7 +86,7 @@ def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[LoopGate]) -
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _with_measurement(row: StageRow, closure: LoopClosure, gate: LoopGate) -> StageRow:
+def _with_measurement(row: StageRow, closure: LoopClosure, gate: GateResult) -> StageRow:
     x, y, z = closure.T_match_query[:3, 3].tolist()
     variances = np.diag(closure.covariance)
     return replace(

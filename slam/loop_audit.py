@@ -1,62 +1,72 @@
-"""Which of several groups of loops contradicts the others: each in turn is left out and compared with what they say.
+"""Leave-one-out test of loop clusters: each in turn is compared with the map that the others make.
 
-A false group that odometry's drift can absorb lies close to the map that it has bent itself, however many true
-loops there are; only the map without it tells.
+A false cluster that odometry's drift can absorb lies close to the map that it has bent itself, however many true loops
+there are; only the map without it tells.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-_SPOKESMEN = 6  # loops of a group that speak for it, evenly spread: neighbours say the same
-_ALIKE = 0.5  # groups at so much of the largest surprise or more are equally suspect; 0.8 loses to many false ones
+_REPRESENTATIVES = 6  # loops of a cluster that are used, evenly spread: neighbours measure nearly the same
+_SUSPECT_RATIO = 0.5  # of the largest residual: clusters from there on are suspects; 0.8 loses to many false ones
 
-Surprise = Callable[[int, Sequence[int]], float]
-"""Chi-square of a loop against the map that other loops make; by their numbers."""
+PredictiveChi2 = Callable[[int, Sequence[int]], float]
+"""Chi-square of a loop against the map that other loops make; loops by their numbers."""
 
 
-class Audit:
-    """Finds the groups to leave out, the worst first, until the rest agree; a step at a time.
+class LeaveOneOutTest:
+    """Finds the clusters to leave out, the worst first, until the others agree; one comparison a step.
+
+    Args:
+        clusters: loops of each cluster, by their numbers.
+        predictive_chi2: chi-square of a loop against the map of others.
+        limit: chi-square from which a cluster contradicts the others.
 
     Attributes:
-        left_out: group to its chi-square against the others.
+        left_out: chi-square against the others of each cluster to leave out.
     """
 
-    def __init__(self, groups: Mapping[int, Sequence[int]], surprise: Surprise, limit: float) -> None:
-        """Begin with groups of loops, and the chi-square at which one contradicts the others."""
-        self._groups, self._surprise, self._limit = dict(groups), surprise, limit
-        self._due = self._suspects()
-        self._found: dict[int, float] = {}
+    def __init__(self, clusters: Mapping[int, Sequence[int]], predictive_chi2: PredictiveChi2, limit: float) -> None:
+        self._clusters, self._predictive_chi2, self._limit = dict(clusters), predictive_chi2, limit
+        self._remaining = self._testable()
+        self._results: dict[int, float] = {}
         self.left_out: dict[int, float] = {}
 
     def step(self) -> bool:
-        """Compare one group with the others; whether the audit is over."""
-        if self._due:
-            group = self._due.pop()
-            others = [k for other, members in self._groups.items() if other != group for k in _spokesmen(members)]
-            members = self._groups[group]
-            self._found[group] = self._surprise(members[len(members) // 2], others)
-        return not self._due and not self._worst_goes()
+        """Compare one cluster with the others; whether the test is over."""
+        if self._remaining:
+            cluster = self._remaining.pop()
+            others = [
+                k for other, members in self._clusters.items() if other != cluster for k in _representatives(members)
+            ]
+            members = self._clusters[cluster]
+            self._results[cluster] = self._predictive_chi2(members[len(members) // 2], others)
+        return not self._remaining and not self._leave_out_worst()
 
-    def _suspects(self) -> list[int]:
-        """Groups to compare; one of a single loop is in the map only because it changes nothing there."""
-        return [group for group, members in self._groups.items() if len(members) > 1] if len(self._groups) > 1 else []
+    def _testable(self) -> list[int]:
+        """Clusters to compare: a single loop is in the map only because it changes nothing there."""
+        if len(self._clusters) < 2:
+            return []
+        return [cluster for cluster, members in self._clusters.items() if len(members) > 1]
 
-    def _worst_goes(self) -> bool:
-        """Leave out the group that contradicts the others most, if one does; whether the rest must be asked again."""
-        worst = max(self._found.values(), default=0.0)
+    def _leave_out_worst(self) -> bool:
+        """Leave out the cluster that contradicts the others most, if one does; whether the test goes on."""
+        worst = max(self._results.values(), default=0.0)
         if worst <= self._limit:
             return False
-        # Where two contradict each other both are as far off: the smaller one goes. Chi-squares, hence the square.
-        alike = [group for group, chi2 in self._found.items() if chi2 >= _ALIKE**2 * worst]
-        out = min(alike, key=lambda group: (len(self._groups[group]), -self._found[group]))
-        self.left_out[out] = self._found[out]
-        del self._groups[out]
-        self._found = {}
-        self._due = self._suspects()
-        return bool(self._due)
+        # Two clusters that contradict each other are equally far off: then the smaller one leaves. The ratio is of
+        # residuals, hence its square for chi-squares.
+        suspects = [cluster for cluster, chi2 in self._results.items() if chi2 >= _SUSPECT_RATIO**2 * worst]
+        out = min(suspects, key=lambda cluster: (len(self._clusters[cluster]), -self._results[cluster]))
+        self.left_out[out] = self._results[out]
+        del self._clusters[out]
+        self._results = {}
+        self._remaining = self._testable()
+        return bool(self._remaining)
 
 
-def _spokesmen(members: Sequence[int]) -> list[int]:
-    chosen = np.linspace(0, len(members) - 1, min(len(members), _SPOKESMEN)).round()
+def _representatives(members: Sequence[int]) -> list[int]:
+    """A few loops of a cluster, evenly spread."""
+    chosen = np.linspace(0, len(members) - 1, min(len(members), _REPRESENTATIVES)).round()
     return [members[int(k)] for k in chosen]

@@ -1,7 +1,7 @@
-"""The relative pose of two stereo images from landmarks that both have seen, and how sure it is.
+"""Relative pose of two stereo images from matched landmarks, with its covariance.
 
-Errors live in stereo pixels: (u, v) of the left image and the disparity d, each with its own noise, in both
-images.
+Errors are in stereo pixels: (u, v) of the left image and the disparity d, each with its own noise, in both images.
+Residuals and Jacobians: docs/math_pose_graph.md.
 """
 
 from dataclasses import dataclass
@@ -16,69 +16,73 @@ from odometry.camera import PinholeCamera, StereoCamera
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_MEDIAN_3 = 2.366  # median of chi-square, 3 degrees of freedom
-_LIMIT_3 = 16.27  # its 99.9 % quantile
-_MAD_TO_SIGMA = 1.4826  # of Gauss
+_CHI2_MEDIAN = 2.366  # of 3 degrees of freedom
+_CHI2_LIMIT = 16.27  # 99.9 % of 3 degrees of freedom
+_MAD_TO_SIGMA = 1.4826  # of a Gaussian
 MIN_LANDMARKS = 6  # below this a pose has nothing to be checked against
-_ROUNDS = 15  # of reweighting at most
-_SETTLED = 1e-5  # rad and m: a step below this ends it
-_POLISH = 2  # steps of plain least squares on the inliers
+_MAX_ITERATIONS = 15  # of reweighting
+_MIN_STEP = 1e-5  # rad and m: a smaller step ends the reweighting
+_FINAL_STEPS = 2  # of plain least squares on the inliers
+# Where most matches are wrong their median chi-square tells nothing of the noise: it may be this many times larger.
+_MAX_NOISE_FACTOR = 4.0
+_MIN_DEPTH = 1e-3  # metres: points in the image plane have no pixel
+_RANSAC_CONFIDENCE = 0.9999
 
 
 @dataclass(frozen=True)
-class GeometryConfig:
-    """What landmark matches are expected to look like."""
+class RelativePoseConfig:
+    """Noise of matched landmarks, and RANSAC's settings."""
 
-    ransac_error_px: float = 3.0  # reprojection error of an inlier of the first guess
+    ransac_error_px: float = 3.0  # largest reprojection error of an inlier of the first guess
     ransac_iterations: int = 1000  # enough for 25 % inliers and 4 points at 0.98
-    sigma_px: float = 0.5  # noise of a landmark's pixel, relative weight and lower bound of what is measured
-    sigma_disparity_px: float = 0.5  # likewise of its disparity
-    # Errors that more landmarks do not average out (calibration, rectification), one standard deviation:
+    sigma_px: float = 0.5  # noise of a landmark's pixel: relative weight, and lower bound of the measured noise
+    sigma_disparity_px: float = 0.5  # the same of its disparity
+    # Errors that more landmarks do not average out (calibration, rectification), one standard deviation.
     systematic_rad: float = 5e-4  # of rotation, radians
     systematic_rad_per_m: float = 4e-4  # and for each metre between the cameras
     systematic_m: float = 0.005  # of translation, metres
     systematic_m_per_m: float = 0.01  # and for each metre between the cameras
-    systematic_unit: float = 0.01  # of the logarithm of a unit
+    systematic_log_scale: float = 0.01  # of the log scale of one camera
     systematic_disparity_px: float = 0.2  # of all disparities alike; what it does depends on how far landmarks are
 
     def systematic(self, T_a_b: Array) -> Array:
         """Covariance (6, 6), rotation first, of these errors in a pose (4, 4)."""
-        way = float(np.linalg.norm(T_a_b[:3, 3]))
-        rotation = self.systematic_rad + self.systematic_rad_per_m * way
-        translation = self.systematic_m + self.systematic_m_per_m * way
+        distance = float(np.linalg.norm(T_a_b[:3, 3]))
+        rotation = self.systematic_rad + self.systematic_rad_per_m * distance
+        translation = self.systematic_m + self.systematic_m_per_m * distance
         return np.diag(np.repeat([rotation**2, translation**2], 3))
 
 
 @dataclass(frozen=True)
-class Unit:
-    """How long one unit of length is in another.
+class ScaleRatio:
+    """Length of one unit of length in another.
 
     Attributes:
-        log: natural logarithm of that.
-        sigma: its standard deviation; 0 where it is known.
+        log: natural logarithm of the ratio.
+        sigma: standard deviation of `log`; 0 if the ratio is exact or was not measured.
     """
 
     log: float
     sigma: float
 
     @property
-    def length(self) -> float:
-        """Of one in the other."""
+    def ratio(self) -> float:
+        """Length of the one unit in the other."""
         return float(np.exp(self.log))
 
 
-SAME_UNIT = Unit(0.0, 0.0)
+UNIT_SCALE = ScaleRatio(0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class RelativePose:
-    """A pose that landmarks agree on.
+    """Relative pose of two cameras that landmarks agree on.
 
     Attributes:
         T_a_b: (4, 4) camera b in the frame of camera a, metres.
-        covariance: (6, 6) of its right perturbation, rotation first: noise as measured, and systematic.
+        covariance: (6, 6) of its right perturbation, rotation first: measured noise and systematic errors.
         inliers: (K,) bool over the matched landmarks.
-        noise: of the inliers, as a multiple of the expected one.
+        noise: noise of the inliers as a multiple of the expected one.
     """
 
     T_a_b: Array
@@ -88,50 +92,50 @@ class RelativePose:
 
 
 def relative_pose(
-    camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig
+    camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig
 ) -> RelativePose | None:
     """Pose of camera b in frame a from matched landmarks (K, 3), each in its own camera's frame, metres.
 
-    PnP RANSAC of a's landmarks in b's image, refined on the stereo pixels of both; None without consensus.
+    PnP RANSAC of a's landmarks in b's image, refined on the stereo pixels of both; None if too few landmarks agree.
     """
-    start = _ransac(camera, points_a, points_b, config)
-    return None if start is None else _refined(camera, points_a, points_b, start, config)
+    start = _initial_pose(camera, points_a, points_b, config)
+    return None if start is None else _refine(camera, points_a, points_b, start, config)
 
 
-def compare_units(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Unit:
-    """Unit of b's landmarks (K, 3) in that of a's, each in its own camera's frame, by their depths.
+def estimate_relative_scale(
+    camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig
+) -> ScaleRatio:
+    """Scale of b's landmarks (K, 3) in that of a's, each in its own camera's frame, by their depths.
 
-    Where b is seen from a is found by a's landmarks and b's pixels, to which b's unit does not matter; how far
-    away b then sees a's landmarks tells it. Unknown, so the same, where they do not agree on a pose.
+    The pose of b in a follows from a's landmarks and b's pixels, which do not depend on b's scale. The depths of a's
+    landmarks in b, over those that b itself has, then give the scale. `UNIT_SCALE` if they do not agree on a pose.
     """
-    T_a_b = _ransac(camera, points_a, points_b, config)
+    T_a_b = _initial_pose(camera, points_a, points_b, config)
     if T_a_b is None:
-        return SAME_UNIT
+        return UNIT_SCALE
     seen = se3.transform(se3.inverse(T_a_b), points_a)
     off = _stereo_pixels(camera, seen)[:, :2] - _stereo_pixels(camera, points_b)[:, :2]
     good = (np.linalg.norm(off, axis=1) < config.ransac_error_px) & (seen[:, 2] > 0)
     if good.sum() < MIN_LANDMARKS:
-        return SAME_UNIT
+        return UNIT_SCALE
     logs = np.log(seen[good, 2] / points_b[good, 2])
     middle = float(np.median(logs))
     spread = _MAD_TO_SIGMA * float(np.median(np.abs(logs - middle)))
-    return Unit(middle, float(np.hypot(spread / np.sqrt(good.sum()), config.systematic_unit)))
+    return ScaleRatio(middle, float(np.hypot(spread / np.sqrt(good.sum()), config.systematic_log_scale)))
 
 
-def pose_from_pixels(
-    camera: PinholeCamera, points: Array, pixels: Array, error_px: float, iterations: int
-) -> Array | None:
-    """First guess of T_points_camera (4, 4) from points (K, 3) and the pixels (K, 2) that show them, or None.
+def pnp_ransac(camera: PinholeCamera, points: Array, pixels: Array, error_px: float, iterations: int) -> Array | None:
+    """T_points_camera (4, 4) from points (K, 3) and their pixels (K, 2) by PnP and RANSAC; None if that fails.
 
-    OpenCV seeds its generator itself. The guess that RANSAC returns is EPnP's on its inliers, which a few landmarks at
-    kilometres, of a disparity near zero, throw off by metres. SQPnP (Terzakis, Lourakis, ECCV 2020) bears them.
+    OpenCV seeds its generator itself. RANSAC ends with EPnP on its inliers, which is biased by metres by a few very
+    distant landmarks, whose disparity is near zero; SQPnP (Terzakis and Lourakis, ECCV 2020) is not.
 
     Args:
         camera: intrinsics.
-        points: in whatever frame the pose is to be found in.
-        pixels: of the camera.
-        error_px: reprojection error of an inlier.
-        iterations: samples drawn at most.
+        points: (K, 3) in the frame in which the pose is wanted.
+        pixels: (K, 2) of the points in the image.
+        error_px: largest reprojection error of an inlier.
+        iterations: largest number of samples.
     """
     if len(points) < MIN_LANDMARKS:
         return None
@@ -144,7 +148,7 @@ def pose_from_pixels(
             None,
             iterationsCount=iterations,
             reprojectionError=error_px,
-            confidence=0.9999,
+            confidence=_RANSAC_CONFIDENCE,
             flags=cv2.SOLVEPNP_AP3P,
         )
         if not found or agree is None:
@@ -158,29 +162,29 @@ def pose_from_pixels(
     return se3.inverse(se3.pose(cv2.Rodrigues(w)[0], t[:, 0]))
 
 
-def _ransac(camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> Array | None:
-    """First guess of T_a_b (4, 4) from a's points and b's left pixels."""
+def _initial_pose(camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig) -> Array | None:
+    """First guess of T_a_b (4, 4) from a's points and b's left pixels, or None."""
     pixels_b = _stereo_pixels(camera, points_b)[:, :2]
-    return pose_from_pixels(camera, points_a, pixels_b, config.ransac_error_px, config.ransac_iterations)
+    return pnp_ransac(camera, points_a, pixels_b, config.ransac_error_px, config.ransac_iterations)
 
 
-def _refined(
-    camera: StereoCamera, points_a: Array, points_b: Array, T_a_b: Array, config: GeometryConfig
+def _refine(
+    camera: StereoCamera, points_a: Array, points_b: Array, T_a_b: Array, config: RelativePoseConfig
 ) -> RelativePose | None:
-    """Reweighted least squares, then a plain one on the inliers for an honest covariance."""
-    system = _System(camera, points_a, points_b, config)
-    for _ in range(_ROUNDS):
+    """Pose by reweighted least squares, then by plain least squares on the inliers, whose covariance is known."""
+    system = _StereoAlignment(camera, points_a, points_b, config)
+    for _ in range(_MAX_ITERATIONS):
         chi2 = system.linearize(T_a_b)
-        step = system.step(1.0 / (1.0 + chi2 * _MEDIAN_3 / np.median(chi2)))  # Cauchy's weights
+        step = system.step(1.0 / (1.0 + chi2 * _CHI2_MEDIAN / np.median(chi2)))  # Cauchy's weights
         T_a_b = T_a_b @ se3.exp(step)
-        if np.abs(step).max() < _SETTLED:
+        if np.abs(step).max() < _MIN_STEP:
             break
     chi2 = system.linearize(T_a_b)
-    # The better half tells the noise; where most matches are wrong it tells nothing, hence the bound.
-    inliers = chi2 < _LIMIT_3 * np.clip(np.median(chi2) / _MEDIAN_3, 1.0, 4.0)
+    # The better half of the matches gives the noise.
+    inliers = chi2 < _CHI2_LIMIT * np.clip(np.median(chi2) / _CHI2_MEDIAN, 1.0, _MAX_NOISE_FACTOR)
     if inliers.sum() < MIN_LANDMARKS:
         return None
-    for _ in range(_POLISH):
+    for _ in range(_FINAL_STEPS):
         T_a_b = T_a_b @ se3.exp(system.step(inliers))
         chi2 = system.linearize(T_a_b)
     variance = float(chi2[inliers].sum()) / (3 * int(inliers.sum()) - 6)
@@ -192,10 +196,10 @@ def _refined(
     return RelativePose(T_a_b, np.asarray(covariance, dtype=np.float64), inliers, float(np.sqrt(variance)))
 
 
-class _System:
-    """The linearised errors of matched landmarks: (u, v, d) in b as predicted from a, whitened."""
+class _StereoAlignment:
+    """Linearised, whitened errors (u, v, d) of matched landmarks in b, as predicted from a."""
 
-    def __init__(self, camera: StereoCamera, points_a: Array, points_b: Array, config: GeometryConfig) -> None:
+    def __init__(self, camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig) -> None:
         self._camera, self._points_a = camera, points_a
         self._noise = np.diag(np.square([config.sigma_px, config.sigma_px, config.sigma_disparity_px]))
         self._measured = _stereo_pixels(camera, points_b)
@@ -203,7 +207,7 @@ class _System:
         self._point_noise = self._to_point @ self._noise @ np.swapaxes(self._to_point, 1, 2)
 
     def linearize(self, T_a_b: Array) -> Array:
-        """Errors and Jacobians at a pose; returns chi-square (K,), the noise of both images counted."""
+        """Set errors and Jacobians at a pose; chi-square (K,) by the noise of both images."""
         points_b = se3.transform(se3.inverse(T_a_b), self._points_a)
         J = _pixel_jacobian(self._camera, points_b)
         rotated = J @ T_a_b[:3, :3].T
@@ -211,28 +215,28 @@ class _System:
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         error = self._measured - _stereo_pixels(self._camera, points_b)
         self._error = (whiten @ error[:, :, None])[:, :, 0]
-        # one more pixel of disparity in both images: what b shows, less what a predicts
+        # One more pixel of disparity in both images: change of the measurement, less change of the prediction
         shift = np.array([0.0, 0.0, 1.0]) - np.einsum("kij,kj->ki", rotated, self._to_point[:, :, 2])
         self._shift = (whiten @ shift[:, :, None])[:, :, 0]
-        # T exp(xi) moves a point X of frame b by X x w - v
-        motion = np.concatenate([hats(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        # T exp(xi) moves a point X of frame b by X x w - v, for xi = (w, v)
+        motion = np.concatenate([skew(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
         return np.asarray(np.sum(self._error**2, axis=1))
 
     def information(self, weights: Array | Mask) -> Array:
-        """Information (6, 6) of the landmarks under weights (K,)."""
+        """Information (6, 6) of the pose by the landmarks under weights (K,)."""
         J = self._jacobian.reshape(-1, 6)
         return np.asarray((J * np.repeat(weights, 3)[:, None]).T @ J)
 
     def step(self, weights: Array | Mask) -> Array:
         """Gauss-Newton step (6,) under weights (K,), from where `linearize` was called last."""
-        return self._answer(self._error, weights)
+        return self._solve(self._error, weights)
 
     def effect_of_disparity(self, weights: Array | Mask) -> Array:
         """Change of the solution (6,) for one pixel more of disparity everywhere."""
-        return self._answer(self._shift, weights)
+        return self._solve(self._shift, weights)
 
-    def _answer(self, errors: Array, weights: Array | Mask) -> Array:
+    def _solve(self, errors: Array, weights: Array | Mask) -> Array:
         right = self._jacobian.reshape(-1, 6).T @ (errors * weights[:, None]).ravel()
         return np.asarray(np.linalg.lstsq(self.information(weights), right, rcond=None)[0])
 
@@ -240,7 +244,7 @@ class _System:
 def _stereo_pixels(camera: StereoCamera, points: Array) -> Array:
     """(K, 3): u, v and disparity, pixels, of points (K, 3)."""
     x, y, z = points.T
-    z = np.where(np.abs(z) > 1e-3, z, 1e-3)
+    z = np.where(np.abs(z) > _MIN_DEPTH, z, _MIN_DEPTH)
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     return np.stack([u, v, camera.fx * camera.baseline / z], axis=1)
 
@@ -248,7 +252,7 @@ def _stereo_pixels(camera: StereoCamera, points: Array) -> Array:
 def _pixel_jacobian(camera: StereoCamera, points: Array) -> Array:
     """(K, 3, 3) derivative of `_stereo_pixels` by the point."""
     x, y, z = points.T
-    z = np.where(np.abs(z) > 1e-3, z, 1e-3)
+    z = np.where(np.abs(z) > _MIN_DEPTH, z, _MIN_DEPTH)
     J = np.zeros((len(points), 3, 3))
     J[:, 0, 0], J[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
     J[:, 1, 1], J[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
@@ -256,8 +260,8 @@ def _pixel_jacobian(camera: StereoCamera, points: Array) -> Array:
     return J
 
 
-def hats(points: Array) -> Array:
-    """Skew matrices (K, 3, 3) of points (K, 3)."""
+def skew(points: Array) -> Array:
+    """Skew-symmetric matrices (K, 3, 3) of points (K, 3)."""
     x, y, z = points.T
     o = np.zeros_like(x)
     return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Loops of one stretch of way that agree with one another, and what a group says of another.
+"""Clusters of loops: loops of one stretch of the trajectory that agree with one another.
 
 Agreement is pairwise consistency (Mangelson et al., ICRA 2018, equation 3): the cycle through two loops and the
 odometry between their ends must close. Over a short stretch odometry hardly drifts, so that agreement means much.
@@ -14,88 +14,104 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.loop_closing import LoopClosure
 from slam.pose_graph_drift import OdometryChain
-from slam.pose_graph_what_if import surprise_by_others
+from slam.pose_graph_what_if import predictive_chi2_given
 
 Array = NDArray[np.float64]
 
-_NEIGHBOURS = 12  # earlier loops of the stretch that are asked, the latest first
+# Earlier loops of the stretch that a new one is compared with, the latest first: bounds the time of a loop where a
+# place is visited many times.
+_MAX_COMPARED = 12
 
 
 @dataclass(frozen=True)
-class GroupConfig:
+class LoopClusterConfig:
     """When loops belong together."""
 
-    reach: float = 30.0  # metres of way within which two loops are of one stretch
-    agreement_chi2: float = 22.5  # 99.9 % of 6 dof: two loops of one stretch further apart contradict each other
-    width: float = 4.0  # Huber width of a loop, sigmas, where groups are compared
+    max_distance_m: float = 30.0  # path length between two loops of one stretch, at both ends
+    max_agreement_chi2: float = 22.5  # 99.9 % of 6 dof: two loops of one stretch further apart contradict each other
+    huber_width: float = 4.0  # of a loop, sigmas, in the map that other clusters make
 
 
 @dataclass(frozen=True)
-class KnownLoop:
-    """A loop between frames, the same between their keys, and the first loop of its group."""
+class ClusteredLoop:
+    """A loop and the cluster that it belongs to.
+
+    Attributes:
+        loop: the loop between frames.
+        between_nodes: the same loop between nodes of the online graph.
+        cluster: number of the cluster's first loop.
+    """
 
     loop: LoopClosure
-    tied: LoopClosure
-    group: int
+    between_nodes: LoopClosure
+    cluster: int
 
 
-class LoopGroups:
-    """Grows by loops as they come; a group is named by the number of its first loop."""
+class LoopClusters:
+    """Clusters of loops that grow as loops come; a cluster is named by the number of its first loop."""
 
-    def __init__(self, chain: OdometryChain, config: GroupConfig) -> None:
+    def __init__(self, chain: OdometryChain, config: LoopClusterConfig) -> None:
         self._chain, self._config = chain, config
-        self._known: dict[int, KnownLoop] = {}
+        self._loops: dict[int, ClusteredLoop] = {}
         self._members: dict[int, list[int]] = {}
 
-    def __getitem__(self, number: int) -> KnownLoop:
-        return self._known[number]
+    def __getitem__(self, number: int) -> ClusteredLoop:
+        return self._loops[number]
 
     @property
     def numbers(self) -> list[int]:
-        """All loops, in the order in which they came."""
-        return list(self._known)
+        """Numbers of all loops, in the order in which they came."""
+        return list(self._loops)
 
     @property
     def names(self) -> list[int]:
-        """All groups, in the order of their first loops."""
+        """Names of all clusters, in the order of their first loops."""
         return list(self._members)
 
-    def members(self, group: int) -> list[int]:
-        """Loops of a group, in the order in which they came."""
-        return self._members[group]
+    def members(self, cluster: int) -> list[int]:
+        """Numbers of the loops of a cluster, in the order in which they came."""
+        return self._members[cluster]
 
-    def add(self, number: int, loop: LoopClosure, tied: LoopClosure) -> list[int]:
-        """Add a loop between frames, with the same one between keys, to the group of the latest that agrees.
+    def add(self, number: int, loop: LoopClosure, between_nodes: LoopClosure) -> list[int]:
+        """Add a loop to the cluster of the latest loop that agrees with it, or begin a new cluster.
+
+        Args:
+            number: number of the loop.
+            loop: the loop between frames.
+            between_nodes: the same loop between nodes of the online graph.
 
         Returns:
-            Loops of that group nearby, the latest first; none where it begins a group.
+            Loops of that cluster nearby, the latest first; empty where the loop begins a cluster.
         """
-        latest_first = reversed(self._known.items())
-        near = list(islice((k for k, known in latest_first if self._of_one_stretch(known.loop, loop)), _NEIGHBOURS))
-        agreeing = (k for k in near if self._disagreement(self._known[k].loop, loop) <= self._config.agreement_chi2)
+        latest_first = reversed(self._loops.items())
+        nearby = (k for k, known in latest_first if self._is_same_stretch(known.loop, loop))
+        near = list(islice(nearby, _MAX_COMPARED))
+        agreeing = (k for k in near if self._cycle_chi2(self._loops[k].loop, loop) <= self._config.max_agreement_chi2)
         first = next(agreeing, None)
-        group = number if first is None else self._known[first].group
-        self._known[number] = KnownLoop(loop, tied, group)
-        self._members.setdefault(group, []).append(number)
-        return [k for k in near if self._known[k].group == group]
+        cluster = number if first is None else self._loops[first].cluster
+        self._loops[number] = ClusteredLoop(loop, between_nodes, cluster)
+        self._members.setdefault(cluster, []).append(number)
+        return [k for k in near if self._loops[k].cluster == cluster]
 
-    def by_others(self, number: int, others: Sequence[int]) -> float:
-        """Chi-square of a loop against the map that odometry and other loops alone would give."""
-        loops, drift = [self._known[k].loop for k in others], self.drift(number, others)
-        return surprise_by_others(self._known[number].loop, loops, self._chain, self._config.width, drift)
+    def chi2_given_others(self, number: int, others: Sequence[int]) -> float:
+        """Predictive chi-square of a loop against the map that odometry and the other loops alone make."""
+        loops, bias = [self._loops[k].loop for k in others], self.bias_covariance(number, others)
+        return predictive_chi2_given(self._loops[number].loop, loops, self._chain, self._config.huber_width, bias)
 
-    def drift(self, number: int, others: Sequence[int]) -> Array:
-        """Covariance (6, 6) of the drift that lasts, from the query to the nearest frame that another loop holds."""
-        held = {frame for k in others for frame in (self._known[k].loop.query, self._known[k].loop.match)}
-        query = self._known[number].loop.query
+    def bias_covariance(self, number: int, others: Sequence[int]) -> Array:
+        """Covariance (6, 6) of a loop's query by odometry's bias since the nearest frame that another loop holds."""
+        held = {frame for k in others for frame in (self._loops[k].loop.query, self._loops[k].loop.match)}
+        query = self._loops[number].loop.query
         nearest = min(held, key=lambda frame: (abs(frame - query), frame), default=0)
-        return self._chain.lasting(nearest, query)
+        return self._chain.bias_covariance(nearest, query)
 
-    def _of_one_stretch(self, a: LoopClosure, b: LoopClosure) -> bool:
-        reach, way = self._config.reach, self._chain.way
-        return abs(way(a.query) - way(b.query)) <= reach and abs(way(a.match) - way(b.match)) <= reach
+    def _is_same_stretch(self, a: LoopClosure, b: LoopClosure) -> bool:
+        limit, path_length = self._config.max_distance_m, self._chain.path_length_m
+        if abs(path_length(a.query) - path_length(b.query)) > limit:
+            return False
+        return abs(path_length(a.match) - path_length(b.match)) <= limit
 
-    def _disagreement(self, a: LoopClosure, b: LoopClosure) -> float:
+    def _cycle_chi2(self, a: LoopClosure, b: LoopClosure) -> float:
         """Chi-square of the cycle through two loops and the odometry between their ends."""
         matches, queries = self._chain.between(a.match, b.match), self._chain.between(a.query, b.query)
         by_a = a.T_match_query @ queries.T_first_second

@@ -1,4 +1,4 @@
-"""Batch optimisation of arrays of edges by GTSAM, in the plane and in space, and the starts to do it from."""
+"""Batch optimisation of arrays of edges by GTSAM, in the plane and in space, and chordal initialisation."""
 
 from typing import Any
 
@@ -14,39 +14,40 @@ from slam.pose_graph_solver import ANCHOR_SIGMA, to_poses
 Array = NDArray[np.float64]
 
 
-def minimum(edges: Edges, start: Array) -> Array:
-    """Poses (N, n, n) of least squared error that Levenberg-Marquardt finds, the first pose held.
+def optimize(edges: Edges, start: Array) -> Array:
+    """Poses (N, n, n) of least chi-square by Levenberg-Marquardt, the first pose held.
 
-    From the start or from a chordal one, whichever fits better.
+    Starts from `start` (N, n, n) or from chordal initialisation, whichever fits better.
 
     Raises:
         GraphError: the edges leave poses undetermined.
     """
     graph = _graph(edges, start[0])
-    starts = [_values(start), *_others(graph, start, edges)]
-    return _poses(_descended(graph, min(starts, key=graph.error)), start)
+    # Drifted odometry may lie in a local minimum that the chordal start, which needs no start, avoids.
+    starts = [_values(start), *_chordal_starts(graph, start, edges)]
+    return _poses(_levenberg_marquardt(graph, min(starts, key=graph.error)), start)
 
 
-def refined(edges: Edges, start: Array) -> Array:
-    """The same from a start (N, n, n) that is known to be good.
+def refine(edges: Edges, start: Array) -> Array:
+    """Poses (N, n, n) of least chi-square by Levenberg-Marquardt from a start (N, n, n) near the minimum.
 
     Raises:
         GraphError: the edges leave poses undetermined.
     """
-    return _poses(_descended(_graph(edges, start[0]), _values(start)), start)
+    return _poses(_levenberg_marquardt(_graph(edges, start[0]), _values(start)), start)
 
 
-def chordal(edges: Edges, start: Array) -> Array:
-    """Poses (N, n, n) from rotations solved for first, without a start (Carlone et al., ICRA 2015; LAGO in the plane).
+def chordal_initialization(edges: Edges, start: Array) -> Array:
+    """Poses (N, n, n) by solving for rotations first, without a start (Carlone et al., ICRA 2015; LAGO in the plane).
 
     Raises:
-        RuntimeError: GTSAM finds none, for want of a spanning tree.
+        RuntimeError: GTSAM finds no spanning tree.
     """
     graph = _graph(edges, start[0])
     return _poses(_chordal_values(graph, edges, start), start)
 
 
-def _descended(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+def _levenberg_marquardt(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     try:
         return gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
     except RuntimeError as error:  # GTSAM's "indeterminant linear system"
@@ -56,8 +57,8 @@ def _descended(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
         ) from error
 
 
-def _others(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edges) -> list[gtsam.Values]:
-    """A chordal start, if there is one."""
+def _chordal_starts(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edges) -> list[gtsam.Values]:
+    """The chordal start in a list; an empty list if there is none."""
     try:
         return [_chordal_values(graph, edges, start)]
     except RuntimeError:
@@ -70,8 +71,8 @@ def _chordal_values(graph: gtsam.NonlinearFactorGraph, edges: Edges, start: Arra
     diagonal = np.zeros_like(edges.information)
     index = np.arange(3)
     diagonal[:, index, index] = 1.0 / edges.covariance[:, index, index]
-    plain = Edges(edges.first, edges.second, edges.motions, diagonal)  # LAGO reads no other noise
-    return gtsam.lago.initialize(_graph(plain, start[0]))
+    diagonal_only = Edges(edges.first, edges.second, edges.motions, diagonal)  # LAGO reads no other noise
+    return gtsam.lago.initialize(_graph(diagonal_only, start[0]))
 
 
 def _graph(edges: Edges, first: Array) -> gtsam.NonlinearFactorGraph:

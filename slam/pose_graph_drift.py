@@ -1,9 +1,10 @@
-"""How far odometry alone may have drifted between any two frames, in constant time.
+"""Odometry drift: the covariance of odometry between any two frames, in constant time.
 
 Errors are moved to the world frame, where they add up: the covariance of the chain i..j is the difference of
-two prefix sums. Three parts are summed: what the odometry states, a random walk and a bias that lasts all the
-way. The last two are needed because frame-to-frame covariances know nothing of errors that persist: on real
-drives the squared error after fifty frames is ten to a thousand times what they add up to.
+two prefix sums. Three parts are summed: the covariance that odometry states, a random walk, and a bias that lasts for
+the whole path. The last two are needed because frame-to-frame covariances do not contain errors that persist: on real
+drives the squared error after fifty frames is ten to a thousand times their sum. Derivation: docs/math_pose_graph.md;
+figures: docs/decisions/odometry_covariance.md.
 """
 
 from collections.abc import Sequence
@@ -18,37 +19,44 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DriftBudget:
-    """How wrong odometry may be beyond its own covariance, one standard deviation."""
+class OdometryDriftModel:
+    """Errors of odometry beyond its own covariance, one standard deviation.
 
-    translation: float = 0.01  # metres of position for a metre of way
-    rotation: float = 1e-4  # radians of direction for a metre of way
-    correlation_m: float = 10.0  # way over which passing errors keep their sign, metres
+    Attributes:
+        sigma_m_per_m: error of the position, metres for a metre of path.
+        sigma_rad_per_m: error of the direction, radians for a metre of path.
+        correlation_length_m: path over which the errors of the random walk keep their sign, metres.
+    """
+
+    sigma_m_per_m: float = 0.01
+    sigma_rad_per_m: float = 1e-4
+    correlation_length_m: float = 10.0
 
     @property
     def variances(self) -> Array:
-        """(6,) squared rates for a metre of way, rotation first."""
-        return np.repeat([self.rotation**2, self.translation**2], 3)
+        """(6,) squared rates for a metre of path, rotation first."""
+        return np.repeat([self.sigma_rad_per_m**2, self.sigma_m_per_m**2], 3)
 
     def of_motion(self, T_previous_current: Array, covariance: Array) -> Array:
-        """Covariance (6, 6) of one motion with its share of the random walk; a stated one (6, 6) goes in."""
+        """Covariance (6, 6) of one motion (4, 4): the stated one (6, 6) and its share of the random walk."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))
-        return covariance + np.diag(2.0 * self.correlation_m * step * self.variances)
+        # Errors whose correlation decays over a length c sum up to a random walk of 2 c times their variance a metre.
+        return covariance + np.diag(2.0 * self.correlation_length_m * step * self.variances)
 
 
 @dataclass(frozen=True)
-class Between:
-    """What odometry says about two frames.
+class RelativeMotion:
+    """Relative pose of two frames by odometry.
 
     Attributes:
         T_first_second: (4, 4) second camera in the first one's frame, metres.
-        covariance: (6, 6) of its right perturbation, rotation first, drift budget included.
-        way: driven between the two, metres.
+        covariance: (6, 6) of its right perturbation, rotation first, drift model included.
+        path_length_m: length of the path between the two frames, metres.
     """
 
     T_first_second: Array
     covariance: Array
-    way: float
+    path_length_m: float
 
 
 def chained(motions: Sequence[Array]) -> Array:
@@ -60,20 +68,23 @@ def chained(motions: Sequence[Array]) -> Array:
 
 
 class OdometryChain:
-    """The poses that odometry alone gives, and the uncertainty between any two of them.
+    """Poses by odometry alone, and the uncertainty between any two of them.
 
-    First-order propagation (Barfoot, State Estimation for Robotics, section 7.3) by prefix sums in the world.
+    First-order propagation (Barfoot, State Estimation for Robotics, section 7.3) by prefix sums in the world frame.
     """
 
-    def __init__(self, budget: DriftBudget) -> None:
-        self._budget = budget
+    def __init__(self, model: OdometryDriftModel) -> None:
+        self._model = model
         self._poses = [np.eye(4)]
-        self._way = [0.0]
-        self._scatter = [np.zeros((6, 6))]  # covariance of independent errors, world frame
-        self._lever = [np.zeros((6, 6))]  # effect in the world of a constant error per metre in the camera
+        self._path_length = [0.0]
+        self._independent = [np.zeros((6, 6))]  # covariance of independent errors, world frame
+        self._bias_jacobian = [np.zeros((6, 6))]  # of the pose, in the world, by a constant error per metre
 
     def __len__(self) -> int:
         return len(self._poses)
+
+    def __getitem__(self, frame: int) -> Array:
+        return self._poses[frame]
 
     @property
     def poses(self) -> Array:
@@ -89,49 +100,46 @@ class OdometryChain:
         """Covariances (N, 6, 6) of all frames against the first one, as `between` gives them."""
         return np.array([self.between(0, frame).covariance for frame in range(len(self))])
 
-    def lasting_sigmas(self) -> Array:
-        """(N - 1, 6) standard deviations of the lasting error of each motion, rotation first."""
-        return np.diff(self._way)[:, None] * np.sqrt(self._budget.variances)
+    def bias_sigmas(self) -> Array:
+        """(N - 1, 6) standard deviation of the bias's error in each motion, rotation first."""
+        return np.diff(self._path_length)[:, None] * np.sqrt(self._model.variances)
 
     def append(self, T_previous_current: Array, covariance: Array) -> None:
         """Add a motion (4, 4) with its stated covariance (6, 6) of the right perturbation, rotation first."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))
         pose = self._poses[-1] @ T_previous_current
         Ad = se3.adjoint(pose)
-        covariance = self._budget.of_motion(T_previous_current, covariance)
+        covariance = self._model.of_motion(T_previous_current, covariance)
         self._poses.append(pose)
-        self._way.append(self._way[-1] + step)
-        self._scatter.append(self._scatter[-1] + Ad @ covariance @ Ad.T)
-        self._lever.append(self._lever[-1] + step * Ad)
+        self._path_length.append(self._path_length[-1] + step)
+        self._independent.append(self._independent[-1] + Ad @ covariance @ Ad.T)
+        self._bias_jacobian.append(self._bias_jacobian[-1] + step * Ad)
 
-    def way(self, frame: int) -> float:
-        """Metres driven up to a frame."""
-        return self._way[frame]
+    def path_length_m(self, frame: int) -> float:
+        """Length of the path up to a frame, metres."""
+        return self._path_length[frame]
 
-    def lasting(self, first: int, second: int) -> Array:
-        """Covariance (6, 6) of frame second in its own frame by the lasting bias since frame first alone."""
-        lever = self._lever[second] - self._lever[first]
+    def bias_covariance(self, first: int, second: int) -> Array:
+        """Covariance (6, 6) of the second frame, in its own frame, by the bias since the first frame alone."""
+        jacobian = self._bias_jacobian[second] - self._bias_jacobian[first]
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
-        return Ad @ (lever * self._budget.variances) @ lever.T @ Ad.T
+        return Ad @ (jacobian * self._model.variances) @ jacobian.T @ Ad.T
 
-    def __getitem__(self, frame: int) -> Array:
-        return self._poses[frame]
-
-    def passing(self, first: int, second: int) -> Between:
-        """As `between` for first < second, without the bias that lasts."""
-        scatter = self._scatter[second] - self._scatter[first]
+    def between_without_bias(self, first: int, second: int) -> RelativeMotion:
+        """As `between` for first < second, without the bias: what is independent from motion to motion."""
+        independent = self._independent[second] - self._independent[first]
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
         T = se3.inverse(self._poses[first]) @ self._poses[second]
-        return Between(T, Ad @ scatter @ Ad.T, self._way[second] - self._way[first])
+        return RelativeMotion(T, Ad @ independent @ Ad.T, self._path_length[second] - self._path_length[first])
 
-    def between(self, first: int, second: int) -> Between:
-        """Relative pose of two frames with its uncertainty; the time taken does not grow with the way."""
+    def between(self, first: int, second: int) -> RelativeMotion:
+        """Relative pose of two frames with its covariance; takes the same time however far apart they are."""
         if first > second:
-            return _turned(self.between(second, first))
-        passing = self.passing(first, second)
-        return replace(passing, covariance=passing.covariance + self.lasting(first, second))
+            return _reversed(self.between(second, first))
+        motion = self.between_without_bias(first, second)
+        return replace(motion, covariance=motion.covariance + self.bias_covariance(first, second))
 
 
-def _turned(between: Between) -> Between:
-    Ad = se3.adjoint(between.T_first_second)
-    return Between(se3.inverse(between.T_first_second), Ad @ between.covariance @ Ad.T, between.way)
+def _reversed(motion: RelativeMotion) -> RelativeMotion:
+    Ad = se3.adjoint(motion.T_first_second)
+    return RelativeMotion(se3.inverse(motion.T_first_second), Ad @ motion.covariance @ Ad.T, motion.path_length_m)

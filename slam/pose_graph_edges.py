@@ -1,4 +1,7 @@
-"""Edges of a pose graph as arrays: what they measure and how far poses are from it."""
+"""Edges of a pose graph as arrays: measured relative poses and their residuals.
+
+The residual of an edge is log(measured^-1 T_first_second), a right perturbation; docs/math_pose_graph.md derives it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +21,7 @@ class Edges:
     """Measured relative poses, in the plane (n = 3, dof 3) or in space (n = 4, dof 6).
 
     Attributes:
-        first, second: (M,) rows of the poses that each edge joins.
+        first, second: (M,) rows of the two poses of each edge.
         motions: (M, n, n) T_first_second, metres.
         information: (M, dof, dof) inverse covariances of right perturbations, in GTSAM's order.
     """
@@ -36,12 +39,13 @@ class Edges:
 
     @property
     def group(self) -> Motions:
-        """Plane or space."""
+        """Group of the poses: SE(2) or SE(3)."""
         return motions_of(self.motions)
 
     @cached_property
-    def root(self) -> Array:
-        """(M, dof, dof) upper triangular roots of the information: they whiten errors."""
+    def sqrt_information(self) -> Array:
+        """(M, dof, dof) upper triangular square roots of the information, which whiten errors."""
+        # With information L L^T, chi-square is |L^T e|^2.
         return np.asarray(np.linalg.cholesky(self.information).swapaxes(1, 2), dtype=np.float64)
 
     @cached_property
@@ -55,13 +59,13 @@ class Edges:
         return self.group.log(inverse(self.motions) @ relative)
 
     def chi2(self, poses: Array) -> Array:
-        """(M,) squared Mahalanobis lengths of the errors at poses (N, n, n)."""
+        """(M,) squared Mahalanobis norms of the errors at poses (N, n, n)."""
         errors = self.errors(poses)
         return np.einsum("mi,mij,mj->m", errors, self.information, errors)
 
 
-def joined(one: Edges, other: Edges) -> Edges:
-    """All edges of two sets, in that order."""
+def concatenate(one: Edges, other: Edges) -> Edges:
+    """Edges of two sets, in that order."""
     return Edges(
         np.concatenate([one.first, other.first]),
         np.concatenate([one.second, other.second]),
@@ -70,8 +74,8 @@ def joined(one: Edges, other: Edges) -> Edges:
     )
 
 
-def stacked(ends: Rows, measured: Sequence[tuple[Array, Array]]) -> Edges:
-    """Edges in space of their ends (M, 2) and of M measured poses (4, 4) with covariances (6, 6)."""
+def from_measurements(ends: Rows, measured: Sequence[tuple[Array, Array]]) -> Edges:
+    """Edges in space from their ends (M, 2) and from M measured poses (4, 4) with covariances (6, 6)."""
     ends = ends.reshape(-1, 2).astype(np.int64)
     covariances = np.array([covariance for _, covariance in measured]).reshape(-1, 6, 6)
     motions = np.array([T for T, _ in measured]).reshape(-1, 4, 4)

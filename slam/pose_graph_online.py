@@ -1,8 +1,7 @@
-"""The map while driving: iSAM2 over key frames, where loops can be taken in and taken out again.
+"""Incremental pose graph: iSAM2 on the nodes of the online graph, to which loops can be added and removed.
 
-iSAM2 (Kaess et al., IJRR 2012) hears of the motions since the last loop only when the next one comes: until
-then they move nothing. A loop that is taken out leaves no trace but the points of linearisation, which are
-then chosen anew.
+iSAM2 (Kaess et al., IJRR 2012) gets the motions since the last loop only when the next loop comes: until then they
+change no pose. A loop that is removed leaves no trace but the points of linearisation, which are then chosen anew.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,121 +11,121 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam import pose_graph_solver as solver
+from slam import pose_graph_solver as factors
 from slam.loop_closing import LoopClosure
-from slam.pose_graph_what_if import surprise
+from slam.pose_graph_what_if import predictive_chi2
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class IncrementalConfig:
-    """How iSAM2 works."""
+    """Settings of iSAM2."""
 
-    width: float = 4.0  # Huber width of a loop, sigmas
-    relinearize_threshold: float = 0.1  # change of a pose that has it linearised again, rad or m
+    huber_width: float = 4.0  # of a loop, sigmas
+    relinearize_threshold: float = 0.1  # change of a pose after which it is linearised again, rad or m
 
 
-class IncrementalMap:
-    """Keys in a chain, numbered from 0, and the loops between them that are in use.
+class IncrementalPoseGraph:
+    """Nodes in a chain, numbered from 0, and the loops between them that are in use.
 
-    All poses are T_world_key in metres, key 0 at the identity; covariances belong to right perturbations,
+    All poses are T_world_node in metres, node 0 at the identity; covariances belong to right perturbations,
     rotation first.
     """
 
     def __init__(self, config: IncrementalConfig) -> None:
         self._config = config
         self._isam = _isam(config)
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # what iSAM2 has not heard of
-        self._graph.add(solver.anchor(np.eye(4)))
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # not yet handed to iSAM2
+        self._graph.add(factors.prior_factor(np.eye(4)))
         self._values.insert(0, gtsam.Pose3())
         self._estimate = gtsam.Values(self._values)
         self._newest = 0
-        self._plain: dict[int, gtsam.BetweenFactorPose3] = {}
-        self._slots: dict[int, int] = {}  # iSAM2's index of each loop in use
-        self._fresh: list[tuple[int, int]] = []  # loop, its place in the waiting graph
-        self._gone: list[int] = []
+        self._registered: dict[int, gtsam.BetweenFactorPose3] = {}
+        self._factor_indices: dict[int, int] = {}  # iSAM2's index of each loop in use
+        self._pending_loops: list[tuple[int, int]] = []  # loop, its index in the graph not yet handed over
+        self._removed: list[int] = []
 
     @property
     def T_world_newest(self) -> Array:
-        """(4, 4) of the newest key."""
+        """T_world_node (4, 4) of the newest node."""
         return self.pose(self._newest)
 
     @property
     def used(self) -> tuple[int, ...]:
-        """Numbers of the loops in use, by number."""
-        return tuple(sorted([*self._slots, *(loop for loop, _ in self._fresh)]))
+        """Numbers of the loops in use, sorted."""
+        return tuple(sorted([*self._factor_indices, *(loop for loop, _ in self._pending_loops)]))
 
-    def add_key(self, T_previous_key: Array, covariance: Array) -> None:
-        """Add the next key by its motion (4, 4) and covariance (6, 6)."""
-        pose = gtsam.Pose3(self.T_world_newest @ T_previous_key)
+    def add_node(self, T_previous_node: Array, covariance: Array) -> None:
+        """Add the next node by its motion (4, 4) and covariance (6, 6)."""
+        pose = gtsam.Pose3(self.T_world_newest @ T_previous_node)
         self._newest += 1
-        self._graph.add(solver.odometry_factor(self._newest - 1, self._newest, T_previous_key, covariance))
+        self._graph.add(factors.odometry_factor(self._newest - 1, self._newest, T_previous_node, covariance))
         self._values.insert(self._newest, pose)
         self._estimate.insert(self._newest, pose)
 
-    def know(self, number: int, loop: LoopClosure) -> None:
-        """Learn of a loop between keys without using it yet."""
-        self._plain[number] = solver.loop_factor(loop)
+    def register_loop(self, number: int, loop: LoopClosure) -> None:
+        """Register a loop between nodes for `chi2` and `add_loops`, without using it yet."""
+        self._registered[number] = factors.loop_factor(loop)
 
-    def use(self, loops: Mapping[int, LoopClosure]) -> None:
-        """Take known loops in, from the next `step` on."""
+    def add_loops(self, loops: Mapping[int, LoopClosure]) -> None:
+        """Use registered loops from the next `step` on."""
         for number, loop in loops.items():
-            self._fresh.append((number, self._graph.size()))
-            self._graph.add(solver.doubted_factor(loop, self._config.width))
+            self._pending_loops.append((number, self._graph.size()))
+            self._graph.add(factors.huber_factor(loop, self._config.huber_width))
 
-    def drop(self, numbers: Iterable[int]) -> None:
-        """Take loops in use out, from the next `step` on; their effect is undone."""
-        self._gone += [self._slots.pop(number) for number in numbers]
+    def remove_loops(self, numbers: Iterable[int]) -> None:
+        """Stop using loops from the next `step` on; their effect is undone."""
+        self._removed += [self._factor_indices.pop(number) for number in numbers]
 
     def step(self) -> bool:
-        """Take one step of optimisation.
+        """Do one step of optimisation.
 
         Returns:
-            Whether the map has come to rest: no pose had to be linearised again, and nothing is new.
+            Whether the map is at rest: no pose was linearised again, and no loop has been added or removed.
         """
-        fresh = self._tell() if self._graph.size() or self._gone else False
+        is_changed = self._flush() if self._graph.size() or self._removed else False
         result = self._isam.update()
         self._estimate = self._isam.calculateEstimate()
-        return not fresh and not result.getVariablesRelinearized()
+        return not is_changed and not result.getVariablesRelinearized()
 
-    def _tell(self) -> bool:
-        """Hand over to iSAM2 what it has not heard of; whether that can move anything."""
-        moving = bool(self._fresh or self._gone)
-        removed, self._gone = self._gone, []
+    def _flush(self) -> bool:
+        """Hand new nodes and changes of loops over to iSAM2; whether there were any changes of loops."""
+        is_changed = bool(self._pending_loops or self._removed)
+        removed, self._removed = self._removed, []
         result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))
         indices = result.getNewFactorsIndices()
-        self._slots |= {number: indices[place] for number, place in self._fresh}
-        self._graph, self._values, self._fresh = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-        return moving
+        self._factor_indices |= {number: indices[index] for number, index in self._pending_loops}
+        self._graph, self._values, self._pending_loops = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+        return is_changed
 
     def chi2(self, numbers: Sequence[int]) -> Array:
-        """(L,) chi-square of known loops at the map, their own covariance alone."""
-        return np.array([2.0 * self._plain[number].error(self._estimate) for number in numbers])
+        """(L,) chi-square of registered loops at the map, by their own covariance alone."""
+        return np.array([2.0 * self._registered[number].error(self._estimate) for number in numbers])
 
-    def surprise(self, loop: LoopClosure, drift: Array) -> float:
-        """Chi-square of a loop not in use against the map and how sure the map is of it.
+    def predictive_chi2(self, loop: LoopClosure, bias: Array) -> float:
+        """Chi-square of a loop that is not in use against the map, by the covariances of both.
 
         Args:
-            loop: between keys.
-            drift: (6, 6) covariance of T_match_query that the map knows nothing of.
+            loop: loop between nodes.
+            bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
         """
-        self._tell()
+        self._flush()
         joint = self._isam.jointMarginalCovariance([loop.match, loop.query])
-        return surprise(self._estimate, joint, loop, drift)
+        return predictive_chi2(self._estimate, joint, loop, bias)
 
-    def pose(self, key: int) -> Array:
-        """T_world_key (4, 4) of a key."""
-        return self._estimate.atPose3(key).matrix()
+    def pose(self, node: int) -> Array:
+        """T_world_node (4, 4) of a node."""
+        return self._estimate.atPose3(node).matrix()
 
     def poses(self) -> Array:
-        """T_world_key (K, 4, 4) of all keys."""
-        return solver.to_poses(self._estimate)
+        """T_world_node (K, 4, 4) of all nodes."""
+        return factors.to_poses(self._estimate)
 
 
 def _isam(config: IncrementalConfig) -> gtsam.ISAM2:
     params = gtsam.ISAM2Params()
     params.setRelinearizeThreshold(config.relinearize_threshold)
     params.relinearizeSkip = 1
-    params.enablePartialRelinearizationCheck = True  # stops at quiet cliques: a third less time
+    params.enablePartialRelinearizationCheck = True  # stops at cliques that did not move: a third less time
     return gtsam.ISAM2(params)

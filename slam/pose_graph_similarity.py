@@ -1,8 +1,8 @@
-"""The pose graph of one camera: similarities Sim(3), so that what corrects the way corrects its scale with it.
+"""Sim(3) pose graph of one camera: poses and scales are optimised together (Strasdat et al., RSS 2010).
 
-A node is what takes points of a camera, in the unit that its depths had then, to the world; an edge measures one
-node in the frame and in the unit of another (Strasdat et al., Scale Drift-Aware Large Scale Monocular SLAM, RSS
-2010). Solved by GTSAM from poses and units that are nearly right already.
+A node is the similarity that takes points of a camera, in the unit that its depths had at that time, to the world. An
+edge measures one node in the frame and in the unit of another. Solved by GTSAM from poses and scales that are nearly
+right already.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_HELD = 1e-6  # sigma of the first node: rad, m, and of its logarithm of scale
+_PRIOR_SIGMA = 1e-6  # of the first node, which is held: rad, m, log scale
 
 
 @dataclass(frozen=True)
@@ -22,48 +22,54 @@ class SimilarityEdge:
     """A measured similarity between two nodes.
 
     Attributes:
-        first, second: the nodes.
-        T_first_second: (4, 4) second camera in the first one's frame and unit.
-        log_unit: logarithm of the second one's unit in the first one's.
-        covariance: (7, 7) of the right perturbation: rotation, translation, logarithm of scale.
+        first, second: indices of the two nodes.
+        T_first_second: (4, 4) second camera in the frame and the unit of the first one.
+        log_scale: logarithm of the length of the second camera's unit in that of the first.
+        covariance: (7, 7) of the right perturbation: rotation, translation, log scale.
     """
 
     first: int
     second: int
     T_first_second: Array
-    log_unit: float
+    log_scale: float
     covariance: Array
 
 
-def with_unit(covariance: Array, sigma: float) -> Array:
-    """Covariance (7, 7) of a motion's (6, 6) and of the unit's independent error."""
+def with_scale_variance(covariance: Array, sigma: float) -> Array:
+    """Covariance (7, 7) of a motion's (6, 6) and an independent error of the log scale."""
     out = np.zeros((7, 7))
     out[:6, :6], out[6, 6] = covariance, sigma**2
     return out
 
 
-def optimized(edges: Sequence[SimilarityEdge], poses: Array, units: Array) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and units (N,) of least squared error, the first ones held, from poses and units to start with.
+def optimize_sim3(edges: Sequence[SimilarityEdge], poses: Array, scales: Array) -> tuple[Array, Array]:
+    """Poses (N, 4, 4) and scales (N,) of least squared error, the first node held.
 
-    The edges must join all nodes; one that none reaches stays where it is.
+    Args:
+        edges: measured similarities; a node without any edge stays where it is.
+        poses: (N, 4, 4) poses to start with.
+        scales: (N,) scales to start with.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _HELD))
-    graph.add(gtsam.PriorFactorSimilarity3(0, _similarity(poses[0], units[0]), held))
+    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _PRIOR_SIGMA))
+    graph.add(gtsam.PriorFactorSimilarity3(0, _similarity(poses[0], scales[0]), held))
     for edge in edges:
         noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-        measured = _similarity(edge.T_first_second, float(np.exp(edge.log_unit)))
+        measured = _similarity(edge.T_first_second, float(np.exp(edge.log_scale)))
         graph.add(gtsam.BetweenFactorSimilarity3(edge.first, edge.second, measured, noise))
-    for node, (pose, unit) in enumerate(zip(poses, units, strict=True)):
-        values.insert(node, _similarity(pose, unit))
+    for node, (pose, scale) in enumerate(zip(poses, scales, strict=True)):
+        values.insert(node, _similarity(pose, scale))
     found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
     nodes = [found.atSimilarity3(node) for node in range(len(poses))]
     return np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
 
 
-def _similarity(T: Array, unit: float) -> gtsam.Similarity3:
-    """GTSAM's similarity takes p to scale * (R p + t): its translation is in the smaller frame's unit."""
-    return gtsam.Similarity3(gtsam.Rot3(T[:3, :3]), T[:3, 3] / unit, float(unit))
+def _similarity(T: Array, scale: float) -> gtsam.Similarity3:
+    """GTSAM's similarity of a pose and a scale.
+
+    It takes p to scale * (R p + t), so its translation is in the camera's unit.
+    """
+    return gtsam.Similarity3(gtsam.Rot3(T[:3, :3]), T[:3, 3] / scale, float(scale))
 
 
 def _pose(node: gtsam.Similarity3) -> Array:

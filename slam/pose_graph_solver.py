@@ -1,4 +1,4 @@
-"""The pose graph in GTSAM's terms: numpy in, numpy out.
+"""GTSAM factors and values of poses in space: NumPy in, NumPy out.
 
 Keys are frame indices; Pose3's tangent space is ours (rotation first, right perturbation).
 """
@@ -11,10 +11,10 @@ from slam.loop_closing import LoopClosure
 
 Array = NDArray[np.float64]
 
-ANCHOR_SIGMA = 1e-6  # rad and m; holds the first pose without disturbing the numerics
+ANCHOR_SIGMA = 1e-6  # rad and m; tight enough to hold the first pose, loose enough for the conditioning
 
 
-def anchor(T_world_first: Array) -> gtsam.PriorFactorPose3:
+def prior_factor(T_world_first: Array) -> gtsam.PriorFactorPose3:
     """Prior that holds frame 0 at a pose (4, 4)."""
     noise = gtsam.noiseModel.Isotropic.Sigma(6, ANCHOR_SIGMA)
     return gtsam.PriorFactorPose3(0, gtsam.Pose3(T_world_first), noise)
@@ -27,13 +27,13 @@ def odometry_factor(first: int, second: int, T_first_second: Array, covariance: 
 
 
 def loop_factor(closure: LoopClosure) -> gtsam.BetweenFactorPose3:
-    """Factor of a loop that is known to be right."""
+    """Factor of a loop that is taken to be right."""
     return odometry_factor(closure.match, closure.query, closure.T_match_query, closure.covariance)
 
 
-def doubted_factor(closure: LoopClosure, width: float) -> gtsam.BetweenFactorPose3:
-    """Factor of a loop whose pull does not grow beyond a width in sigmas (Huber)."""
-    kernel = gtsam.noiseModel.mEstimator.Huber.Create(width)
+def huber_factor(closure: LoopClosure, huber_width: float) -> gtsam.BetweenFactorPose3:
+    """Factor of a loop whose force does not grow beyond a width in sigmas (Huber)."""
+    kernel = gtsam.noiseModel.mEstimator.Huber.Create(huber_width)
     noise = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(closure.covariance))
     return gtsam.BetweenFactorPose3(closure.match, closure.query, gtsam.Pose3(closure.T_match_query), noise)
 

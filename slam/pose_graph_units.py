@@ -1,4 +1,4 @@
-"""Edges whose unit of length drifts: brought to one unit, and corrected with their poses."""
+"""Motions and loops of one camera, whose scale drifts: brought to a common scale, and refined with their poses."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,54 +12,59 @@ from slam.loop_closing import LoopClosure
 Array = NDArray[np.float64]
 Motion = tuple[Array, Array]  # (4, 4) and its covariance (6, 6)
 
+_MIN_STEP = 1e-3  # path length of a camera that stands still: its scale must have a finite information
+_UNKNOWN_SIGMA = 10.0  # of the log scale of a loop that does not measure it: a factor of e^10 means nothing
 
-def levelled(
-    motions: Sequence[Motion], loops: Sequence[LoopClosure], units: Array
+
+def in_common_scale(
+    motions: Sequence[Motion], loops: Sequence[LoopClosure], scales: Array
 ) -> tuple[list[Motion], list[LoopClosure]]:
-    """Motions and loops in one unit, of which the own unit of each frame is so much, (N,)."""
-    even = [resized(*motion, unit) for motion, unit in zip(motions, units[:-1], strict=True)]
-    return even, [_resized_loop(loop, units[loop.match]) for loop in loops]
+    """Motions and loops in one unit of length.
+
+    Args:
+        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
+        loops: loops, each in the unit of its match.
+        scales: (N,) length of each frame's unit in the common one.
+    """
+    scaled = [scale_motion(*motion, scale) for motion, scale in zip(motions, scales[:-1], strict=True)]
+    return scaled, [_scale_loop(loop, scales[loop.match]) for loop in loops]
 
 
-def resized(T: Array, covariance: Array, unit: float) -> Motion:
-    """Express a motion (4, 4) with its covariance (6, 6) in a unit of which its own is so much."""
-    T, rate = T.copy(), np.repeat([1.0, unit], 3)
-    T[:3, 3] *= unit
-    return T, covariance * np.outer(rate, rate)
+def scale_motion(T: Array, covariance: Array, scale: float) -> Motion:
+    """A motion (4, 4) and its covariance (6, 6) with all lengths multiplied by a scale."""
+    T, factor = T.copy(), np.repeat([1.0, scale], 3)
+    T[:3, 3] *= scale
+    return T, covariance * np.outer(factor, factor)
 
 
-def _resized_loop(loop: LoopClosure, unit: float) -> LoopClosure:
-    T, covariance = resized(loop.T_match_query, loop.covariance, unit)
+def _scale_loop(loop: LoopClosure, scale: float) -> LoopClosure:
+    T, covariance = scale_motion(loop.T_match_query, loop.covariance, scale)
     return replace(loop, T_match_query=T, covariance=covariance)
 
 
-def corrected(
-    motions: Sequence[Motion], loops: Sequence[LoopClosure], poses: Array, units: Array, drift: float
+def refine_sim3(
+    motions: Sequence[Motion], loops: Sequence[LoopClosure], poses: Array, scales: Array, drift: float
 ) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and units (N,) that agree best with everything, from those that nearly do.
+    """Poses (N, 4, 4) and scales (N,) of least squared error in Sim(3), from ones that are nearly right.
 
     Args:
-        motions: from each frame to the next, in its own unit.
-        loops: all believed, in the unit of the match.
-        poses: (N, 4, 4) to start with, in the unit of the first frame.
-        units: (N,) likewise.
-        drift: standard deviation of the logarithm of the unit over a way of one; it grows with the way's root.
+        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
+        loops: accepted loops, each in the unit of its match.
+        poses: (N, 4, 4) poses to start with, in the unit of the first frame.
+        scales: (N,) scales to start with, in the unit of the first frame.
+        drift: standard deviation of the log scale over a path of one; it grows with the root of the path.
     """
     edges = []
     for k, (T, covariance) in enumerate(motions):
-        way = max(float(np.linalg.norm(T[:3, 3])), _STANDING)
-        edges.append(_edge(k, k + 1, T, 0.0, covariance, drift * np.sqrt(way)))
+        step = max(float(np.linalg.norm(T[:3, 3])), _MIN_STEP)
+        edges.append(_edge(k, k + 1, T, 0.0, covariance, drift * np.sqrt(step)))
     for loop in loops:
-        sigma = loop.unit.sigma or _UNKNOWN
-        edges.append(_edge(loop.match, loop.query, loop.T_match_query, loop.unit.log, loop.covariance, sigma))
-    return similarity.optimized(edges, poses, units)
-
-
-_STANDING = 1e-3  # way of a camera that stands
-_UNKNOWN = 10.0  # sigma of a unit that a loop does not compare
+        sigma = loop.scale.sigma or _UNKNOWN_SIGMA
+        edges.append(_edge(loop.match, loop.query, loop.T_match_query, loop.scale.log, loop.covariance, sigma))
+    return similarity.optimize_sim3(edges, poses, scales)
 
 
 def _edge(
-    first: int, second: int, T: Array, log_unit: float, covariance: Array, sigma: float
+    first: int, second: int, T: Array, log_scale: float, covariance: Array, sigma: float
 ) -> similarity.SimilarityEdge:
-    return similarity.SimilarityEdge(first, second, T, log_unit, similarity.with_unit(covariance, sigma))
+    return similarity.SimilarityEdge(first, second, T, log_scale, similarity.with_scale_variance(covariance, sigma))

@@ -1,7 +1,7 @@
-"""The map that some loops would give, solved at once on the frames that they join and on no others.
+"""Predictive chi-square of a loop: how far it is from the map that other loops give, by the covariances of both.
 
-Between those frames odometry is one edge, whose covariance comes in constant time, so that the graph is small
-however long the drive.
+The map is solved on the frames that the loops join alone. Between those frames odometry is one edge, whose covariance
+takes constant time, so that the graph is small however long the drive.
 """
 
 from collections.abc import Sequence
@@ -12,58 +12,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from slam import pose_graph_solver as solver
+from slam import pose_graph_solver as factors
 from slam.loop_closing import LoopClosure
 from slam.pose_graph_drift import OdometryChain
 
 Array = NDArray[np.float64]
 
-_STEPS = 4  # of Gauss and Newton; a first guess, other numbers were not tried
+_GAUSS_NEWTON_STEPS = 4  # a first guess; other numbers were not tried
 
 
-def surprise_by_others(
-    loop: LoopClosure, others: Sequence[LoopClosure], chain: OdometryChain, width: float, drift: Array
+def predictive_chi2_given(
+    loop: LoopClosure, others: Sequence[LoopClosure], chain: OdometryChain, huber_width: float, bias: Array
 ) -> float:
-    """Chi-square of a loop against the map that odometry and other loops give, as sure as that map is.
+    """Predictive chi-square of a loop against the map that odometry and other loops give.
 
     Args:
-        loop: between frames.
-        others: likewise.
-        chain: odometry.
-        width: Huber width of the other loops, sigmas.
-        drift: (6, 6) covariance of T_match_query that the map knows nothing of.
+        loop: loop between frames.
+        others: loops between frames that make the map.
+        chain: odometry of all frames.
+        huber_width: Huber width of the other loops, sigmas.
+        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
     """
     frames = sorted({0, loop.match, loop.query} | {k for other in others for k in (other.match, other.query)})
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(solver.anchor(np.eye(4)))
+    graph.add(factors.prior_factor(np.eye(4)))
     for frame in frames:
         values.insert(frame, gtsam.Pose3(chain[frame]))
     for first, second in pairwise(frames):
-        between = chain.passing(first, second)
-        graph.add(solver.odometry_factor(first, second, between.T_first_second, between.covariance))
+        between = chain.between_without_bias(first, second)
+        graph.add(factors.odometry_factor(first, second, between.T_first_second, between.covariance))
     for other in others:
-        graph.add(solver.doubted_factor(other, width))
+        graph.add(factors.huber_factor(other, huber_width))
     optimizer = gtsam.GaussNewtonOptimizer(graph, values)
-    for _ in range(_STEPS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         optimizer.iterate()
     values = optimizer.values()
     joint = gtsam.Marginals(graph, values).jointMarginalCovariance([loop.match, loop.query])
-    return surprise(values, joint, loop, drift)
+    return predictive_chi2(values, joint, loop, bias)
 
 
-def surprise(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, drift: Array) -> float:
-    """Chi-square of a loop that is not in a graph against the graph, as sure as that is.
+def predictive_chi2(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, bias: Array) -> float:
+    """Chi-square of a loop against a graph that does not contain it, by the covariances of both.
 
     Args:
-        values: where the graph is solved.
-        joint: marginal of the loop's two poses.
-        loop: with its own covariance.
-        drift: (6, 6) covariance of T_match_query that the graph knows nothing of.
+        values: solution of the graph.
+        joint: joint marginal covariance of the loop's two poses.
+        loop: loop between nodes of the graph.
+        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
     """
     T_world_match, T_world_query = (values.atPose3(key).matrix() for key in (loop.match, loop.query))
     T_match_query = se3.inverse(T_world_match) @ T_world_query
+    # The relative pose moves with the query as it is, with the match by the adjoint.
     J = np.hstack([-se3.adjoint(se3.inverse(T_match_query)), np.eye(6)])
     ends = (loop.match, loop.query)
-    sure = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
+    predicted = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
     error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
-    return float(error @ np.linalg.solve(sure + drift + loop.covariance, error))
+    return float(error @ np.linalg.solve(predicted + bias + loop.covariance, error))

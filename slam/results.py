@@ -33,7 +33,7 @@ from slam.provenance import peak_memory_mb
 from slam.record import RunRecord
 from slam.report.figures import before_after, save_png
 from slam.report.page import write_report
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
@@ -69,7 +69,7 @@ class PipelineResult:
     components: Components
     run_log: RunLog
     matrix: MatrixRecorder
-    optimized: Optimized
+    optimized: OptimizationResult
     interrupted: bool
     wall_seconds: float
     num_restored: int = 0
@@ -104,7 +104,7 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
         map_after=landmarks.cloud(optimized.similarities),
         metrics={},
         stages=stage_rows(log.candidates, graph.gates),
-        events=event_rows(log.candidates, graph.history),
+        events=event_rows(log.candidates, graph.loop_events),
         matched=matched_pixels(log.candidates),
         curve=places.curve,
         matrices={stage: result.matrix.matrix(len(table), stage) for stage in result.matrix.stages},
@@ -115,10 +115,10 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
     return record
 
 
-def _unit_m(optimized: Optimized, truth: Array, alignment: Alignment) -> Array:
+def _unit_m(optimized: OptimizationResult, truth: Array, alignment: Alignment) -> Array:
     """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
     fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
-    return fit.scale * optimized.lengths
+    return fit.scale * optimized.scales
 
 
 def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTruth:
@@ -182,7 +182,7 @@ def _write_calibration(folder: Path, result: PipelineResult) -> None:
 
 def _write_graphs(folder: Path, record: RunRecord, result: PipelineResult) -> None:
     graph, optimized = result.components.graph, result.optimized
-    motions, loops = graph.levelled(optimized.lengths)
+    motions, loops = graph.in_common_scale(optimized.scales)
     closed = [loop for loop, keep in zip(loops, optimized.kept, strict=True) if keep]
     write_g2o(folder / "pose_graph_before.g2o", chain_graph(record.odometry, graph.odometry, graph.loops))
     write_g2o(folder / "pose_graph_after.g2o", chain_graph(record.corrected, motions, closed))
@@ -247,7 +247,9 @@ def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
     return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
 
 
-def _graph_metrics(record: RunRecord, errors: dict[str, TrajectoryErrors], optimized: Optimized) -> dict[str, object]:
+def _graph_metrics(
+    record: RunRecord, errors: dict[str, TrajectoryErrors], optimized: OptimizationResult
+) -> dict[str, object]:
     judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
     known = record.ground_truth is not None
     return {

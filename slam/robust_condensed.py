@@ -1,7 +1,7 @@
-"""A chain of poses without those that no loop touches: less to solve, the same answer to first order.
+"""Condensation: the chain without most poses that no loop touches, the same solution to first order.
 
-Odometry between the poses that stay is compounded, its covariance carried along by the adjoint (Barfoot and
-Furgale, T-RO 2014).
+Odometry between the poses that stay is composed, its covariance moved along by the adjoint (Barfoot and Furgale, T-RO
+2014). The back ends take a third of the time on it.
 """
 
 from dataclasses import dataclass
@@ -15,29 +15,30 @@ from slam.robust_problem import LoopProblem
 
 Array = NDArray[np.float64]
 
-_SPACING = 10  # poses, at most, from one that stays to the next: the shape of the way remains
+_MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
 
 @dataclass(frozen=True)
-class Condensed:
-    """A problem in fewer poses.
+class CondensedProblem:
+    """A problem with fewer poses.
 
     Attributes:
-        problem: its trusted edges join successive poses that stayed.
-        rows: (K,) of the poses that stayed in the whole problem.
-        whole: (N, n, n) start of the whole problem.
+        problem: the condensed problem; its trusted edges join successive poses that stayed.
+        rows: (K,) rows in the whole problem of the poses that stayed.
+        whole: (N, n, n) start of the whole problem, metres.
     """
 
     problem: LoopProblem
     rows: NDArray[np.int64]
     whole: Array
 
-    def expanded(self, poses: Array) -> Array:
-        """Poses (N, n, n) of the whole problem from those that stayed (K, n, n), corrections shared out evenly."""
+    def expand(self, poses: Array) -> Array:
+        """Poses (N, n, n) of the whole problem from those that stayed (K, n, n); corrections are interpolated."""
         if len(self.rows) == len(self.whole):
             return poses
         correction = poses @ inverse(self.whole[self.rows])
         row = np.arange(len(self.whole))
+        # Each pose lies between two that stayed; the last one belongs to the interval before it.
         at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
         share = (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
         group = self.problem.trusted.group
@@ -45,24 +46,24 @@ class Condensed:
         return np.asarray(correction[at] @ group.exp(share[:, None] * change) @ self.whole)
 
 
-def condensed(problem: LoopProblem) -> Condensed:
-    """Leave out poses that no loop touches; trusted edges other than a chain of successive poses stay as they are."""
+def condense(problem: LoopProblem) -> CondensedProblem:
+    """Condense a problem; one whose trusted edges are no chain of successive poses stays as it is."""
     count, loops, trusted = len(problem.start), problem.loops, problem.trusted
     order = np.argsort(trusted.first, kind="stable")
-    rows = np.unique(np.concatenate([loops.first, loops.second, np.arange(0, count, _SPACING), [count - 1]]))
+    rows = np.unique(np.concatenate([loops.first, loops.second, np.arange(0, count, _MAX_SPACING), [count - 1]]))
     successive = len(trusted) == count - 1 and bool(
         (trusted.first[order] == np.arange(count - 1)).all() and (trusted.second == trusted.first + 1).all()
     )
     if not successive or len(rows) == count:
-        return Condensed(problem, np.arange(count), problem.start)
-    renamed = Edges(
+        return CondensedProblem(problem, np.arange(count), problem.start)
+    renumbered = Edges(
         np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
     )
-    small = LoopProblem(_compounded(trusted[order], problem.start, rows), renamed, problem.start[rows])
-    return Condensed(small, rows, problem.start)
+    small = LoopProblem(_compose_steps(trusted[order], problem.start, rows), renumbered, problem.start[rows])
+    return CondensedProblem(small, rows, problem.start)
 
 
-def _compounded(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
     """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
     ends = np.repeat(rows[1:], np.diff(rows))
     Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])

@@ -1,210 +1,289 @@
-"""Let loops in by the evidence for them, the surest first, each judged anew by what is already in."""
+"""Robust consensus: grow the set of accepted loops greedily by likelihood ratio, and test it for chance.
+
+Each loop is a CANDIDATE, KEPT or EXCLUDED. The algorithm, in pseudo-code (mathematics: docs/math_pose_graph.md):
+
+    kept = {}
+    repeat:                                           # converge
+        new   = propose(candidates)                   # most likely by the map, pairwise consistent
+        wrong = reject(kept)                          # contradicted by the map without them
+        kept  = fit(kept - wrong + new)               # least squares; what does not fit is removed again
+    until hardly any loop moves
+    suspend the kept loops that contradict a left-out loop which odometry supports, and converge again
+    repeat twice:
+        chance = test(kept)                           # false discovery control
+        exclude those, fit the rest, converge again
+
+After every fit the likelihood ratios of all loops are computed anew, against the map of the kept loops.
+"""
 
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.robust_chance import SECOND_RATE, expected, lucky
-from slam.robust_contest import opponents
-from slam.robust_evidence import LEAST_EVIDENCE, Evidence, evidence, freedom_of, limit
-from slam.robust_gnc import fitted_poses, graduated
-from slam.robust_pcm import SEEDS, agreeing, fitting, in_company, outvoted
+from slam.robust_chance import SECOND_RATE, expected_false_positives, not_significant
+from slam.robust_contest import conflicting_loops
+from slam.robust_evidence import (
+    MIN_LOG_RATIO,
+    LoopLikelihood,
+    estimate_student_dof,
+    loop_likelihood,
+    max_inlier_chi2,
+)
+from slam.robust_gnc import gnc, least_squares
+from slam.robust_pcm import (
+    SEEDS,
+    best_pair_log_ratio,
+    contradicted_by_neighbors,
+    is_compatible,
+    pairwise_consistent,
+)
 from slam.robust_problem import LoopProblem
 from slam.robust_screening import Screening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Counts = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
-_ROUNDS = 50
-_FEW = 0.1  # of the kept loops: so few more are no reason to wait with those less sure
-_STILL = 0.002  # of the kept loops: so few that move are no reason to go on
-_MANY = 100  # loops, of which one in a hundred can be told
-_FITS = 4
-_SCALE_STEPS = 10
-_MOST_BENT = 30.0  # chi-square of odometry over that of the loops that bend it; more is a sign of false loops
-_CHANCES = 2  # times that a loop may be let in and thrown out
-_PRIOR_LINKS = 50.0  # weight of the first scale in predictions: odometry's drift persists where a fit hides it
-_PRIOR_LOOPS = 10.0  # weight of the first scale against that of the kept loops
+_MAX_ROUNDS = 50  # bound on the work
+_MIN_GROWTH = 0.1  # of the kept loops: a round that would add fewer also takes the next less likely loops
+_MIN_CHANGE = 0.002  # of the kept loops: a round that moves fewer ends the growth
+_MIN_TAIL_SAMPLE = 100  # loops from which the 99 % quantile of their chi-square can be read
+_MAX_FITS = 4  # of one set: misfits leave, the others are fitted again
+_SCALE_ITERATIONS = 10  # EM steps of Student's distribution
+# Odometry that bends to fit true loops has about as much chi-square as they have. Thirty times as much is a sign
+# of false loops, and must not inflate the scale until they fit.
+_MAX_ODOMETRY_SHARE = 30.0
+_MAX_REJECTIONS = 2  # of one loop: a second chance, as the map that rejected it first had few loops
+_MAX_TESTS = 2  # for chance: what leaves changes the map by which the others are tested
+_MAX_SUSPENSIONS = 2  # of one loop; without a bound two loops that contradict each other would take turns
+# Weights of the first scale, in loops. A fit hides odometry's drift, which persists: predictions must count on it
+# longer than the residuals of the fit do.
+_PRIOR_LOOPS_PREDICTION = 50.0
+_PRIOR_LOOPS_FIT = 10.0
+
+
+class LoopState(IntEnum):
+    """State of a loop while the consensus grows."""
+
+    CANDIDATE = 0  # left out; may be proposed
+    KEPT = 1
+    EXCLUDED = 2  # rejected `_MAX_REJECTIONS` times; never proposed again
 
 
 @dataclass(frozen=True)
 class Consensus:
-    """Where the rounds stand.
+    """The accepted loops and the map fitted to them; every step returns a new one.
 
     Attributes:
-        poses: (N, n, n).
-        kept: (L,) loops that are in.
-        found: evidence for each loop by all the others.
-        scale: of covariances, for predictions.
-        fitted: the same, for what is left after the fit.
-        thrown: (L,) times that each loop was let in and did not fit, or was luck.
-        doubts: (L,) times that each loop was put aside because the others spoke against it.
+        poses: (N, n, n) poses fitted to the trusted edges and the kept loops, metres.
+        kept: (L,) bool, the accepted loops.
+        likelihood: likelihood ratio of every loop by the map of the kept ones.
+        initial_scale: covariance scale of the screening, by odometry alone.
+        fitted_scale: covariance scale of the residuals at the fit.
+        rejections: (L,) how often each loop was accepted and then did not fit, or was not significant.
+        suspensions: (L,) how often each loop was put aside because the others contradict it.
     """
 
     poses: Array
     kept: Mask
-    found: Evidence
-    scale: float
-    fitted: float
-    thrown: Counts
-    doubts: Counts
+    likelihood: LoopLikelihood
+    initial_scale: float
+    fitted_scale: float
+    rejections: Counts
+    suspensions: Counts
 
     @property
-    def predicting(self) -> float:
-        """Scale for predictions: the fit corrects the first guess as loops come in, and is never undercut."""
-        share = self.kept.sum() / (_PRIOR_LINKS + self.kept.sum())
-        return float(max(self.fitted, self.fitted**share * self.scale ** (1.0 - share)))
+    def states(self) -> Counts:
+        """(L,) `LoopState` of each loop."""
+        left_out = np.where(self.rejections < _MAX_REJECTIONS, LoopState.CANDIDATE, LoopState.EXCLUDED)
+        return np.where(self.kept, LoopState.KEPT, left_out)
+
+    @property
+    def prediction_scale(self) -> float:
+        """Covariance scale for predictions: moves from the initial to the fitted scale as loops are accepted.
+
+        It never falls below the fitted scale.
+        """
+        share = self.kept.sum() / (_PRIOR_LOOPS_PREDICTION + self.kept.sum())
+        return float(max(self.fitted_scale, self.fitted_scale**share * self.initial_scale ** (1.0 - share)))
 
 
-def grown(problem: LoopProblem, screening: Screening) -> Consensus:
-    """Grow the set of loops that agree with the trusted edges and with one another."""
-    state = _converged(problem, _empty(problem, screening), screening)
-    challenged = _challenged(problem, state, screening)
+def grow_consensus(screening: Screening) -> Consensus:
+    """Grow the set of loops that agree with the trusted edges and with one another, on the condensed problem."""
+    state = _converge(screening, _empty(screening))
+    challenged = _challenged(screening, state)
     if challenged.any():
-        state = _converged(problem, _changed(problem, state, screening, state.kept & ~challenged), screening)
-    for _ in range(_CHANCES):
-        lucky = _by_luck(problem, state, screening)
-        if not lucky.any():
+        state = _converge(screening, fit(screening, state, state.kept & ~challenged))
+    for _ in range(_MAX_TESTS):
+        chance = test(screening, state)
+        if not chance.any():
             break
-        state = _changed(problem, state, screening, state.kept & ~lucky)
-        state = replace(state, thrown=np.where(lucky, _CHANCES, state.thrown))
-        state = _converged(problem, state, screening)
+        state = fit(screening, state, state.kept & ~chance)
+        state = replace(state, rejections=np.where(chance, _MAX_REJECTIONS, state.rejections))
+        state = _converge(screening, state)
     return state
 
 
-def _empty(problem: LoopProblem, screening: Screening) -> Consensus:
+def propose(state: Consensus) -> Mask:
+    """(L,) candidates to accept next: the most likely ones that agree in pairs and that no neighbour contradicts."""
+    likelihood, scale = state.likelihood, state.prediction_scale
+    candidates = state.states == LoopState.CANDIDATE
+    plausible = np.flatnonzero(candidates & (likelihood.log_ratio_at(scale) > -MIN_LOG_RATIO))
+    candidates &= ~_mask(contradicted_by_neighbors(likelihood, plausible, scale), len(candidates))
+    rows = np.flatnonzero(_most_likely(state, candidates))
+    if not len(rows):
+        rows = _likely_in_pairs(state, np.flatnonzero(candidates & is_compatible(likelihood, scale)))
+    return _mask(pairwise_consistent(likelihood, rows, scale), len(candidates))
+
+
+def fit(screening: Screening, state: Consensus, use: Mask) -> Consensus:
+    """Fit the map to the loops in use (L,), reject those that do not fit, and update all likelihood ratios."""
+    problem = screening.condensed.problem
+    fitted = _fit_inliers(problem, state, use)
+    fitted = replace(fitted, rejections=state.rejections + (use & ~fitted.kept))
+    if not fitted.kept.any():
+        return replace(_empty(screening), rejections=fitted.rejections, suspensions=fitted.suspensions)
+    likelihood = loop_likelihood(fitted.poses, problem.edges_with(fitted.kept), problem.loops)
+    chi2 = likelihood.chi2_leave_one_out[fitted.kept]
+    tail = float(np.quantile(chi2, 0.99)) / fitted.fitted_scale if len(chi2) >= _MIN_TAIL_SAMPLE else 0.0
+    student_dof = estimate_student_dof(chi2, likelihood.dof)
+    return replace(fitted, likelihood=replace(likelihood, student_dof=student_dof, tail_chi2=tail))
+
+
+def reject(state: Consensus) -> Mask:
+    """(L,) kept loops that the map without them contradicts, the worst half: without those the others may fit."""
+    log_ratio = state.likelihood.leave_one_out(state.prediction_scale)
+    contradicted = state.kept & (state.suspensions < _MAX_SUSPENSIONS) & (log_ratio < MIN_LOG_RATIO)
+    worst = log_ratio[contradicted].min(initial=MIN_LOG_RATIO)
+    return contradicted & (log_ratio <= 0.5 * (worst + MIN_LOG_RATIO))
+
+
+def test(screening: Screening, state: Consensus) -> Mask:
+    """(L,) kept loops that may be in by chance: by odometry, by the other loops, and by the map without them."""
+    kept, scale = state.kept, state.prediction_scale
+    likelihood = state.likelihood
+    false_positives = expected_false_positives(screening.likelihood.log_ratio_at(screening.scale), kept)
+    log_ratio = np.where(kept, likelihood.leave_one_out(scale), likelihood.log_ratio_at(scale))
+    by_others = expected_false_positives(log_ratio, kept)
+    supported = kept & likelihood.is_supported
+    false_positives = np.where(supported, np.minimum(false_positives, by_others), false_positives)
+    chance = not_significant(kept, false_positives)
+    if not chance.any():
+        return chance
+    # A loop that fails is asked once more, against the map without all that failed, at a stricter rate.
+    without = fit(screening, state, kept & ~chance)
+    remaining = expected_false_positives(without.likelihood.log_ratio_at(without.prediction_scale), kept)
+    false_positives = np.where(chance, np.minimum(false_positives, remaining), false_positives)
+    return not_significant(kept, false_positives, SECOND_RATE)
+
+
+def _empty(screening: Screening) -> Consensus:
+    """The consensus of no loop: odometry."""
+    problem = screening.condensed.problem
     count = len(problem.loops)
     none, never = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
-    return Consensus(problem.start, none, screening.found, screening.scale, screening.scale, never, never)
+    return Consensus(problem.start, none, screening.likelihood, screening.scale, screening.scale, never, never)
 
 
-def _converged(problem: LoopProblem, state: Consensus, screening: Screening) -> Consensus:
-    """Let loops in and put doubted ones aside until hardly any is left to move."""
-    for left in reversed(range(_ROUNDS)):
-        offered = _offered(state)
-        doubted = _doubted(state, state.doubts < _CHANCES) if left else np.zeros_like(state.kept)
-        moving = int((offered | doubted).sum())
+def _converge(screening: Screening, state: Consensus) -> Consensus:
+    """Accept proposed loops and suspend contradicted ones until hardly any moves."""
+    for round_ in range(_MAX_ROUNDS):
+        proposed = propose(state)
+        # The last round suspends none: a loop that is put aside must be able to come back.
+        is_last = round_ == _MAX_ROUNDS - 1
+        suspended = np.zeros_like(state.kept) if is_last else reject(state)
+        moving = int((proposed | suspended).sum())
         if moving:
-            state = replace(state, doubts=state.doubts + doubted)
-            state = _changed(problem, state, screening, (state.kept & ~doubted) | offered)
-        if moving <= _STILL * state.kept.sum() and not doubted.any():
+            state = replace(state, suspensions=state.suspensions + suspended)
+            state = fit(screening, state, (state.kept & ~suspended) | proposed)
+        if moving <= _MIN_CHANGE * state.kept.sum() and not suspended.any():
             break
     return state
 
 
-def _changed(problem: LoopProblem, state: Consensus, screening: Screening, use: Mask) -> Consensus:
-    """Lean on other loops; those that do not fit are out again."""
-    after = _settled(problem, state, use)
-    after = replace(after, thrown=state.thrown + (use & ~after.kept))
-    if not after.kept.any():
-        return replace(_empty(problem, screening), thrown=after.thrown, doubts=after.doubts)
-    found = evidence(after.poses, problem.using(after.kept), problem.loops)
-    chi2 = found.chi2_without_itself[after.kept]
-    rare = float(np.quantile(chi2, 0.99)) / after.fitted if len(chi2) >= _MANY else 0.0
-    return replace(after, found=replace(found, freedom=freedom_of(chi2, found.dof), rare=rare))
+def _most_likely(state: Consensus, candidates: Mask) -> Mask:
+    """Candidates whose likelihood ratio outweighs the prior odds, else all that have some evidence.
 
-
-def _by_luck(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
-    """Kept loops that may be in by luck, by all that speaks for them: odometry, others, the map without them."""
-    kept, scale = state.kept, state.predicting
-    chance = expected(screening.found.at(screening.scale), kept)
-    by_others = expected(np.where(kept, state.found.without_itself(scale), state.found.at(scale)), kept)
-    chance = np.where(kept & state.found.supported, np.minimum(chance, by_others), chance)
-    luck = lucky(kept, chance)
-    if not luck.any():
-        return luck
-    without = _changed(problem, state, screening, kept & ~luck)
-    left = expected(without.found.at(without.predicting), kept)
-    return lucky(kept, np.where(luck, np.minimum(chance, left), chance), SECOND_RATE)
-
-
-def _offered(state: Consensus) -> Mask:
-    """Loops that are next, of one mind: loops left out next to them do not speak against them."""
-    offered, scale = state.thrown < _CHANCES, state.predicting
-    offered &= ~state.kept
-    able = np.flatnonzero(offered & (state.found.at(scale) > -LEAST_EVIDENCE))
-    offered[outvoted(state.found, able, scale)] = False
-    rows = np.flatnonzero(_surest(state, offered))
-    if not len(rows):
-        rows = _in_company(state, np.flatnonzero(offered & fitting(state.found, scale)))
-    offered[:] = False
-    offered[agreeing(state.found, rows, scale)] = True
-    return offered
-
-
-def _surest(state: Consensus, able: Mask) -> Mask:
-    """Loops whose evidence outweighs the odds, else all that have some."""
-    nats = state.found.at(state.predicting)
+    The threshold falls in three steps. The strictest corrects for the number of loops as Bonferroni does (one
+    false loop in all of them), the last asks for the prior odds alone: few certain loops first make the map from
+    which the others can be judged.
+    """
+    log_ratio = state.likelihood.log_ratio_at(state.prediction_scale)
     count = max(int(state.kept.sum()), 1)
-    odds = float(np.log(max(len(nats) - count, 1) / count))  # of false to true loops, as far as is known
-    many = float(np.log(max(len(nats), 1)))
-    for extra in (max(odds, 0.0) + many, max(odds, 0.0) + 0.5 * many, odds):
-        surest: Mask = able & (nats > LEAST_EVIDENCE + extra)
-        if surest.sum() > _FEW * state.kept.sum():
-            return surest
-    return able & (nats > LEAST_EVIDENCE + min(odds, 0.0)) if not surest.any() else surest
+    log_odds = float(np.log(max(len(log_ratio) - count, 1) / count))  # of false to true loops, by the kept ones
+    log_count = float(np.log(max(len(log_ratio), 1)))
+    for extra in (max(log_odds, 0.0) + log_count, max(log_odds, 0.0) + 0.5 * log_count, log_odds):
+        likely: Mask = candidates & (log_ratio > MIN_LOG_RATIO + extra)
+        if likely.sum() > _MIN_GROWTH * state.kept.sum():
+            return likely
+    return candidates & (log_ratio > MIN_LOG_RATIO + min(log_odds, 0.0)) if not likely.any() else likely
 
 
-def _in_company(state: Consensus, able: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Loops of which each by itself could be luck, but not the best of all pairs."""
-    nats = state.found.at(state.predicting)[able]
-    pairs = 2.0 * np.log(max(len(able), 1)) - np.log(2.0)
-    able = able[np.argsort(-nats, kind="stable")[:SEEDS]]
-    return able[in_company(state.found, able, state.predicting) > LEAST_EVIDENCE + pairs]
+def _likely_in_pairs(state: Consensus, rows: Rows) -> Rows:
+    """Candidates (M rows) that are not likely by themselves, but whose best pair is, corrected for all pairs."""
+    log_ratio = state.likelihood.log_ratio_at(state.prediction_scale)[rows]
+    log_pairs = 2.0 * np.log(max(len(rows), 1)) - np.log(2.0)
+    rows = rows[np.argsort(-log_ratio, kind="stable")[:SEEDS]]
+    return rows[best_pair_log_ratio(state.likelihood, rows, state.prediction_scale) > MIN_LOG_RATIO + log_pairs]
 
 
-def _doubted(state: Consensus, allowed: Mask) -> Mask:
-    """Kept loops that the others speak against, the worst: without them others may look better."""
-    nats = state.found.without_itself(state.predicting)
-    against = allowed & state.kept & (nats < LEAST_EVIDENCE)
-    return against & (nats <= 0.5 * (nats[against].min(initial=LEAST_EVIDENCE) + LEAST_EVIDENCE))
-
-
-def _challenged(problem: LoopProblem, state: Consensus, screening: Screening) -> Mask:
-    """Kept loops that shut out others for which odometry alone speaks: put aside, they must compete with them."""
-    nats = np.where(state.kept, -np.inf, screening.found.at(screening.scale))
-    contenders = np.argsort(-nats, kind="stable")[: int((nats > LEAST_EVIDENCE).sum())]
+def _challenged(screening: Screening, state: Consensus) -> Mask:
+    """(L,) kept loops that contradict left-out loops which odometry supports: suspended, they must compete."""
+    by_odometry = np.where(state.kept, -np.inf, screening.likelihood.log_ratio_at(screening.scale))
+    contenders = np.argsort(-by_odometry, kind="stable")[: int((by_odometry > MIN_LOG_RATIO).sum())]
     if not len(contenders) or not state.kept.any():
         return np.zeros_like(state.kept)
-    return opponents(problem, state.poses, state.kept, contenders, limit(state.found.dof) * state.fitted)
+    bound = max_inlier_chi2(state.likelihood.dof) * state.fitted_scale
+    return conflicting_loops(screening.condensed.problem, state.poses, state.kept, contenders, bound)
 
 
-def _settled(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
-    """Fit to the loops in use, throw out what does not fit, and learn the scale of what does."""
-    poses, kept = fitted_poses(problem, use, state.poses), use
-    for _ in range(_FITS):
-        fitted = _fitted(problem, state, poses, kept)
-        fits = kept & _fits(problem, poses, state.found, fitted)
+def _fit_inliers(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus:
+    """Least squares on the loops in use, without those that do not fit, and the scale of the residuals."""
+    poses, kept = least_squares(problem, use, state.poses), use
+    for _ in range(_MAX_FITS):
+        scale = _residual_scale(problem, state, poses, kept)
+        fits = kept & _fits(problem, poses, state.likelihood, scale)
         if np.array_equal(fits, kept):
             break
-        # What is wrong bends the rest: who fits is asked again once the large errors have lost their weight.
-        poses, _ = graduated(problem, kept, poses, limit(state.found.dof) * fitted)
-        kept = kept & _fits(problem, poses, state.found, fitted)
-        poses = fitted_poses(problem, kept, poses)
-    return replace(state, poses=poses, kept=kept, fitted=fitted)
+        # A false loop bends the map round itself, so that true ones seem wrong. Who fits is asked again after
+        # graduated non-convexity has taken the weight from large errors.
+        poses, _ = gnc(problem, kept, poses, max_inlier_chi2(state.likelihood.dof) * scale)
+        kept = kept & _fits(problem, poses, state.likelihood, scale)
+        poses = least_squares(problem, kept, poses)
+    return replace(state, poses=poses, kept=kept, fitted_scale=scale)
 
 
-def _fits(problem: LoopProblem, poses: Array, found: Evidence, scale: float) -> Mask:
-    """(L,) loops for which there is evidence where the fit is taken for the truth."""
-    at_fit = replace(found, errors=problem.loops.errors(poses))
-    return at_fit.alone(scale) > LEAST_EVIDENCE
+def _fits(problem: LoopProblem, poses: Array, likelihood: LoopLikelihood, scale: float) -> Mask:
+    """(L,) loops that are likely where the fit is taken for the truth."""
+    at_fit = replace(likelihood, errors=problem.loops.errors(poses))
+    return at_fit.log_ratio_at_fit(scale) > MIN_LOG_RATIO
 
 
-def _fitted(problem: LoopProblem, state: Consensus, poses: Array, kept: Mask) -> float:
-    """Variance factor of the fit, drawn to a first guess while loops are few.
+def _residual_scale(problem: LoopProblem, state: Consensus, poses: Array, kept: Mask) -> float:
+    """Variance factor of the fit, drawn to the initial scale while loops are few.
 
-    Chi-square over redundancy, where loops in the tail count less (Student's distribution; Lange et al., 1989).
+    Chi-square over redundancy, where loops in the tail have less weight (EM of Student's distribution: Lange et
+    al., JASA 1989). Each loop adds `dof` redundancy to a tree of odometry, so odometry's own chi-square is counted
+    in the numerator and not in the denominator.
     """
-    first, freedom = state.scale, state.found.freedom
+    initial, student_dof = state.initial_scale, state.likelihood.student_dof
     chi2, dof = problem.loops.chi2(poses)[kept], problem.loops.group.dof
     if not len(chi2):
-        return first
-    factor = max(float(np.median(chi2)) / dof, 1e-9 * first)
-    trusted = float(problem.trusted.chi2(poses).sum())
-    for _ in range(_SCALE_STEPS):
-        loops = float(((freedom + dof) / (freedom + chi2 / factor) * chi2).sum())
-        factor = max((loops + min(trusted, _MOST_BENT * loops)) / (dof * len(chi2)), 1e-9 * first)
-    share = len(chi2) / (_PRIOR_LOOPS + len(chi2))
-    return float(factor**share * first ** (1.0 - share))
+        return initial
+    factor = max(float(np.median(chi2)) / dof, 1e-9 * initial)
+    odometry = float(problem.trusted.chi2(poses).sum())
+    for _ in range(_SCALE_ITERATIONS):
+        loops = float(((student_dof + dof) / (student_dof + chi2 / factor) * chi2).sum())
+        factor = max((loops + min(odometry, _MAX_ODOMETRY_SHARE * loops)) / (dof * len(chi2)), 1e-9 * initial)
+    share = len(chi2) / (_PRIOR_LOOPS_FIT + len(chi2))
+    return float(factor**share * initial ** (1.0 - share))
+
+
+def _mask(rows: Rows, count: int) -> Mask:
+    """(count,) bool, true at rows."""
+    mask = np.zeros(count, dtype=bool)
+    mask[rows] = True
+    return mask

@@ -1,12 +1,12 @@
-"""The field's single-loop defences: weights that fall as a loop's chi-square grows, by reweighted least squares."""
+"""Robust kernels: weights that fall as a loop's chi-square grows, by iteratively reweighted least squares."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.pose_graph_newton import reweighted
-from slam.robust_gnc import fitted_poses
+from slam.pose_graph_newton import irls
+from slam.robust_gnc import least_squares
 from slam.robust_problem import LoopProblem
 from slam.robust_screening import Screening
 
@@ -16,7 +16,7 @@ Kernel = Callable[[Array, float], Array]  # chi-squares (M,), limit -> weights (
 
 
 def huber(chi2: Array, limit: float) -> Array:
-    """Large errors pull with constant force (Huber, 1964); the width is the root of the limit."""
+    """Huber (1964): the force of large errors is constant; the width is the square root of the limit."""
     return np.sqrt(limit / np.maximum(chi2, limit))
 
 
@@ -36,18 +36,18 @@ def switchable(chi2: Array, limit: float) -> Array:
 def kernel_poses(problem: LoopProblem, screening: Screening, kernel: Kernel) -> tuple[Array, Array]:
     """Poses (N, n, n) and weights (L,) under a kernel on the loops that passed the gate.
 
-    Started from Huber's solution: a kernel that falls faster is saturated at odometry and lets go of every loop.
+    Starts from Huber's solution: at odometry a kernel that falls faster is saturated and gives every loop up.
     """
     use, trusted = screening.passed, len(problem.trusted)
     weights = np.zeros(len(problem.loops))
     if not use.any():
         return problem.start, weights
-    edges, limit = problem.using(use), screening.limit
+    edges, limit = problem.edges_with(use), screening.max_inlier_chi2
 
-    def weighted(by: Kernel) -> Callable[[Array, int], Array]:
+    def reweight(by: Kernel) -> Callable[[Array, int], Array]:
         return lambda chi2, step: np.concatenate([np.ones(trusted), by(chi2[trusted:], limit)])
 
-    poses = reweighted(fitted_poses(problem, use, problem.start), edges, weighted(huber))
-    poses = reweighted(poses, edges, weighted(kernel))
+    poses = irls(least_squares(problem, use, problem.start), edges, reweight(huber))
+    poses = irls(poses, edges, reweight(kernel))
     weights[use] = kernel(problem.loops.chi2(poses)[use], limit)
     return poses, weights

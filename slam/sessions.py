@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.loop_closing import LoopClosure
 from slam.pose_graph import PoseGraph, PoseGraphConfig
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 
 Array = NDArray[np.float64]
 Step = tuple[Array, Array]  # T_previous_current (4, 4), metres, and its covariance (6, 6), rotation first
@@ -73,7 +73,7 @@ class MergedSessions:
     """
 
     poses: Array
-    optimized: Optimized
+    optimized: OptimizationResult
     T_map_session: Array = field(default_factory=lambda: np.eye(4))
 
 

@@ -15,11 +15,11 @@ from slam.datasets.dataset import Frame
 from slam.eyes import VisualOdometry
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
-from slam.loop_trust import Admission
+from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
+from slam.loop_trust import LoopDecision
 from slam.mapping.landmarks import LandmarkMap
 from slam.pose_graph import PoseGraph
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -65,8 +65,8 @@ class LoopCandidate:
     """
 
     belief: Belief
-    geometry: Geometry
-    admission: Admission | None
+    geometry: LoopVerification
+    admission: LoopDecision | None
 
     @property
     def reason(self) -> str:
@@ -78,7 +78,7 @@ class LoopCandidate:
     @property
     def closed(self) -> bool:
         """Whether the online graph used the loop from that moment on."""
-        return self.admission is not None and self.admission.joined
+        return self.admission is not None and self.admission.used
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class FrameResult:
     motion: Motion
     T_world_camera_odometry: Array
     T_world_camera: Array
-    landmarks: Landmarks
+    landmarks: FrameLandmarks
     is_key_frame: bool
     candidates: tuple[LoopCandidate, ...]
     stage_ms: dict[str, float]
@@ -131,7 +131,7 @@ class Slam:
         candidates = self._verify_all(self._recognize(frame))
         is_key_frame = self._map(frame.index, landmarks)
         with self.timer.stage("pose graph"):
-            T_world_camera = self.components.graph.latest()
+            T_world_camera = self.components.graph.current_pose()
         return FrameResult(
             frame=frame,
             motion=motion,
@@ -156,7 +156,7 @@ class Slam:
             self._add_landmarks(record.image, record.landmarks)
         return candidates
 
-    def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], Optimized]:
+    def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], OptimizationResult]:
         """Process the beliefs still open, then optimise everything with the named robust back end."""
         candidates = self._verify_all(self.components.recognizer.finish())
         return candidates, self.components.graph.optimize(robust)
@@ -175,7 +175,7 @@ class Slam:
                 self.components.graph.add_odometry(motion.T_previous_current, motion.covariance)
         self._num_frames += 1
 
-    def _extract_landmarks(self, frame: Frame) -> Landmarks:
+    def _extract_landmarks(self, frame: Frame) -> FrameLandmarks:
         with self.timer.stage("features"):
             features = self.describe(frame).features
         assert features is not None
@@ -203,11 +203,11 @@ class Slam:
         with self.timer.stage("pose graph"):
             return LoopCandidate(belief, geometry, self.components.graph.add_loop(geometry))
 
-    def _map(self, index: int, landmarks: Landmarks) -> bool:
+    def _map(self, index: int, landmarks: FrameLandmarks) -> bool:
         is_key_frame = self.components.key_frames.accepts(self._T_world_odometry)
         if is_key_frame:
             self._add_landmarks(index, landmarks)
         return is_key_frame
 
-    def _add_landmarks(self, index: int, landmarks: Landmarks) -> None:
+    def _add_landmarks(self, index: int, landmarks: FrameLandmarks) -> None:
         self.components.landmarks.add(index, landmarks.points.astype(np.float64), landmarks.grey)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import PinholeCamera
-from slam.loop_geometry import MIN_LANDMARKS, hats, pose_from_pixels
+from slam.loop_geometry import MIN_LANDMARKS, pnp_ransac, skew
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -84,9 +84,7 @@ class CameraPose:
 
 def estimate_camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
     """Pose of a camera by RANSAC, refined; None without consensus."""
-    start = pose_from_pixels(
-        camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations
-    )
+    start = pnp_ransac(camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations)
     return None if start is None else refine_pose(camera, matches, start, config)
 
 
@@ -150,7 +148,7 @@ class _ReprojectionSystem:
         whiten[~ahead] = 0.0
         self._error = (whiten @ (self._matches.pixels - pixels)[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of the camera's frame by X x w - v
-        motion = np.concatenate([hats(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        motion = np.concatenate([skew(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
         return np.where(ahead, np.sum(self._error**2, axis=1), np.inf)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from slam.errors import DataError
-from slam.loop_closing import Landmarks
+from slam.loop_closing import FrameLandmarks
 from slam.map_store.store import MapDatabase
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class SavedMap:
             descriptor_size=_descriptor_size(store, key_frames),
         )
 
-    def landmarks(self, image: int) -> Landmarks:
+    def landmarks(self, image: int) -> FrameLandmarks:
         """Landmarks of an image, in its camera's frame and its own unit.
 
         Raises:

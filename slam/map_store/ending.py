@@ -10,7 +10,7 @@ from odometry import se3
 from slam.config import RunConfig
 from slam.loop_closing import LoopClosure
 from slam.map_store.store import LoopOutcome, MapDatabase, OptimizedSession, Session
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.sessions import MergedSessions, SessionTrajectory, align_sessions, merge_sessions
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class SessionResult:
         merge: what became of it in a map of other sessions; None where there are none.
     """
 
-    optimized: Optimized
+    optimized: OptimizationResult
     merge: MergeResult | None = None
 
 
@@ -71,7 +71,7 @@ def close_session(session: Session, optimized: Optimized) -> tuple[OptimizedSess
 
 
 def merge_session(
-    store: MapDatabase, session: Session, optimized: Optimized, config: RunConfig
+    store: MapDatabase, session: Session, optimized: OptimizationResult, config: RunConfig
 ) -> tuple[OptimizedSession, SessionResult]:
     """Close a session that has come to its end, merged with the sessions that its loops lead to.
 

@@ -18,7 +18,7 @@ from slam.map_database.inter_session import SessionRecognizer, components_in_ses
 from slam.map_store.ending import SessionResult, close_session, merge_session
 from slam.map_store.resuming import restore_session, session_start, system_state
 from slam.map_store.store import MAP_FILE, Checkpoint, MapDatabase, Session
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.storage.atomic import replacing
 from slam.storage.run_folder import RunFolder
 from slam.system import Components, FrameResult, LoopCandidate, Slam
@@ -67,7 +67,7 @@ class SessionRecorder(Protocol):
         """Record everything so far, and the state of the components."""
         ...
 
-    def finish(self, late: Sequence[LoopCandidate], optimized: Optimized, ended: bool) -> SessionResult:
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
         """Record the last loops and the corrected poses.
 
         Args:
@@ -95,7 +95,7 @@ class NullSessionRecorder:
     def write_checkpoint(self) -> None:
         """Do nothing."""
 
-    def finish(self, late: Sequence[LoopCandidate], optimized: Optimized, ended: bool) -> SessionResult:
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
         """The trajectory by itself."""
         return SessionResult(optimized)
 
@@ -157,7 +157,7 @@ class MapSessionRecorder:
         self._last = time.perf_counter()
         self._cost = self._last - begin
 
-    def finish(self, late: Sequence[LoopCandidate], optimized: Optimized, ended: bool) -> SessionResult:
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
         """Record the last loops and the corrected poses; a session that was interrupted may be resumed."""
         with self._store.writing():
             if ended:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from odometry.motion import Motion
 from place_recognition.recognizer import Belief
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
-from slam.loop_geometry import Unit
+from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
+from slam.loop_geometry import ScaleRatio
 
 
 def frame_row(frame: FrameRecord, session: int) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def candidate_row(number: int, candidate: LoopRecord) -> dict[str, Any]:
     }
 
 
-def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> FrameRecord:
+def read_frame(row: sqlite3.Row, landmarks: FrameLandmarks) -> FrameRecord:
     """A frame from its row."""
     motion = Motion(
         T_previous_current=unpack(row["T_previous_camera"], "<f8", 4, 4),
@@ -96,11 +96,11 @@ def read_frame(row: sqlite3.Row, landmarks: Landmarks) -> FrameRecord:
     )
 
 
-def read_landmarks(row: sqlite3.Row) -> Landmarks:
+def read_landmarks(row: sqlite3.Row) -> FrameLandmarks:
     """What a frame saw, from its row."""
     pixels = unpack(row["pixels"], "<f4", -1, 2)
     count = len(pixels)
-    return Landmarks(
+    return FrameLandmarks(
         pixels=pixels,
         points=unpack(row["points"], "<f4", count, 3),
         grey=unpack(row["grey"], "u1", count),
@@ -122,16 +122,16 @@ def read_candidate(row: sqlite3.Row) -> LoopRecord:
     return LoopRecord(row["at_image"], belief, _geometry(row))
 
 
-def _details(geometry: Geometry) -> dict[str, Any]:
+def _details(geometry: LoopVerification) -> dict[str, Any]:
     if geometry is None:
         return {}
     counts = {"matches": int(geometry.matches), "inliers": int(geometry.inliers)}
     if isinstance(geometry, Rejection):
         return counts | {"reason": geometry.reason}
-    return counts | {"unit_log": float(geometry.unit.log), "unit_sigma": float(geometry.unit.sigma)}
+    return counts | {"unit_log": float(geometry.scale.log), "unit_sigma": float(geometry.scale.sigma)}
 
 
-def _geometry(row: sqlite3.Row) -> Geometry:
+def _geometry(row: sqlite3.Row) -> LoopVerification:
     details = json.loads(row["geometry"])
     seen: dict[str, Any] = {
         "pixels_query": unpack(row["pixels_query"], "<f4", -1, 2),
@@ -141,13 +141,13 @@ def _geometry(row: sqlite3.Row) -> Geometry:
         return None
     if row["outcome"] == "rejected":
         return Rejection(**details, **seen)
-    unit = Unit(details.pop("unit_log"), details.pop("unit_sigma"))
+    scale = ScaleRatio(details.pop("unit_log"), details.pop("unit_sigma"))
     return LoopClosure(
         query=row["query"],
         match=row["match"],
         T_match_query=unpack(row["T_match_query"], "<f8", 4, 4),
         covariance=unpack(row["covariance"], "<f8", 6, 6),
-        unit=unit,
+        scale=scale,
         **details,
         **seen,
     )

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from slam.errors import OutputError
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import Landmarks
+from slam.loop_closing import FrameLandmarks
 from slam.map_store import schema
 from slam.map_store.freezing import deserialize, serialize
 from slam.map_store.pieces import digest, read_arrays, write_arrays
@@ -276,7 +276,7 @@ class MapDatabase:
             found = self._connection.execute("SELECT image FROM frame WHERE key_frame ORDER BY image")
             return tuple(row[0] for row in found)
 
-    def landmarks(self, image: int) -> Landmarks:
+    def landmarks(self, image: int) -> FrameLandmarks:
         """Landmarks of one image.
 
         Raises:

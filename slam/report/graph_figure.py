@@ -10,36 +10,36 @@ from slam.graph_truth import aligned
 from slam.pose_graph_edges import Edges
 from slam.report import colours
 from slam.report.figures import INK, new_figure, style
-from slam.robust_problem import LoopProblem, Outcome
+from slam.robust_problem import BackEndResult, LoopProblem
 
 Array = NDArray[np.float64]
 
-_INK_OF_LOOPS = 60.0  # loops at full strength whose ink all of a kind share
-_MOST_LOOPS = 3000  # drawn of each kind; more only blacken the picture
+_MAX_INK = 60.0  # opacity of all loops of a kind together, in opaque loops: many loops are drawn fainter
+_MAX_LOOPS = 3000  # drawn of each kind; more only blacken the picture
 
 
-def graph_figure(name: str, problem: LoopProblem, outcome: Outcome, truth: Array | None) -> Figure:
-    """Draw the trusted edges alone beside the result, metres.
+def graph_figure(name: str, problem: LoopProblem, result: BackEndResult, truth: Array | None) -> Figure:
+    """Draw odometry alone beside the optimised graph, metres.
 
     Args:
-        name: of the graph.
-        problem: what was optimised.
-        outcome: what came of it.
-        truth: (N, n - 1) true positions, or None; the estimates are then laid over them.
+        name: title of the figure.
+        problem: the problem that was optimised.
+        result: poses and kept loops of the back end.
+        truth: (N, n - 1) true positions, metres, to which the estimates are aligned; or None.
     """
     figure = new_figure(12.0, 6.4)
     axes = figure.subplots(1, 2)
     parts = (
         (axes[0], "Before: odometry alone", "odometry", colours.ODOMETRY, problem.start),
-        (axes[1], "After: loops closed", "corrected", colours.CORRECTED, outcome.poses),
+        (axes[1], "After: loops closed", "corrected", colours.CORRECTED, result.poses),
     )
-    plane = _plane(outcome.poses[:, :-1, -1] if truth is None else truth)
+    plane = _plane(result.poses[:, :-1, -1] if truth is None else truth)
     for ax, title, label, colour, poses in parts:
         positions = poses[:, :-1, -1] if truth is None else aligned(poses[:, :-1, -1], truth)
         positions = positions @ plane
-        _loops(ax, positions, problem.loops[~outcome.kept], ("left out", colours.REJECTED, ":"))
-        _loops(ax, positions, problem.loops[outcome.kept], ("kept", colours.ACCEPTED, "-"))
-        if truth is not None:
+        _loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
+        _loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))
+        if truth is not None:  # above the estimate, dashed, so that both are seen where they agree
             ax.plot(
                 *(truth @ plane).T, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4
             )
@@ -66,8 +66,8 @@ def _frame(ax: Axes, positions: Array) -> None:
 
 def _loops(ax: Axes, positions: Array, loops: Edges, look: tuple[str, str, str]) -> None:
     name, colour, dashes = look
-    drawn = loops[:: len(loops) // _MOST_LOOPS + 1] if len(loops) else loops
-    alpha = float(np.clip(_INK_OF_LOOPS / max(len(drawn), 1), 0.08, 0.6))
+    drawn = loops[:: len(loops) // _MAX_LOOPS + 1] if len(loops) else loops
+    alpha = float(np.clip(_MAX_INK / max(len(drawn), 1), 0.08, 0.6))
     lines = np.stack([positions[drawn.first], positions[drawn.second]], axis=1)
     ax.add_collection(LineCollection(list(lines), colors=colour, lw=0.7, ls=dashes, alpha=alpha, zorder=2))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=f"loops {name} ({len(loops)})")

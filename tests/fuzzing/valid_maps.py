@@ -13,7 +13,7 @@ from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import Landmarks, LoopClosure, Rejection
+from slam.loop_closing import FrameLandmarks, LoopClosure, Rejection
 from slam.map_store.store import Checkpoint, LoopOutcome, MapDatabase, OptimizedSession, Session
 
 FRAMES = 3
@@ -55,7 +55,7 @@ def read_map(path: Path) -> None:
 
 def _frame(image: int) -> FrameRecord:
     rng = np.random.default_rng(image)
-    landmarks = Landmarks(
+    landmarks = FrameLandmarks(
         rng.random((4, 2)).astype(np.float32), rng.random((4, 3)).astype(np.float32),
         rng.integers(0, 255, 4).astype(np.uint8), rng.random((4, 8)).astype(np.float16),
     )  # fmt: skip

@@ -47,8 +47,8 @@ def laps(side: int = 25, laps: float = 2.0, seed: int = 0, bias: tuple[float, fl
     poses = [np.eye(4)]
     for T in true:
         poses.append(poses[-1] @ T)
-    lasting = np.array([0, bias[0], 0, 0, 0, bias[1]])
-    motions = [T @ se3.exp(lasting + noise(rng, STEP_COVARIANCE)) for T in true]
+    bias_covariance = np.array([0, bias[0], 0, 0, 0, bias[1]])
+    motions = [T @ se3.exp(bias_covariance + noise(rng, STEP_COVARIANCE)) for T in true]
     loops = [loop_between(rng, np.array(poses), q, q - lap) for q in range(lap + 4, count, 2)]
     return Drive(np.array(poses), motions, loops)
 

@@ -55,5 +55,5 @@ def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     odometry = replace(config.mono_odometry.odometry, height_m=1.65)
     config = replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
-    assert config.pose_graph_for_camera().unit_drift > 0
+    assert config.pose_graph_for_camera().scale_drift > 0
     assert RunConfig().pose_graph_for_camera() == RunConfig().pose_graph

@@ -9,7 +9,7 @@ import pytest
 
 from odometry import se3
 from slam.errors import GraphError
-from slam.graph_roles import roles
+from slam.graph_roles import classify_edges
 from slam.loop_closing import LoopClosure
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Plane, inverse, planar_poses
@@ -179,7 +179,7 @@ def test_a_file_of_edges_alone_has_the_poses_of_its_edges(tmp_path: Path) -> Non
     graph = read_g2o(path)
     assert graph.ids.tolist() == [7, 8, 9]
     assert not graph.placed
-    np.testing.assert_allclose(roles(graph, "a").problem.start[:, 0, 2], [0, 2, 1])
+    np.testing.assert_allclose(classify_edges(graph, "a").problem.start[:, 0, 2], [0, 2, 1])
 
 
 @pytest.mark.parametrize(
@@ -221,13 +221,13 @@ def test_a_graph_in_two_pieces_is_named_with_the_pose_that_is_cut_off(tmp_path: 
     path = tmp_path / "a.g2o"
     path.write_text(PLANE + f"VERTEX_SE2 4 0 0 0\nVERTEX_SE2 5 0 0 0\nEDGE_SE2 0 1 1 0 0 {UNIT_PLANE}\n")
     with pytest.raises(GraphError, match=r"a\.g2o: expected edges that join all 4 poses, found none .* pose 4 \(2"):
-        roles(read_g2o(path), str(path))
+        classify_edges(read_g2o(path), str(path))
 
 
 def test_where_odometry_is_missing_another_edge_is_trusted(tmp_path: Path) -> None:
     path = tmp_path / "a.g2o"
     path.write_text(PLANE + f"VERTEX_SE2 4 2 0 0\nEDGE_SE2 0 1 1 0 0 {UNIT_PLANE}\nEDGE_SE2 4 0 -2 0 0 {UNIT_PLANE}\n")
-    found = roles(read_g2o(path), "a")
+    found = classify_edges(read_g2o(path), "a")
     assert found.trusted.all()
     assert (
         "no odometry leads to some poses; 1 other edges are trusted instead, the first from 4 to 0" in found.warnings[0]

@@ -5,23 +5,24 @@ import numpy as np
 from place_recognition.recognizer import Belief
 from slam.ledger import event_rows, loop_rows, matched_pixels, stage_rows
 from slam.loop_closing import LoopClosure, Rejection
-from slam.loop_trust import Admission, Change
+from slam.loop_trust import LoopDecision, LoopEvent
 from slam.record import LoopEventRow, LoopRow
-from slam.robust import LoopGate, Optimized
+from slam.robust import GateResult, OptimizationResult
 from slam.system import LoopCandidate
 
-GATE = LoopGate(True, 0.5, "drift explains it")
-PASSED = Admission(True, True, 0.5, "drift explains it")
+GATE = GateResult(True, 0.5, "drift explains it")
+PASSED = LoopDecision(True, True, 0.5, "drift explains it")
 
 
 def closure(query: int, match: int) -> LoopClosure:
     return LoopClosure(query, match, np.eye(4), np.eye(6), inliers=40, matches=60)
 
 
-def optimized(*kept: bool) -> Optimized:
+def optimized(*kept: bool) -> OptimizationResult:
     verdicts = np.array(kept, dtype=bool)
     reasons = tuple("kept" if keep else "left out" for keep in kept)
-    return Optimized(np.eye(4)[None], verdicts * 1.0, np.full(len(kept), 1.5), verdicts, reasons, 2.0, 1.0, 0.1)
+    residuals = np.full(len(kept), 1.5)
+    return OptimizationResult(np.eye(4)[None], verdicts * 1.0, residuals, verdicts, reasons, 2.0, 1.0, 0.1, np.ones(1))
 
 
 def ledger(*candidates: LoopCandidate, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
@@ -86,7 +87,7 @@ def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
 
 
 def test_events_name_their_loop_and_keep_their_order():
-    history = [Change(8, 0, False, "waits"), Change(9, 1, True, "joined"), Change(9, 0, True, "joined")]
+    history = [LoopEvent(8, 0, False, "waits"), LoopEvent(9, 1, True, "joined"), LoopEvent(9, 0, True, "joined")]
     assert event_rows(candidates(), history) == (
         LoopEventRow(7, 3, 9, True, "joined"),
         LoopEventRow(8, 1, 8, False, "waits"),

@@ -13,10 +13,10 @@ from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from slam.loop_closing import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
-from slam.loop_geometry import SAME_UNIT, GeometryConfig, compare_units, relative_pose
+from slam.loop_geometry import UNIT_SCALE, RelativePoseConfig, estimate_relative_scale, relative_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
-UNBIASED = GeometryConfig(
+UNBIASED = RelativePoseConfig(
     systematic_rad=0.0,
     systematic_rad_per_m=0.0,
     systematic_m=0.0,
@@ -30,7 +30,7 @@ MOTION = se3.exp(np.array([0.02, -0.08, 0.01, 0.4, -0.1, 1.2]))
 class World:
     """Points with descriptors, and stereo cameras that see them with half a pixel of noise.
 
-    An image says in its first pixel which view it is; its features and disparities are looked up by that.
+    The first pixel of an image is the number of its view; its features and disparities are looked up by that.
     """
 
     points: np.ndarray
@@ -99,7 +99,7 @@ def test_a_loop_is_closed_with_the_right_pose() -> None:
 def test_the_covariance_is_honest() -> None:
     nees = []
     for seed in range(25):
-        config = LoopCloserConfig(geometry=UNBIASED)
+        config = LoopCloserConfig(relative_pose=UNBIASED)
         answer = closer_over(world(seed, 400), [np.eye(4), MOTION], config).verify(1, 0)
         assert isinstance(answer, LoopClosure)
         error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
@@ -110,7 +110,7 @@ def test_the_covariance_is_honest() -> None:
 def test_more_noise_makes_a_larger_covariance() -> None:
     quiet, loud = world(), world()
     loud.noise = 1.0
-    config = LoopCloserConfig(geometry=UNBIASED)
+    config = LoopCloserConfig(relative_pose=UNBIASED)
     one, two = (closer_over(w, [np.eye(4), MOTION], config).verify(1, 0) for w in (quiet, loud))
     assert isinstance(one, LoopClosure)
     assert isinstance(two, LoopClosure)
@@ -134,7 +134,7 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     points_query = se3.transform(se3.inverse(MOTION), points)
     visible = np.flatnonzero(points_query[:, 2] > 3)
     points_query[visible[::2]] = rng.uniform([-15, -4, 4], [15, 2, 40], (len(visible[::2]), 3))
-    answer = relative_pose(CAMERA, points[visible], points_query[visible], GeometryConfig())
+    answer = relative_pose(CAMERA, points[visible], points_query[visible], RelativePoseConfig())
     assert answer is not None
     np.testing.assert_allclose(answer.T_a_b, MOTION, atol=0.02)
     assert answer.inliers[1::2].all()
@@ -149,7 +149,7 @@ def test_landmarks_near_infinity_do_not_throw_the_pose_off(seed: int) -> None:
     points_match, points_query = (
         measured(rng, se3.transform(se3.inverse(T), points)) for T in (np.eye(4), T_match_query)
     )
-    answer = relative_pose(CAMERA, points_match, points_query, GeometryConfig())
+    answer = relative_pose(CAMERA, points_match, points_query, RelativePoseConfig())
     assert answer is not None
     assert answer.inliers.sum() > 80
     np.testing.assert_allclose(answer.T_a_b[:3, 3], T_match_query[:3, 3], atol=0.05)
@@ -237,8 +237,8 @@ def test_the_same_images_give_the_same_bits() -> None:
     assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
-def test_a_frame_that_was_not_remembered_is_named() -> None:
-    with pytest.raises(ValueError, match="expected a frame that was remembered, got 4"):
+def test_a_frame_that_was_not_added_is_named() -> None:
+    with pytest.raises(ValueError, match="expected a frame that was added, got 4"):
         closer_over(world(), [np.eye(4)]).verify(4, 0)
 
 
@@ -301,13 +301,13 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
         assert error @ np.linalg.solve(answer.covariance, error) < 30.0
 
 
-@pytest.mark.parametrize("unit", [0.6, 1.0, 1.7])
-def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -> None:
-    """The query's depths are in a unit of its own: the loop is in the match's, and says how long the other is."""
+@pytest.mark.parametrize("scale", [0.6, 1.0, 1.7])
+def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(scale: float) -> None:
+    """The query's depths are in a unit of its own: the loop is in that of the match, with the ratio of the two."""
     scene = world()
 
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
-        return scene.disparity(left, left, pixels) * (unit if left[0, 0] == 1 else 1.0)
+        return scene.disparity(left, left, pixels) * (scale if left[0, 0] == 1 else 1.0)
 
     closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_in_own_unit, has_metric_scale=False))
     for index, pose in enumerate([np.eye(4), MOTION]):
@@ -315,11 +315,11 @@ def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(unit: float) -
     loop = closer.verify(1, 0)
     assert isinstance(loop, LoopClosure)
     np.testing.assert_allclose(se3.log(se3.inverse(MOTION) @ loop.T_match_query), 0, atol=0.05)
-    assert abs(loop.unit.log - np.log(unit)) < 4 * loop.unit.sigma
-    assert loop.unit.sigma < 0.05
+    assert abs(loop.scale.log - np.log(scale)) < 4 * loop.scale.sigma
+    assert loop.scale.sigma < 0.05
 
 
 def test_units_of_places_that_are_not_the_same_are_not_compared() -> None:
     rng = np.random.default_rng(4)
     one, other = (rng.uniform([-10, -4, 4], [10, 2, 40], (4, 3)) for _ in range(2))
-    assert compare_units(CAMERA, one, other, GeometryConfig()) == SAME_UNIT
+    assert estimate_relative_scale(CAMERA, one, other, RelativePoseConfig()) == UNIT_SCALE

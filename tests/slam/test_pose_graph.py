@@ -8,20 +8,22 @@ import pytest
 from odometry import se3
 from slam.errors import ConfigError, GraphError
 from slam.loop_closing import LoopClosure
-from slam.loop_groups import GroupConfig
-from slam.loop_trust import TrustConfig
+from slam.loop_groups import LoopClusterConfig
+from slam.loop_trust import LoopSelectionConfig
 from slam.pose_graph import PoseGraph, PoseGraphConfig
-from slam.pose_graph_drift import DriftBudget
-from slam.pose_graph_keys import KeySpacing
+from slam.pose_graph_drift import OdometryDriftModel
+from slam.pose_graph_keys import NodeSpacing
 from slam.pose_graph_online import IncrementalConfig
 from slam.robust import BACK_ENDS
 from slam.storage.g2o import chain_graph, read_g2o, write_g2o
 
 from .laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, settled
 
-CREDULOUS = TrustConfig(1e9, 1e9, GroupConfig(agreement_chi2=1e9))
+CREDULOUS = LoopSelectionConfig(1e9, 1e9, LoopClusterConfig(max_agreement_chi2=1e9))
 PLAIN = PoseGraphConfig(
-    keys=KeySpacing(way=0.0), online=IncrementalConfig(width=1e6, relinearize_threshold=1e-6), trust=CREDULOUS
+    nodes=NodeSpacing(min_distance_m=0.0),
+    incremental=IncrementalConfig(huber_width=1e6, relinearize_threshold=1e-6),
+    loop_selection=CREDULOUS,
 )
 
 
@@ -107,7 +109,7 @@ def test_a_loop_from_the_wrong_street_fails_the_gate() -> None:
     graph = drive.graph([])
     wrong = graph.add_loop(LoopClosure(430, 150, np.eye(4), LOOP_COVARIANCE, 30))
     assert not wrong.passed
-    assert wrong.residual > np.sqrt(graph.config.gate_chi2)
+    assert wrong.residual > np.sqrt(graph.config.max_gate_chi2)
     assert "drift does not explain" in wrong.reason
     assert len(graph.loops) == len(graph.gates) == 1
     np.testing.assert_allclose(graph.poses(), graph.odometry_poses(), atol=1e-6)
@@ -117,7 +119,7 @@ def test_online_is_batch_where_nothing_is_robust(drive: Drive) -> None:
     graph = drive.graph(config=PLAIN)
     online, batch = settled(graph).poses(), graph.optimize("none").poses
     np.testing.assert_allclose(online[:, :3, 3], batch[:, :3, 3], atol=0.01)
-    np.testing.assert_allclose(graph.latest(), online[-1], atol=1e-9)
+    np.testing.assert_allclose(graph.current_pose(), online[-1], atol=1e-9)
 
 
 def test_online_estimates_as_the_drive_goes(drive: Drive) -> None:
@@ -126,16 +128,16 @@ def test_online_estimates_as_the_drive_goes(drive: Drive) -> None:
         graph.add_odometry(T, STEP_COVARIANCE)
         if frame in loops:
             graph.add_loop(loops[frame])
-        errors.append(np.linalg.norm((graph.latest() - drive.poses[frame])[:3, 3]))
+        errors.append(np.linalg.norm((graph.current_pose() - drive.poses[frame])[:3, 3]))
     assert max(errors[110:]) < 0.5 * max(errors[:104])
     assert drive.ate(graph.poses()) < 1.3 * drive.ate(graph.optimize("none").poses)
 
 
 def test_a_frame_that_follows_a_loop_continues_from_the_corrected_pose(drive: Drive) -> None:
     graph = drive.graph()
-    before = graph.latest()
+    before = graph.current_pose()
     graph.add_odometry(drive.motions[0], STEP_COVARIANCE)
-    np.testing.assert_allclose(graph.latest(), before @ drive.motions[0], atol=1e-6)
+    np.testing.assert_allclose(graph.current_pose(), before @ drive.motions[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", BACK_ENDS)
@@ -149,7 +151,7 @@ def test_two_runs_give_the_same_bits(drive: Drive, name: str) -> None:
 def test_a_new_graph_holds_one_pose() -> None:
     graph = PoseGraph()
     assert len(graph) == 1
-    np.testing.assert_array_equal(graph.latest(), np.eye(4))
+    np.testing.assert_array_equal(graph.current_pose(), np.eye(4))
     np.testing.assert_allclose(graph.poses(), np.eye(4)[None], atol=1e-12)
     np.testing.assert_array_equal(graph.optimize().poses, np.eye(4)[None])
 
@@ -182,7 +184,7 @@ def test_a_graph_can_be_written_and_read(drive: Drive, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "minimum"), [("parking-garage", 0.634192), ("smallGrid3D", 517.925)])
 def test_standard_graphs_reach_their_known_minimum(test_data: Path, name: str, minimum: float) -> None:
     file = read_g2o(test_data / "pose_graphs" / f"{name}.g2o")
-    exact = DriftBudget(translation=0.0, rotation=0.0)
+    exact = OdometryDriftModel(sigma_m_per_m=0.0, sigma_rad_per_m=0.0)
     graph = PoseGraph(PoseGraphConfig(drift=exact, loop_sigma_rad=0.0, loop_sigma_m=0.0))
     covariances = np.linalg.inv(file.information)
     chain = {int(i): k for k, i in enumerate(file.first) if file.second[k] == i + 1}

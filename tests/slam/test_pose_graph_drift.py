@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from slam.pose_graph_drift import DriftBudget, OdometryChain
+from slam.pose_graph_drift import OdometryChain, OdometryDriftModel
 
-NO_DRIFT = DriftBudget(translation=0.0, rotation=0.0)
+NO_DRIFT = OdometryDriftModel(sigma_m_per_m=0.0, sigma_rad_per_m=0.0)
 COVARIANCE = np.diag(np.square([2e-3, 3e-3, 1e-3, 0.02, 0.01, 0.04]))
 
 
@@ -16,8 +16,8 @@ def bend(count: int) -> list[np.ndarray]:
     return [se3.exp(np.array([0.01, 0.06 * np.sin(k / 5), 0.0, 0.0, 0.05, 1.0])) for k in range(count)]
 
 
-def chain(motions: list[np.ndarray], budget: DriftBudget = NO_DRIFT) -> OdometryChain:
-    out = OdometryChain(budget)
+def chain(motions: list[np.ndarray], model: OdometryDriftModel = NO_DRIFT) -> OdometryChain:
+    out = OdometryChain(model)
     for T in motions:
         out.append(T, COVARIANCE)
     return out
@@ -27,7 +27,7 @@ def test_the_chain_composes_its_motions() -> None:
     motions = bend(5)
     between = chain(motions).between(1, 4)
     np.testing.assert_allclose(between.T_first_second, motions[1] @ motions[2] @ motions[3], atol=1e-12)
-    assert between.way == pytest.approx(3 * np.hypot(1.0, 0.05), abs=1e-3)
+    assert between.path_length_m == pytest.approx(3 * np.hypot(1.0, 0.05), abs=1e-3)
 
 
 def test_covariance_is_that_of_composing_step_by_step() -> None:
@@ -66,10 +66,10 @@ def test_covariance_is_gtsams_marginal() -> None:
     np.testing.assert_allclose(chain(motions).between(0, 30).covariance, marginal, rtol=1e-5, atol=1e-9)
 
 
-def test_a_lasting_bias_stays_within_the_budget() -> None:
+def test_a_lasting_bias_stays_within_the_covariance() -> None:
     motions = bend(400)
-    bias = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.01])  # one sigma of the default budget, all the way
-    between = chain(motions, DriftBudget()).between(0, 400)
+    bias = np.array([0.0, 1e-4, 0.0, 0.0, 0.0, 0.01])  # one sigma of the default model, for the whole path
+    between = chain(motions, OdometryDriftModel()).between(0, 400)
     T = np.eye(4)
     for motion in motions:
         T = T @ motion @ se3.exp(bias)
@@ -77,7 +77,7 @@ def test_a_lasting_bias_stays_within_the_budget() -> None:
     assert error @ np.linalg.solve(between.covariance, error) < 2.5  # two directions biased by one sigma each
 
 
-def test_standing_still_uses_no_drift_budget() -> None:
-    still = chain([np.eye(4)] * 10, DriftBudget()).between(0, 10)
+def test_standing_still_adds_no_drift() -> None:
+    still = chain([np.eye(4)] * 10, OdometryDriftModel()).between(0, 10)
     np.testing.assert_allclose(still.covariance, 10 * COVARIANCE, rtol=1e-12)
-    assert still.way == 0.0
+    assert still.path_length_m == 0.0

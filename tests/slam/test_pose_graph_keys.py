@@ -1,95 +1,95 @@
-"""Frames hang on their keys, and loops move to them without a change of what they say."""
+"""Frames are attached to nodes, and loops move to the nodes without a change of what they measure."""
 
 import numpy as np
 import pytest
 
 from odometry import se3
-from slam.pose_graph_drift import DriftBudget, OdometryChain
-from slam.pose_graph_keys import KeyChain, KeySpacing
+from slam.pose_graph_drift import OdometryChain, OdometryDriftModel
+from slam.pose_graph_keys import NodeChain, NodeSpacing
 
 from .laps import LOOP_COVARIANCE, STEP_COVARIANCE, laps, loop_between
 
-NO_TURN = 1e9  # radians: turning makes no key
+NO_TURN = 1e9  # radians: turning makes no node
 
 
-def filled(spacing: KeySpacing) -> tuple[KeyChain, OdometryChain, list[np.ndarray]]:
-    """Keys and chain of a noisy lap, and T_world_key of each key."""
-    keys, chain = KeyChain(spacing), OdometryChain(DriftBudget(0.0, 0.0))
-    T_world_keys = [np.eye(4)]
+def filled(spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain, list[np.ndarray]]:
+    """Nodes and chain of a noisy lap, and T_world_node of each node."""
+    nodes, chain = NodeChain(spacing), OdometryChain(OdometryDriftModel(0.0, 0.0))
+    T_world_nodes = [np.eye(4)]
     for T in laps(laps=1.0).motions:
         chain.append(T, STEP_COVARIANCE)
-        key = keys.append(T, STEP_COVARIANCE)
-        if key is not None:
-            T_world_keys.append(T_world_keys[-1] @ key.T_key_frame)
-    return keys, chain, T_world_keys
+        node = nodes.append(T, STEP_COVARIANCE)
+        if node is not None:
+            T_world_nodes.append(T_world_nodes[-1] @ node.T_node_frame)
+    return nodes, chain, T_world_nodes
 
 
-@pytest.mark.parametrize("way", [0.0, 2.5, 10.0, 1000.0])
-def test_frames_on_unmoved_keys_lie_where_odometry_puts_them(way: float) -> None:
-    keys, chain, T_world_keys = filled(KeySpacing(way, NO_TURN))
-    np.testing.assert_allclose(keys.poses(np.array(T_world_keys)), chain.poses, atol=1e-9)
+@pytest.mark.parametrize("min_distance_m", [0.0, 2.5, 10.0, 1000.0])
+def test_frames_on_unmoved_nodes_lie_where_odometry_puts_them(min_distance_m: float) -> None:
+    nodes, chain, T_world_nodes = filled(NodeSpacing(min_distance_m, NO_TURN))
+    np.testing.assert_allclose(nodes.poses(np.array(T_world_nodes)), chain.poses, atol=1e-9)
 
 
-def test_a_frame_becomes_a_key_after_the_way_or_after_turning_on_the_spot() -> None:
-    keys = KeyChain(KeySpacing(way=2.5, angle=0.5))
+def test_a_frame_becomes_a_node_after_a_distance_or_after_turning_on_the_spot() -> None:
+    nodes = NodeChain(NodeSpacing(min_distance_m=2.5, min_angle_rad=0.5))
     forward, turn = se3.exp(np.array([0, 0, 0, 0, 0, 1.0])), se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
-    assert [keys.append(forward, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
-    assert [keys.append(turn, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
+    assert [nodes.append(forward, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
+    assert [nodes.append(turn, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
 
 
-def test_standing_still_makes_no_keys() -> None:
-    keys = KeyChain(KeySpacing())
-    assert all(keys.append(np.eye(4), STEP_COVARIANCE) is None for _ in range(50))
-    assert keys[50].key == 0
+def test_standing_still_makes_no_nodes() -> None:
+    nodes = NodeChain(NodeSpacing())
+    assert all(nodes.append(np.eye(4), STEP_COVARIANCE) is None for _ in range(50))
+    assert nodes[50].node == 0
 
 
-def test_a_frame_hangs_on_its_key_as_unsurely_as_the_chain_between_them() -> None:
-    keys, chain, _ = filled(KeySpacing(10.0, NO_TURN))
-    first = next(k for k in range(1, 100) if keys[k].key == 3)
-    np.testing.assert_allclose(keys[first + 6].covariance, chain.between(first, first + 6).covariance, atol=1e-12)
+def test_a_frame_has_the_covariance_of_the_chain_from_its_node() -> None:
+    nodes, chain, _ = filled(NodeSpacing(10.0, NO_TURN))
+    first = next(k for k in range(1, 100) if nodes[k].node == 3)
+    np.testing.assert_allclose(nodes[first + 6].covariance, chain.between(first, first + 6).covariance, atol=1e-12)
 
 
-def test_a_loop_between_keys_says_the_same_as_the_loop_between_frames() -> None:
+def test_a_loop_between_nodes_measures_the_same_as_the_loop_between_frames() -> None:
     drive = laps()
-    keys = KeyChain(KeySpacing(way=4.5))
-    T_world_keys = [np.eye(4)]
+    nodes = NodeChain(NodeSpacing(min_distance_m=4.5))
+    T_world_nodes = [np.eye(4)]
     true = se3.inverse(drive.poses[:-1]) @ drive.poses[1:]
     for T in true:
-        key = keys.append(T, STEP_COVARIANCE)
-        if key is not None:
-            T_world_keys.append(T_world_keys[-1] @ key.T_key_frame)
+        node = nodes.append(T, STEP_COVARIANCE)
+        if node is not None:
+            T_world_nodes.append(T_world_nodes[-1] @ node.T_node_frame)
     loop = loop_between(np.random.default_rng(0), drive.poses, 113, 12)
-    tied = keys.tied(loop)
-    assert tied is not None
-    T_match_query = se3.inverse(T_world_keys[tied.match]) @ T_world_keys[tied.query]
+    between_nodes = nodes.between_nodes(loop)
+    assert between_nodes is not None
+    T_match_query = se3.inverse(T_world_nodes[between_nodes.match]) @ T_world_nodes[between_nodes.query]
     own = se3.inverse(loop.T_match_query) @ se3.inverse(drive.poses[12]) @ drive.poses[113]
-    moved = se3.inverse(tied.T_match_query) @ T_match_query
+    moved = se3.inverse(between_nodes.T_match_query) @ T_match_query
     assert se3.angle(own) == pytest.approx(se3.angle(moved), abs=1e-9)
-    assert np.linalg.eigvalsh(tied.covariance - 0.99 * LOOP_COVARIANCE.min() * np.eye(6)).min() > 0
+    assert np.linalg.eigvalsh(between_nodes.covariance - 0.99 * LOOP_COVARIANCE.min() * np.eye(6)).min() > 0
 
 
 def test_the_covariance_of_a_moved_loop_is_that_of_random_trials() -> None:
-    rng, keys = np.random.default_rng(2), KeyChain(KeySpacing(way=8.5))
+    rng, nodes = np.random.default_rng(2), NodeChain(NodeSpacing(min_distance_m=8.5))
     for T in laps(laps=1.0).motions:
-        keys.append(T, STEP_COVARIANCE)
+        nodes.append(T, STEP_COVARIANCE)
     loop = loop_between(rng, laps().poses, 75, 15)
-    tied, match, query = keys.tied(loop), keys[15], keys[75]
-    assert tied is not None
+    between_nodes, match, query = nodes.between_nodes(loop), nodes[15], nodes[75]
+    assert between_nodes is not None
     errors = []
     for _ in range(1500):
         noisy = [
             T @ se3.exp(np.linalg.cholesky(C + 1e-18 * np.eye(6)) @ rng.normal(size=6))
             for T, C in (
-                (match.T_key_frame, match.covariance),
+                (match.T_node_frame, match.covariance),
                 (loop.T_match_query, loop.covariance),
-                (query.T_key_frame, query.covariance),
+                (query.T_node_frame, query.covariance),
             )
         ]
-        errors.append(se3.log(se3.inverse(tied.T_match_query) @ noisy[0] @ noisy[1] @ se3.inverse(noisy[2])))
-    nees = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(tied.covariance), errors)
+        errors.append(se3.log(se3.inverse(between_nodes.T_match_query) @ noisy[0] @ noisy[1] @ se3.inverse(noisy[2])))
+    nees = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(between_nodes.covariance), errors)
     assert nees.mean() == pytest.approx(6.0, abs=0.4)
 
 
-def test_a_loop_within_one_key_is_none() -> None:
-    keys, *_ = filled(KeySpacing(1000.0, NO_TURN))
-    assert keys.tied(loop_between(np.random.default_rng(0), laps().poses, 50, 5)) is None
+def test_a_loop_within_one_node_is_none() -> None:
+    nodes, *_ = filled(NodeSpacing(1000.0, NO_TURN))
+    assert nodes.between_nodes(loop_between(np.random.default_rng(0), laps().poses, 50, 5)) is None

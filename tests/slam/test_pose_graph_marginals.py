@@ -6,11 +6,11 @@ import pytest
 from odometry import se3
 from slam.loop_closing import LoopClosure
 from slam.pose_graph import PoseGraph, PoseGraphConfig
-from slam.pose_graph_drift import DriftBudget
+from slam.pose_graph_drift import OdometryDriftModel
 
 from .laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, laps, noise
 
-DRIFT = DriftBudget(translation=0.02, rotation=1e-3, correlation_m=3.0)
+DRIFT = OdometryDriftModel(sigma_m_per_m=0.02, sigma_rad_per_m=1e-3, correlation_length_m=3.0)
 CONFIG = PoseGraphConfig(drift=DRIFT)
 SMALL = laps(side=10, laps=1.5)
 LOOPS = [SMALL.loops[0], SMALL.loops[4]]
@@ -31,7 +31,7 @@ def dense(graph: PoseGraph) -> np.ndarray:
     count = len(graph)
     poses = graph.odometry_poses()
     edges = [(k, k + 1, DRIFT.of_motion(T, C)) for k, (T, C) in enumerate(graph.odometry)]
-    edges += [(k.match, k.query, graph.config.softened(k).covariance) for k in graph.loops]
+    edges += [(k.match, k.query, graph.config.with_noise_floor(k).covariance) for k in graph.loops]
     H, right = np.zeros((6 * count, 6 * count)), np.zeros((6 * count, 6))
     for number, (a, b, C) in enumerate(edges):
         J = np.zeros((6, 6 * count))
@@ -60,7 +60,7 @@ def test_with_loops_they_are_those_of_dense_inversion() -> None:
 
 
 def test_a_loop_never_makes_a_pose_less_sure_of_independent_errors() -> None:
-    free = PoseGraphConfig(drift=DriftBudget(0.0, 0.0))
+    free = PoseGraphConfig(drift=OdometryDriftModel(0.0, 0.0))
     before = SMALL.graph([], free).odometry_covariances()
     graph = SMALL.graph(LOOPS, free)
     after = graph.covariances(graph.optimize("none"))
@@ -85,7 +85,7 @@ def test_errors_are_as_large_as_the_covariances_say(loops: int) -> None:
     for _ in range(80):
         bias = rng.normal(size=6) * np.sqrt(DRIFT.variances)
         motions = [T @ se3.exp(np.linalg.norm(T[:3, 3]) * bias + noise(rng, covariance)) for T in true]
-        soft = [(k, CONFIG.softened(k).covariance) for k in chosen]
+        soft = [(k, CONFIG.with_noise_floor(k).covariance) for k in chosen]
         measured = [
             LoopClosure(
                 k.query,

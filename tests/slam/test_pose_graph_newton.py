@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam.pose_graph_batch import chordal, minimum
+from slam.pose_graph_batch import chordal_initialization, optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
-from slam.pose_graph_newton import reweighted
-from slam.pose_graph_posterior import posterior
+from slam.pose_graph_newton import irls
+from slam.pose_graph_posterior import sample_posterior
 
 GROUPS: list[Motions] = [Plane(), Space()]
 
@@ -53,8 +53,8 @@ def test_the_inverse_cancels(group: Motions) -> None:
 def test_steps_come_to_the_minimum_that_gtsam_finds(group: Motions) -> None:
     edges, true = ring(group)
     start = compounded(true[0], edges.motions[: len(true) - 1])
-    ours = reweighted(start, edges, lambda chi2, step: np.ones(len(chi2)))
-    theirs = minimum(edges, start)
+    ours = irls(start, edges, lambda chi2, step: np.ones(len(chi2)))
+    theirs = optimize(edges, start)
     assert edges.chi2(ours).sum() == pytest.approx(edges.chi2(theirs).sum(), rel=0.01)
     np.testing.assert_allclose(ours, theirs, atol=2e-3)
     np.testing.assert_array_equal(ours[0], start[0])
@@ -67,8 +67,8 @@ def test_a_weight_of_zero_takes_an_edge_out(group: Motions) -> None:
     spoilt.motions[-1] = np.eye(group.size)
     weights = np.ones(len(edges))
     weights[-1] = 0.0
-    found = reweighted(true, spoilt, lambda chi2, step: weights)
-    np.testing.assert_allclose(found, minimum(edges[:-1], true), atol=2e-3)
+    found = irls(true, spoilt, lambda chi2, step: weights)
+    np.testing.assert_allclose(found, optimize(edges[:-1], true), atol=2e-3)
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -80,7 +80,7 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: Motions) -> None:
     for k in range(5):
         Ad = group.adjoint(inverse(true[5]) @ true[k + 1])
         expected += Ad @ chain.covariance[k] @ Ad.T
-    found = posterior(true, chain).spread(ends)[0]
+    found = sample_posterior(true, chain).relative_covariance(ends)[0]
     # 48 samples: a variance is within a factor of two of the truth, ten standard errors of its logarithm apart
     ratios = np.linalg.eigvals(np.linalg.solve(expected, found)).real
     assert (ratios > 0.3).all()
@@ -91,7 +91,7 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: Motions) -> None:
 def test_the_chordal_start_needs_no_start(group: Motions) -> None:
     edges, true = ring(group, noise=1e-3)
     lost = np.tile(np.eye(group.size), (len(true), 1, 1))
-    np.testing.assert_allclose(chordal(edges, lost), true, atol=0.1)
+    np.testing.assert_allclose(chordal_initialization(edges, lost), true, atol=0.1)
 
 
 def test_no_edge_has_no_errors() -> None:

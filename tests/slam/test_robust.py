@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from slam.errors import ConfigError
-from slam.false_loops import KINDS, Injection, contaminated
-from slam.graph_roles import roles
+from slam.false_loops import KINDS, OutlierConfig, inject_outliers
+from slam.graph_roles import classify_edges
 from slam.graph_truth import absolute_error, find_truth
-from slam.pose_graph_batch import minimum
+from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
-from slam.robust import BACK_ENDS, LoopProblem, solved
-from slam.robust_gnc import truncated
+from slam.robust import BACK_ENDS, LoopProblem, solve
+from slam.robust_gnc import gnc_tls_weights
 from slam.robust_kernels import dcs, huber, switchable
-from slam.robust_pcm import heaviest_clique
+from slam.robust_pcm import greedy_max_weight_clique
 from slam.storage.g2o import read_g2o
 
 GROUPS = {"plane": Plane(), "space": Space()}
@@ -49,7 +49,7 @@ def measured(
 
 
 def everything(problem: LoopProblem) -> Edges:
-    return problem.using(np.ones(len(problem.loops), dtype=bool))
+    return problem.edges_with(np.ones(len(problem.loops), dtype=bool))
 
 
 def scaled(edges: Edges, factor: float) -> Edges:
@@ -60,8 +60,8 @@ def scaled(edges: Edges, factor: float) -> Edges:
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_without_false_loops_every_back_end_keeps_the_true_ones(group: str, name: str) -> None:
     problem = laps(GROUPS[group])
-    outcome = solved(problem, name)
-    best = everything(problem).chi2(minimum(everything(problem), problem.start)).sum()
+    outcome = solve(problem, name)
+    best = everything(problem).chi2(optimize(everything(problem), problem.start)).sum()
     assert outcome.kept.mean() >= 0.98
     assert everything(problem).chi2(outcome.poses).sum() <= 1.05 * best
 
@@ -71,9 +71,9 @@ def test_without_false_loops_every_back_end_keeps_the_true_ones(group: str, name
 def test_the_default_stands_false_loops_of_every_kind(group: str, kind: str, share: float) -> None:
     problem = laps(GROUPS[group])
     clean = everything(problem)
-    best = minimum(clean, problem.start)
-    mixed = contaminated(problem, best, Injection(kind, share, seed=3))
-    outcome = solved(mixed.problem)
+    best = optimize(clean, problem.start)
+    mixed = inject_outliers(problem, best, OutlierConfig(kind, share, seed=3))
+    outcome = solve(mixed.problem)
     assert clean.chi2(outcome.poses).sum() <= 1.05 * clean.chi2(best).sum()
     assert outcome.kept[mixed.true].mean() >= 0.98
     assert not outcome.kept[~mixed.true].any()
@@ -83,9 +83,9 @@ def test_the_default_stands_false_loops_of_every_kind(group: str, kind: str, sha
 @pytest.mark.parametrize("factor", [1 / 16, 16.0])
 def test_scaling_every_covariance_changes_no_verdict(factor: float) -> None:
     problem = laps(Plane())
-    mixed = contaminated(problem, problem.start, Injection("coherent", 0.4)).problem
+    mixed = inject_outliers(problem, problem.start, OutlierConfig("coherent", 0.4)).problem
     other = LoopProblem(scaled(mixed.trusted, factor), scaled(mixed.loops, factor), mixed.start)
-    np.testing.assert_array_equal(solved(mixed).kept, solved(other).kept)
+    np.testing.assert_array_equal(solve(mixed).kept, solve(other).kept)
 
 
 def test_where_every_loop_is_false_odometry_stays() -> None:
@@ -95,7 +95,7 @@ def test_where_every_loop_is_false_odometry_stays() -> None:
     rng = np.random.default_rng(2)
     first = rng.integers(0, 60, 20)
     loops = Edges(first, first + rng.integers(40, 90, 20), loops.motions, loops.information)
-    outcome = solved(replace(problem, loops=loops))
+    outcome = solve(replace(problem, loops=loops))
     assert not outcome.kept.any()
     np.testing.assert_array_equal(outcome.poses, problem.start)
 
@@ -103,24 +103,24 @@ def test_where_every_loop_is_false_odometry_stays() -> None:
 def test_one_true_loop_is_found_among_a_hundred_false_ones() -> None:
     problem = laps(Plane(), laps=1.5)
     alone = replace(problem, loops=problem.loops[20:21])
-    mixed = contaminated(alone, problem.start, Injection("grouped", 100 / 101, seed=1))
-    outcome = solved(mixed.problem)
+    mixed = inject_outliers(alone, problem.start, OutlierConfig("grouped", 100 / 101, seed=1))
+    outcome = solve(mixed.problem)
     assert outcome.kept[mixed.true].all()
     assert not outcome.kept[~mixed.true].any()
 
 
 def test_the_order_of_loops_changes_no_verdict() -> None:
     problem = laps(Plane())
-    mixed = contaminated(problem, problem.start, Injection("random", 0.5)).problem
+    mixed = inject_outliers(problem, problem.start, OutlierConfig("random", 0.5)).problem
     order = np.random.default_rng(4).permutation(len(mixed.loops))
-    shuffled = solved(replace(mixed, loops=mixed.loops[order]))
-    np.testing.assert_array_equal(shuffled.kept, solved(mixed).kept[order])
+    shuffled = solve(replace(mixed, loops=mixed.loops[order]))
+    np.testing.assert_array_equal(shuffled.kept, solve(mixed).kept[order])
 
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_two_runs_give_the_same_bits(name: str) -> None:
-    mixed = contaminated(laps(Space(), side=20), laps(Space(), side=20).start, Injection("random", 0.3)).problem
-    assert solved(mixed, name).poses.tobytes() == solved(mixed, name).poses.tobytes()
+    mixed = inject_outliers(laps(Space(), side=20), laps(Space(), side=20).start, OutlierConfig("random", 0.3)).problem
+    assert solve(mixed, name).poses.tobytes() == solve(mixed, name).poses.tobytes()
 
 
 @pytest.mark.parametrize("kernel", [huber, dcs, switchable])
@@ -133,21 +133,21 @@ def test_kernels_trust_small_errors_and_fall(kernel: object) -> None:
 
 def test_truncated_squares_become_binary_as_they_harden() -> None:
     chi2 = np.array([0.1, 9.0, 11.0, 1e4])
-    np.testing.assert_allclose(truncated(chi2, 10.0, 1e6), [1, 1, 0, 0], atol=1e-3)
-    assert (truncated(chi2[:3], 10.0, 0.5) > 0.2).all()
+    np.testing.assert_allclose(gnc_tls_weights(chi2, 10.0, 1e6), [1, 1, 0, 0], atol=1e-3)
+    assert (gnc_tls_weights(chi2[:3], 10.0, 0.5) > 0.2).all()
 
 
 def test_a_crowd_outvotes_a_clique() -> None:
     agree = np.zeros((8, 8), dtype=bool)
     agree[:5, :5] = agree[5:, 5:] = True
-    np.testing.assert_array_equal(heaviest_clique(agree, np.ones(8)), np.arange(5))
-    np.testing.assert_array_equal(heaviest_clique(agree, np.r_[np.ones(5), 2 * np.ones(3)]), [5, 6, 7])
+    np.testing.assert_array_equal(greedy_max_weight_clique(agree, np.ones(8)), np.arange(5))
+    np.testing.assert_array_equal(greedy_max_weight_clique(agree, np.r_[np.ones(5), 2 * np.ones(3)]), [5, 6, 7])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_false_loops_are_as_many_as_asked_and_lie_apart(kind: str) -> None:
     problem = laps(Plane())
-    mixed = contaminated(problem, problem.start, Injection(kind, 0.6))
+    mixed = inject_outliers(problem, problem.start, OutlierConfig(kind, 0.6))
     assert (~mixed.true).mean() == pytest.approx(0.6, abs=0.01)
     false = mixed.problem.loops[~mixed.true]
     assert (false.second - false.first >= 20).all()
@@ -156,17 +156,17 @@ def test_false_loops_are_as_many_as_asked_and_lie_apart(kind: str) -> None:
 
 def test_an_unknown_kind_of_false_loop_is_an_error() -> None:
     with pytest.raises(ConfigError, match="expected one of random, grouped, coherent and a share"):
-        contaminated(laps(Plane()), laps(Plane()).start, Injection("sneaky"))
+        inject_outliers(laps(Plane()), laps(Plane()).start, OutlierConfig("sneaky"))
 
 
 @pytest.mark.parametrize(("sequence", "best"), [("00", 2.04), ("02", 5.24), ("05", 2.60)])
 def test_real_false_loops_do_no_harm(test_data: Path, sequence: str, best: float) -> None:
     path = test_data / "pose_graphs" / "kitti_real_loops" / f"kitti_{sequence}_alpha_0.15.g2o"
     graph = read_g2o(path)
-    sorted_ = roles(graph, path.name)
+    sorted_ = classify_edges(graph, path.name)
     truth = find_truth(path, graph, sorted_.trusted, test_data / "kitti_poses")
     assert truth.loops is not None
-    outcome = solved(sorted_.problem)
+    outcome = solve(sorted_.problem)
     ate = absolute_error(outcome.poses, truth.positions)
     assert ate is not None
     assert ate <= 1.02 * best
@@ -178,8 +178,8 @@ def test_real_false_loops_do_no_harm(test_data: Path, sequence: str, best: float
     ("name", "least"), [("CSAIL", 20.275), ("intel", 22.502), ("manhattan", 1774.52), ("smallGrid3D", 517.925)]
 )
 def test_standard_graphs_reach_their_minimum_from_odometry(test_data: Path, name: str, least: float) -> None:
-    problem = roles(read_g2o(test_data / "pose_graphs" / f"{name}.g2o"), name).problem
-    poses = minimum(everything(problem), problem.start)
+    problem = classify_edges(read_g2o(test_data / "pose_graphs" / f"{name}.g2o"), name).problem
+    poses = optimize(everything(problem), problem.start)
     assert 0.5 * everything(problem).chi2(poses).sum() == pytest.approx(least, rel=1e-3)
 
 
@@ -191,5 +191,5 @@ def test_odometry_without_noise_but_with_a_bias_keeps_its_loops(group: str) -> N
     steps[:, move.translation.start] = 1.002
     steps[np.arange(len(steps)) % 40 >= 32, move.rotation.stop - 1] = np.pi / 16 + 1e-4
     trusted = replace(problem.trusted, motions=move.exp(steps))
-    outcome = solved(LoopProblem(trusted, problem.loops, compounded(np.eye(move.size), trusted.motions)))
+    outcome = solve(LoopProblem(trusted, problem.loops, compounded(np.eye(move.size), trusted.motions)))
     assert outcome.kept.mean() >= 0.98

@@ -1,14 +1,14 @@
-"""A chain with fewer poses: the same errors, the same way back."""
+"""A condensed chain: the same errors, and the same poses after expansion."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from slam.pose_graph_batch import minimum
+from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
-from slam.robust_condensed import condensed
+from slam.robust_condensed import condense
 from slam.robust_problem import LoopProblem
 
 
@@ -31,27 +31,29 @@ def drive(group: Motions, count: int = 95) -> LoopProblem:
 @pytest.mark.parametrize("group", [Plane(), Space()])
 def test_the_least_error_and_the_poses_are_those_of_the_whole_graph(group: Motions) -> None:
     whole = drive(group)
-    small = condensed(whole)
+    small = condense(whole)
     every = np.ones(2, dtype=bool)
-    poses = minimum(whole.using(every), whole.start)
-    fewer = minimum(small.problem.using(every), small.problem.start)
+    poses = optimize(whole.edges_with(every), whole.start)
+    fewer = optimize(small.problem.edges_with(every), small.problem.start)
     assert len(fewer) < 20
-    assert small.problem.using(every).chi2(fewer).sum() == pytest.approx(whole.using(every).chi2(poses).sum(), rel=0.01)
+    assert small.problem.edges_with(every).chi2(fewer).sum() == pytest.approx(
+        whole.edges_with(every).chi2(poses).sum(), rel=0.01
+    )
     np.testing.assert_allclose(fewer, poses[small.rows], atol=2e-3)
-    np.testing.assert_allclose(small.expanded(fewer), poses, atol=0.01)
+    np.testing.assert_allclose(small.expand(fewer), poses, atol=0.01)
 
 
 @pytest.mark.parametrize("group", [Plane(), Space()])
 def test_loops_err_as_before_and_the_start_comes_back(group: Motions) -> None:
     whole = drive(group)
-    small = condensed(whole)
+    small = condense(whole)
     np.testing.assert_allclose(small.problem.loops.chi2(small.problem.start), whole.loops.chi2(whole.start))
     np.testing.assert_allclose(small.problem.trusted.chi2(small.problem.start), 0.0, atol=1e-9)
-    np.testing.assert_allclose(small.expanded(small.problem.start), whole.start, atol=1e-9)
+    np.testing.assert_allclose(small.expand(small.problem.start), whole.start, atol=1e-9)
 
 
 def test_edges_that_are_no_chain_stay_as_they_are() -> None:
     whole = drive(Plane())
     backwards = replace(whole.trusted, first=whole.trusted.second, second=whole.trusted.first)
     other = replace(whole, trusted=backwards)
-    assert condensed(other).problem is other
+    assert condense(other).problem is other

@@ -1,16 +1,16 @@
-"""How loops speak for and against one another: votes of neighbours, company, contests, the tails of errors."""
+"""How loops support and contradict one another: votes of neighbours, pairs, conflicts, the tails of errors."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from slam.pose_graph_batch import minimum, refined
+from slam.pose_graph_batch import optimize, refine
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Plane, compounded, inverse
-from slam.robust_contest import opponents
-from slam.robust_evidence import evidence, freedom_of
-from slam.robust_pcm import agreement, in_company, outvoted
+from slam.robust_contest import conflicting_loops
+from slam.robust_evidence import estimate_student_dof, loop_likelihood
+from slam.robust_pcm import best_pair_log_ratio, contradicted_by_neighbors, pairwise_consistency
 from slam.robust_problem import LoopProblem
 
 GROUP, LAP, SIDE = Plane(), 160, 40
@@ -34,58 +34,58 @@ def laps(wrong: dict[int, float], seed: int = 0) -> LoopProblem:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_false_loop_that_drift_explains_is_outvoted_by_those_next_to_it(seed: int) -> None:
+def test_a_false_loop_that_drift_explains_is_contradicted_by_its_neighbors(seed: int) -> None:
     problem = laps({30: 1.5}, seed)
-    found = evidence(problem.start, problem.trusted, problem.loops)
+    likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
     rows = np.arange(len(problem.loops))
-    assert found.at(1.0)[30] > 0.0
-    np.testing.assert_array_equal(outvoted(found, rows, 1.0), [30])
-    assert not len(outvoted(found, rows[30:31], 1.0))
+    assert likelihood.log_ratio_at(1.0)[30] > 0.0
+    np.testing.assert_array_equal(contradicted_by_neighbors(likelihood, rows, 1.0), [30])
+    assert not len(contradicted_by_neighbors(likelihood, rows[30:31], 1.0))
 
 
-def test_what_two_loops_miss_the_map_by_is_no_quarrel_between_them() -> None:
+def test_two_loops_far_from_the_map_do_not_contradict_each_other_for_that() -> None:
     problem = laps({10: 0.4, 60: -0.4})
     every = np.ones(len(problem.loops), dtype=bool)
     every[[10, 60]] = False
-    poses = minimum(problem.using(every), problem.start)
-    found = evidence(poses, problem.using(every), problem.loops)
-    assert (found.chi2[[10, 60]] > 40.0).all()
-    assert agreement(found, np.array([10]), np.array([60]), 1.0).all()
-    by_odometry = evidence(problem.start, problem.trusted, problem.loops)
-    assert not agreement(by_odometry, np.array([10]), np.array([11]), 1.0).any()
+    poses = optimize(problem.edges_with(every), problem.start)
+    likelihood = loop_likelihood(poses, problem.edges_with(every), problem.loops)
+    assert (likelihood.chi2[[10, 60]] > 40.0).all()
+    assert pairwise_consistency(likelihood, np.array([10]), np.array([60]), 1.0).all()
+    by_odometry = loop_likelihood(problem.start, problem.trusted, problem.loops)
+    assert not pairwise_consistency(by_odometry, np.array([10]), np.array([11]), 1.0).any()
 
 
-def test_company_counts_from_afar_only() -> None:
+def test_a_pair_counts_only_if_its_loops_are_far_apart() -> None:
     problem = laps({77: 4.0})
-    found = evidence(problem.start, problem.trusted, problem.loops)
-    together = in_company(found, np.array([0, 2, 70, 77]), 1.0)
-    alone = found.at(1.0)[[0, 2, 70, 77]]
-    assert (together[:3] > alone[:3] + 3.0).all()
+    likelihood = loop_likelihood(problem.start, problem.trusted, problem.loops)
+    together = best_pair_log_ratio(likelihood, np.array([0, 2, 70, 77]), 1.0)
+    log_ratio_at_fit = likelihood.log_ratio_at(1.0)[[0, 2, 70, 77]]
+    assert (together[:3] > log_ratio_at_fit[:3] + 3.0).all()
     assert together[3] < together[2] - 3.0
-    assert np.isneginf(in_company(found, np.arange(20), 1.0)).all()
+    assert np.isneginf(best_pair_log_ratio(likelihood, np.arange(20), 1.0)).all()
 
 
 def test_a_loop_that_was_left_out_names_the_false_one_in_its_place() -> None:
     problem = laps({40: 1.5})
     kept = np.isin(np.arange(len(problem.loops)), [5, 40])
-    poses = minimum(problem.using(kept), problem.start)
-    against = opponents(problem, poses, kept, np.array([41, 42]), 21.0)
+    poses = optimize(problem.edges_with(kept), problem.start)
+    against = conflicting_loops(problem, poses, kept, np.array([41, 42]), 21.0)
     np.testing.assert_array_equal(np.flatnonzero(against), [40])
-    assert not opponents(problem, poses, kept, np.array([4]), 21.0).any()
+    assert not conflicting_loops(problem, poses, kept, np.array([4]), 21.0).any()
 
 
 def test_the_tails_of_errors_are_found() -> None:
     rng = np.random.default_rng(3)
     gaussian = rng.chisquare(3, 3000)
     heavy = gaussian / (rng.chisquare(5, 3000) / 5)
-    assert freedom_of(gaussian, 3) >= 40.0
-    assert freedom_of(heavy, 3) == 5.0
-    assert freedom_of(7.0 * gaussian, 3) == freedom_of(gaussian, 3)
+    assert estimate_student_dof(gaussian, 3) >= 40.0
+    assert estimate_student_dof(heavy, 3) == 5.0
+    assert estimate_student_dof(7.0 * gaussian, 3) == estimate_student_dof(gaussian, 3)
 
 
 def test_the_better_start_is_taken() -> None:
     problem = laps({})
-    edges = problem.using(np.ones(len(problem.loops), dtype=bool))
-    best = edges.chi2(refined(edges, problem.start)).sum()
+    edges = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
+    best = edges.chi2(refine(edges, problem.start)).sum()
     lost = replace(problem, start=np.tile(np.eye(3), (len(problem.start), 1, 1))).start
-    assert edges.chi2(minimum(edges, lost)).sum() == pytest.approx(best, rel=1e-4)
+    assert edges.chi2(optimize(edges, lost)).sum() == pytest.approx(best, rel=1e-4)

@@ -20,7 +20,7 @@ from slam.frame_record import FrameRecord
 from slam.map_store.keeping import MapSessionRecorder, NullSessionRecorder, SessionRecorder
 from slam.map_store.store import MapDatabase, Session
 from slam.parts import build_components
-from slam.robust import Optimized
+from slam.robust import OptimizationResult
 from slam.system import Slam
 
 
@@ -48,7 +48,7 @@ class End:
     slam: Slam
     rows: MatrixRecorder
     log: RunLog
-    optimized: Optimized
+    optimized: OptimizationResult
 
 
 def drive_on(drive: Every, config: RunConfig, recorder: SessionRecorder, stop: int | None = None) -> End | None:
