@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from place_recognition.recognizer import Belief
-from slam.loop_closing import Geometry, Landmarks
+from slam.loop_closing import FrameLandmarks, LoopVerification
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class FrameRecord:
     motion: Motion
     T_world_odometry: Array
     T_world_online: Array
-    landmarks: Landmarks
+    landmarks: FrameLandmarks
     is_key_frame: bool
     stage_ms: Mapping[str, float]
     T_world_camera: Array | None = None
@@ -54,4 +54,4 @@ class LoopRecord:
 
     at_image: int | None
     belief: Belief
-    geometry: Geometry
+    geometry: LoopVerification

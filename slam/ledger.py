@@ -66,7 +66,7 @@ def _with_closure(row: LoopRow, closure: LoopClosure, optimized: OptimizationRes
     )
 
 
-def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[LoopGate]) -> tuple[StageRow, ...]:
+def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[GateResult]) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
@@ -103,7 +103,7 @@ def _with_measurement(row: StageRow, closure: LoopClosure, gate: GateResult) -> 
     )
 
 
-def event_rows(candidates: Iterable[LoopCandidate], history: Iterable[Change]) -> tuple[LoopEventRow, ...]:
+def event_rows(candidates: Iterable[LoopCandidate], history: Iterable[LoopEvent]) -> tuple[LoopEventRow, ...]:
     """Decisions of the online pose graph about each closure, by query and in the order in which they were made.
 
     Args:
@@ -114,7 +114,7 @@ def event_rows(candidates: Iterable[LoopCandidate], history: Iterable[Change]) -
     rows = []
     for change in history:
         closure = closures[change.loop]
-        rows.append(LoopEventRow(closure.query, closure.match, change.frame, change.joined, change.reason))
+        rows.append(LoopEventRow(closure.query, closure.match, change.frame, change.used, change.reason))
     return tuple(sorted(rows, key=lambda row: row.query))
 
 

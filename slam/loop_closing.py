@@ -11,11 +11,19 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import FeatureCache
-from slam.loop_geometry import UNIT_SCALE, RelativePose, RelativePoseConfig, ScaleRatio, compare_units, relative_pose
+from slam.loop_geometry import (
+    UNIT_SCALE,
+    RelativePose,
+    RelativePoseConfig,
+    ScaleRatio,
+    estimate_relative_scale,
+    relative_pose,
+)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Compare = Callable[[StereoCamera, Array, Array, GeometryConfig], Unit]  # of points (K, 3) of a match and of a query
+# Camera, points (K, 3) of the match and of the query, settings -> scale of the query in that of the match
+ScaleEstimator = Callable[[StereoCamera, Array, Array, RelativePoseConfig], ScaleRatio]
 
 _GRID = 4  # cells of the query image in each direction, over which inliers must be spread
 
@@ -134,8 +142,8 @@ class LoopCloser:
         self._camera, self._features = camera, features
         self._config = config or LoopCloserConfig()
         self._depth = depth
-        self._compare: Compare = same_unit if depth.has_metric_scale else compare_units
-        self._known: dict[int, Landmarks] = {}
+        self._estimate_scale: ScaleEstimator = fixed_scale if depth.has_metric_scale else estimate_relative_scale
+        self._landmarks: dict[int, FrameLandmarks] = {}
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Find and keep the landmarks of frame `index` in its rectified grey images (H, W)."""

@@ -28,11 +28,11 @@ Image = NDArray[np.uint8]
 class LoopVerifier(Protocol):
     """Keeps the landmarks of frames and verifies loops between them: see `slam.loop_closing.LoopCloser`."""
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
+    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Extract and keep the landmarks of a frame."""
         ...
 
-    def restore_frame(self, index: int, landmarks: Landmarks) -> None:
+    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         """Keep the landmarks of a frame of an earlier run."""
         ...
 
@@ -197,7 +197,7 @@ class Slam:
             geometry = self.components.loop_closer.verify(belief.query, belief.match)
         return self._add_to_graph(belief, geometry)
 
-    def _add_to_graph(self, belief: Belief, geometry: Geometry) -> LoopCandidate:
+    def _add_to_graph(self, belief: Belief, geometry: LoopVerification) -> LoopCandidate:
         if not isinstance(geometry, LoopClosure):
             return LoopCandidate(belief, geometry, None)
         with self.timer.stage("pose graph"):

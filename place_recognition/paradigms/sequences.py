@@ -13,7 +13,12 @@ from dataclasses import dataclass, field
 
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
 from place_recognition.image_processing.features import FeatureCache
-from place_recognition.map.sequences import FixedDistanceSegmentation, FixedDistanceConfig, WordVariance, WordVarianceConfig
+from place_recognition.map.sequences import (
+    FixedDistanceConfig,
+    FixedDistanceSegmentation,
+    WordVariance,
+    WordVarianceConfig,
+)
 from place_recognition.map.vocabulary import Vocabulary
 from place_recognition.paradigms.sequence_matching import (
     SequenceMatchingConfig,

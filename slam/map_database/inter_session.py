@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import Geometry, Landmarks, LoopClosure, Rejection
+from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.system import Components, LoopCandidate, LoopVerifier
 
 Image = NDArray[np.uint8]
@@ -68,11 +68,11 @@ class SessionLoopCloser:
     def __init__(self, loop_closer: LoopVerifier, first_image: int) -> None:
         self._loop_closer, self._first_image = loop_closer, first_image
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
+    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Extract and keep the landmarks of a frame of the session."""
         return self._loop_closer.add_frame(self._first_image + index, left, right)
 
-    def restore_frame(self, index: int, landmarks: Landmarks) -> None:
+    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         """Keep the landmarks of a frame of the session."""
         self._loop_closer.restore_frame(self._first_image + index, landmarks)
 
@@ -172,7 +172,7 @@ def loop_in_map(candidate: LoopCandidate, at_image: int | None, first_image: int
     return LoopRecord(at_image, belief, _renumber_geometry(candidate.geometry, first_image))
 
 
-def _renumber_geometry(geometry: Geometry, offset: int) -> Geometry:
+def _renumber_geometry(geometry: LoopVerification, offset: int) -> LoopVerification:
     return _renumber_loop(geometry, offset) if isinstance(geometry, LoopClosure) else geometry
 
 

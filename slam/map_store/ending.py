@@ -62,7 +62,7 @@ class NumberedLoop:
     loop: LoopClosure
 
 
-def close_session(session: Session, optimized: Optimized) -> tuple[OptimizedSession, SessionResult]:
+def close_session(session: Session, optimized: OptimizationResult) -> tuple[OptimizedSession, SessionResult]:
     """Close a session that was interrupted: its poses for the map, and its result.
 
     No decision on a loop is kept, since the session may be resumed.
@@ -134,7 +134,7 @@ class SessionGraph:
         return align_sessions(self._store.poses()[self._before], poses, loops)
 
     def merge(
-        self, T_map_session: Array, alone: Optimized, config: RunConfig
+        self, T_map_session: Array, alone: OptimizationResult, config: RunConfig
     ) -> tuple[OptimizedSession, SessionResult]:
         """Optimise all sessions in one graph, the new one beginning at (4, 4)."""
         poses = self._store.poses()
@@ -160,7 +160,7 @@ class SessionGraph:
         images = [_images(self._store, session) for session in self.sessions]
         return [SessionTrajectory(tuple(steps[one[0] + 1 : one[-1] + 1]), poses[one]) for one in images]
 
-    def _own_result(self, alone: Optimized, merged: MergedSessions) -> Optimized:
+    def _own_result(self, alone: OptimizationResult, merged: MergedSessions) -> OptimizationResult:
         """What the merged graph says of the new session, in that session's own frame."""
         own = np.array([numbered.loop.match >= self._first for numbered in self._loops], bool)
         result = merged.optimized
@@ -206,16 +206,16 @@ def _sessions_of_map(earlier: Sequence[Session], loops: Sequence[NumberedLoop]) 
     return [session for session in earlier if session.map_id == most]
 
 
-def _by_itself(session: Session, optimized: Optimized, loops: Sequence[NumberedLoop]) -> OptimizedSession:
+def _by_itself(session: Session, optimized: OptimizationResult, loops: Sequence[NumberedLoop]) -> OptimizedSession:
     images = session.first_image + np.arange(len(optimized.poses))
     outcomes = _outcomes(loops, optimized) if loops else {}
-    return OptimizedSession(images, optimized.poses, optimized.lengths, outcomes, session.number)
+    return OptimizedSession(images, optimized.poses, optimized.scales, outcomes, session.number)
 
 
 def _images(store: MapDatabase, session: Session) -> Images:
     return session.first_image + np.arange(store.images(session.number))
 
 
-def _outcomes(loops: Sequence[NumberedLoop], optimized: Optimized) -> dict[int, LoopOutcome]:
+def _outcomes(loops: Sequence[NumberedLoop], optimized: OptimizationResult) -> dict[int, LoopOutcome]:
     columns = zip(optimized.kept, optimized.weights, optimized.residuals, optimized.reasons, strict=True)
     return {loop.number: LoopOutcome(*decision) for loop, decision in zip(loops, columns, strict=True)}

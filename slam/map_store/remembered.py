@@ -15,7 +15,7 @@ from slam.config import RunConfig
 from slam.datasets.dataset import Frame
 from slam.datasets.source import Source
 from slam.errors import DataError
-from slam.loop_closing import Landmarks, LoopCloser
+from slam.loop_closing import FrameLandmarks, LoopCloser
 from slam.map_store.resuming import ResumableRun
 from slam.map_store.store import MapDatabase, map_file
 from slam.parts import build_components
@@ -58,12 +58,12 @@ class ReplayedLandmarks(LoopCloser):
     """Verifies loops by the landmarks of a map."""
 
     def __init__(
-        self, landmarks: Sequence[Landmarks], camera: StereoCamera, components: Components, config: RunConfig
+        self, landmarks: Sequence[FrameLandmarks], camera: StereoCamera, components: Components, config: RunConfig
     ) -> None:
         super().__init__(camera, components.features, components.odometry, config.loop_closing)
         self._replayed = landmarks
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> Landmarks:
+    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Landmarks of frame `index`, as the earlier run extracted them."""
         self.restore_frame(index, self._replayed[index])
         return self._replayed[index]

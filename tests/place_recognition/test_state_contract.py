@@ -10,7 +10,7 @@ from place_images import sliding_view, textured_world
 from test_recognizer_contract import STEP, RememberingSurf
 
 from place_recognition.evaluation.matrix import MatrixRecorder
-from place_recognition.image_processing.features import LocalFeatures, FeatureCache
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.map.growing import GrowingArray
 from place_recognition.map.image_store import FeatureStore
 from place_recognition.map.inverted_index import InvertedIndex
