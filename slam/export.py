@@ -8,7 +8,7 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.mapping.ply import read_cloud
 from slam.storage.atomic import atomic_writer
 from slam.storage.colmap import Model, write_colmap
-from slam.storage.landmarks import read_sightings
+from slam.storage.landmarks import read_landmark_observers
 from slam.storage.run_folder import RunFolder
 from slam.storage.trajectory import read_tum, write_kitti, write_tum
 
@@ -35,7 +35,7 @@ class ExportOptions:
     overwrite: bool = False
 
 
-def export(options: ExportOptions) -> Path:
+def export_result(options: ExportOptions) -> Path:
     """Write one result of a run in one format; the file or folder that was written.
 
     Raises:
@@ -84,15 +84,15 @@ def _colmap(run: Path, state: str, out: Path) -> None:
 
 
 def _model(run: Path, state: str) -> Model:
-    sightings = read_sightings(_result(run, "landmarks.npz"))
+    observers = read_landmark_observers(_result(run, "landmarks.npz"))
     cloud = read_cloud(_result(run, f"map_{_OF_MAPS[state]}.ply"))
     poses = read_tum(_result(run, f"trajectory_{state}.tum"))[1]
-    if len(cloud.points) != len(sightings.frames) or sightings.frames.max(initial=0) >= len(poses):
+    if len(cloud.points) != len(observers.frames) or observers.frames.max(initial=0) >= len(poses):
         raise DataError(
             f"{run / 'landmarks.npz'}: expected a frame, up to {len(poses) - 1}, for each of {len(cloud.points)}"
-            f" landmarks, found {len(sightings.frames)} up to {sightings.frames.max(initial=0)}; run again"
+            f" landmarks, found {len(observers.frames)} up to {observers.frames.max(initial=0)}; run again"
         )
-    return Model(poses, cloud, sightings)
+    return Model(poses, cloud, observers)
 
 
 def _result(run: Path, name: str) -> Path:

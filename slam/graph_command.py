@@ -15,7 +15,7 @@ from slam.graph_truth import GraphTruth, absolute_error, find_truth
 from slam.pose_graph_lie import inverse
 from slam.provenance import peak_memory_mb, provenance
 from slam.report.figures import save_png
-from slam.report.graph_figure import graph_figure
+from slam.report.graph_figure import draw_pose_graph
 from slam.robust import DEFAULT, Outcome, back_end, solved
 from slam.storage.g2o import Graph, read_g2o, write_g2o
 from slam.storage.metrics import write_metrics
@@ -130,7 +130,7 @@ def _write(folder: Path, done: Solved, metrics: dict[str, object]) -> None:
     )
     write_table(folder / "edges.csv", EDGE_COLUMNS, _rows(done))
     save_png(
-        graph_figure(done.path.stem, done.roles.problem, done.outcome, done.truth.positions),
+        draw_pose_graph(done.path.stem, done.roles.problem, done.outcome, done.truth.positions),
         folder / "before_after.png",
     )
 

@@ -32,14 +32,14 @@ from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceResult, judge_places
 from slam.provenance import peak_memory_mb
 from slam.record import DriveRecord
-from slam.report.figures import before_after, save_png
-from slam.report.page import write_report
+from slam.report.figures import draw_before_after, save_png
+from slam.report.page import DENSE_PAGE, write_report
 from slam.robust import Optimized
 from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
-from slam.storage.landmarks import write_sightings
+from slam.storage.landmarks import write_landmark_observers
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
@@ -157,9 +157,10 @@ def write_results(folder: Path, record: DriveRecord, finished: Finished) -> None
     _write_calibration(folder, finished)
     _write_graphs(folder, record, finished)
     _write_maps(folder, record)
-    write_sightings(folder / "landmarks.npz", finished.slam.parts.landmarks.frames, drive.camera)
-    save_png(before_after(record), folder / "before_after.png")
-    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
+    write_landmark_observers(folder / "landmarks.npz", finished.slam.parts.landmarks.frames, drive.camera)
+    save_png(draw_before_after(record), folder / "before_after.png")
+    dense_page = None if config.mono else DENSE_PAGE
+    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config), dense_page)
 
 
 def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:

@@ -35,13 +35,13 @@ from slam.map_store.resuming import (
 from slam.parts import build_parts, check_names, read_checked
 from slam.progress import progress_bar
 from slam.provenance import provenance
-from slam.report.tables import summary
+from slam.report.tables import summary_table
 from slam.results import Finished, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder
 from slam.system import LoopAttempt, Processed, Slam
 from slam.viewer.viewer import NullViewer, Viewer
-from slam.watching import Watcher
+from slam.watching import RunVisualizer
 
 log = logging.getLogger("revisit")
 
@@ -137,7 +137,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         log.info("%d frames in %.1f s", len(record.timestamps), finished.wall_seconds)
         write_results(folder.path, record, finished)
         folder.commit()
-    results.print(summary(record))
+    results.print(summary_table(record))
     results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
     return finished.interrupted
 
@@ -228,15 +228,15 @@ def drive_through(
     rows = MatrixRows(_MATRIX_ROWS)
     keeper = keeper or NullKeeper()
     slam = Slam(build(drive.camera, config, rows), keeper.beginning)
-    watcher, drive_log, start = Watcher(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
+    visualizer, drive_log, start = RunVisualizer(slam, viewer, drive, rows), DriveLog(), time.perf_counter()
     behind = keeper.recall(slam, rows, drive_log)
-    watcher.recall(drive_log)
+    visualizer.restore(drive_log)
     with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
         described = Described(drive, slam.parts.features.extractor)
         for frame, features in timed(prefetch(described, begin=behind), slam.clock):
             processed = slam.process(frame, features)
             note(processed)
-            drive_log.add(processed, watcher.show(processed))
+            drive_log.add(processed, visualizer.show(processed))
             keeper.add(processed, drive_log.stage_ms[-1])
             progress(frame.index + 1, len(drive))
             if stop.made:

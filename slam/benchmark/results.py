@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.benchmark.job import Job, Outcome
-from slam.report.reading import text, value
+from slam.report.reading import format_value, metric_value
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_table
 
@@ -88,7 +88,7 @@ _WIDE = ("t_rel_percent", "frames_per_second")  # not in a terminal, where the n
 
 def make_row(job: Job, outcome: Outcome) -> Row:
     """What a table says of a job."""
-    found = {name: value(outcome.metrics, key) for name, key in _KEYS.items()}
+    found = {name: metric_value(outcome.metrics, key) for name, key in _KEYS.items()}
     return Row(job.name, job.source_name, job.paradigm, job.robust, job.seed, error=outcome.error, **found)
 
 
@@ -96,9 +96,10 @@ def told(row: Row) -> str:
     """A row in one line."""
     if row.error:
         return f"{row.run}: failed: {row.error}"
-    loops = f"{text(row.loops_kept)} loops kept, {text(row.loops_false)} of them false"
-    recall = f"R@P100 {text(row.recall_at_100_precision, 3)}"
-    return f"{row.run}: ATE {text(row.odometry_ate_m)} m by odometry, {text(row.ate_m)} m corrected; {loops}; {recall}"
+    loops = f"{format_value(row.loops_kept)} loops kept, {format_value(row.loops_false)} of them false"
+    recall = f"R@P100 {format_value(row.recall_at_100_precision, 3)}"
+    ate = f"ATE {format_value(row.odometry_ate_m)} m by odometry, {format_value(row.ate_m)} m corrected"
+    return f"{row.run}: {ate}; {loops}; {recall}"
 
 
 def write_csv(folder: Path, rows: Iterable[Row]) -> None:
@@ -150,10 +151,10 @@ def summary(rows: Sequence[Row]) -> Table:
     for _, heading, _ in columns:
         table.add_column(escape(heading), justify="right")
     for row in rows:
-        table.add_row(escape(row.run), *(text(getattr(row, name), digits) for name, _, digits in columns))
+        table.add_row(escape(row.run), *(format_value(getattr(row, name), digits) for name, _, digits in columns))
     return table
 
 
 def shown(row: Row) -> list[str]:
     """The numbers of a row as people read them, in the order of `SHOWN`."""
-    return [text(getattr(row, name), digits) for name, _, digits in SHOWN]
+    return [format_value(getattr(row, name), digits) for name, _, digits in SHOWN]

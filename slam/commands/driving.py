@@ -181,7 +181,7 @@ def dense(
 
     Example: revisit dense runs/kitti05
     """
-    from slam.dense_command import DenseOptions, map_densely
+    from slam.dense_command import DenseOptions, build_dense_map
 
-    message = map_densely(DenseOptions(run, source, voxel, depth, overwrite), Console(stderr=True))
+    message = build_dense_map(DenseOptions(run, source, voxel, depth, overwrite), Console(stderr=True))
     Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from odometry import se3
 from slam.record import Cloud
 from slam.storage.atomic import atomic_writer
-from slam.storage.landmarks import Sightings
+from slam.storage.landmarks import LandmarkObservers
 
 Array = NDArray[np.float64]
 
@@ -35,18 +35,18 @@ class Model:
     Attributes:
         T_world_camera: (N, 4, 4) metres, of all frames.
         cloud: (M,) landmarks, world frame.
-        sightings: which frame saw each.
+        observers: which frame saw each.
     """
 
     T_world_camera: Array
     cloud: Cloud
-    sightings: Sightings
+    observers: LandmarkObservers
 
     def pixels(self) -> Array:
         """Where (M, 2) each landmark is in the image that saw it; (0, 0) is the centre of the first pixel."""
-        T_camera_world = se3.inverse(self.T_world_camera)[self.sightings.frames]
+        T_camera_world = se3.inverse(self.T_world_camera)[self.observers.frames]
         x, y, z = np.einsum("mij,mj->im", T_camera_world[:, :3, :3], self.cloud.points) + T_camera_world[:, :3, 3].T
-        fx, fy, cx, cy = self.sightings.intrinsics
+        fx, fy, cx, cy = self.observers.intrinsics
         return np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
 
 
@@ -56,7 +56,7 @@ def write_colmap(folder: Path, model: Model) -> None:
     Raises:
         OutputError: they cannot be written.
     """
-    _write(folder / "cameras.txt", _cameras(model.sightings))
+    _write(folder / "cameras.txt", _cameras(model.observers))
     _write(folder / "images.txt", _images(model))
     _write(folder / "points3D.txt", _points(model))
 
@@ -66,10 +66,10 @@ def _write(path: Path, lines: Iterator[str]) -> None:
         file.writelines(line + "\n" for line in lines)
 
 
-def _cameras(sightings: Sightings) -> Iterator[str]:
+def _cameras(observers: LandmarkObservers) -> Iterator[str]:
     yield "# CAMERA_ID, MODEL, WIDTH, HEIGHT, fx, fy, cx, cy"
-    fx, fy, cx, cy = sightings.intrinsics
-    width, height = sightings.size
+    fx, fy, cx, cy = observers.intrinsics
+    width, height = observers.size
     yield _line(1, "PINHOLE", width, height, fx, fy, cx + _CENTRE, cy + _CENTRE)
 
 
@@ -78,7 +78,7 @@ def _images(model: Model) -> Iterator[str]:
     yield "# X, Y, POINT3D_ID of each landmark that the image has seen"
     T_camera_world, pixels = se3.inverse(model.T_world_camera), model.pixels() + _CENTRE
     quaternions = Rotation.from_matrix(T_camera_world[:, :3, :3]).as_quat(scalar_first=True, canonical=True)
-    order, starts = _grouped(model.sightings.frames, len(quaternions))
+    order, starts = _grouped(model.observers.frames, len(quaternions))
     for frame, (T, quaternion) in enumerate(zip(T_camera_world, quaternions, strict=True)):
         yield _line(frame + 1, *quaternion, *T[:3, 3], 1, image_name(frame))
         seen = order[starts[frame] : starts[frame + 1]]
@@ -87,7 +87,7 @@ def _images(model: Model) -> Iterator[str]:
 
 def _points(model: Model) -> Iterator[str]:
     yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, (IMAGE_ID, POINT2D_IDX)"
-    frames = model.sightings.frames
+    frames = model.observers.frames
     order, starts = _grouped(frames, len(model.T_world_camera))
     places = np.empty(len(frames), np.int64)  # of each point in the list of its image
     places[order] = np.arange(len(frames)) - starts[frames[order]]

@@ -19,7 +19,7 @@ _REMEDY = "make the run again with: revisit run SOURCE --out DIR"
 
 
 @dataclass(frozen=True)
-class Sightings:
+class LandmarkObservers:
     """Which frame saw each landmark, through what camera.
 
     Attributes:
@@ -33,7 +33,7 @@ class Sightings:
     size: NDArray[np.int32]
 
 
-def write_sightings(path: Path, frames: NDArray[np.int32], camera: PinholeCamera) -> None:
+def write_landmark_observers(path: Path, frames: NDArray[np.int32], camera: PinholeCamera) -> None:
     """Write landmarks.npz.
 
     Raises:
@@ -45,7 +45,7 @@ def write_sightings(path: Path, frames: NDArray[np.int32], camera: PinholeCamera
         np.savez_compressed(file, frames=frames, intrinsics=intrinsics, size=size)
 
 
-def read_sightings(path: Path) -> Sightings:
+def read_landmark_observers(path: Path) -> LandmarkObservers:
     """Read landmarks.npz.
 
     Raises:
@@ -61,7 +61,7 @@ def read_sightings(path: Path) -> Sightings:
         raise DataError(f"{path}: expected the arrays frames, intrinsics and size, found others; {_REMEDY}")
     if intrinsics.shape != (4,) or size.shape != (2,) or not _is_camera(intrinsics, size) or (frames < 0).any():
         raise DataError(f"{path}: expected a camera, and frames from 0 on, found others; {_REMEDY}")
-    return Sightings(frames, intrinsics, size)
+    return LandmarkObservers(frames, intrinsics, size)
 
 
 def _is_camera(intrinsics: NDArray[np.float64], size: NDArray[np.int32]) -> bool:

@@ -135,12 +135,12 @@ def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed:
 
 
 def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    out, show = tmp_path / "out", "slam.watching.Watcher.show"
-    from slam.watching import Watcher
+    out, show = tmp_path / "out", "slam.watching.RunVisualizer.show"
+    from slam.watching import RunVisualizer
 
-    original = Watcher.show
+    original = RunVisualizer.show
 
-    def interrupt(self: Watcher, processed: object) -> object:
+    def interrupt(self: RunVisualizer, processed: object) -> object:
         if processed.frame.index == 60:
             signal.raise_signal(signal.SIGINT)
         return original(self, processed)
