@@ -68,7 +68,7 @@ def test_the_summary_names_estimates_errors_loops_and_speed():
         "0.83",
         "SE(3)",
         "19 proposed, 13 verified, 13 kept",
-        "21.3 a second",
+        "21.3 per second",
         "read ",
     ):
         assert words in shown
