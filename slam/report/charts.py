@@ -67,7 +67,7 @@ def draw_stage_times(record: DriveRecord) -> Figure | None:
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
     ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
-    _finish(ax, "milliseconds a frame", "")
+    _finish(ax, "milliseconds per frame", "")
     return figure
 
 
