@@ -181,11 +181,11 @@ class RerunViewer:
         return GrowingEntity(self._recording, path, draw, max_rows)
 
     def _open_file(self) -> None:
+        if self._path is not None and not has_room(self._path):
+            self._close_file(f"{self._path.name}: it is left out")
+            return
         if self._path is not None:
             rotate_recording(self._path)
-            if not has_room(self._path):
-                self._path.unlink()
-                self._close_file(f"{self._path.name}: it is left out")
         self._connect()
 
     def _close_file(self, consequence: str) -> None:

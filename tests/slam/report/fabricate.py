@@ -45,7 +45,7 @@ def cloud(poses, rng):
     return Cloud(points, rng.integers(0, 255, len(points)).astype(np.uint8))
 
 
-def ledger(frames):
+def loop_log(frames):
     rows = []
     for query in range(LAP + 5, frames, 5):
         truth = query % 15 != 0
@@ -92,7 +92,7 @@ def record(frames=200, seed=3):
     times["optimise"][::2] = np.nan
     return DriveRecord(
         "fabricated circle", np.arange(frames) / 10, odometry, online, corrected, truth,
-        np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), ledger(frames), times,
+        np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), loop_log(frames), times,
         cloud(odometry, rng), cloud(corrected, rng), metrics(frames),
     )  # fmt: skip
 

@@ -57,7 +57,7 @@ def test_frames_in_which_a_stage_did_not_run_do_not_count():
     [(True, True, True, "kept"), (True, True, False, "dropped"), (True, False, False, "unverified"),
      (False, False, False, "unlikely")],
 )  # fmt: skip
-def test_the_fate_of_a_match_is_one_word(accepted, verified, in_graph, word):
+def test_the_outcome_of_a_match_is_one_word(accepted, verified, in_graph, word):
     assert loop_outcome(LoopRow(9, 1, 0.5, accepted, verified=verified, in_graph=in_graph)) == word
 
 

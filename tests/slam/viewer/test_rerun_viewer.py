@@ -81,7 +81,7 @@ def test_errors_are_known_for_each_frame(chunks):
     assert rows(chunks, "/plots/error/odometry") == FRAMES + 1  # and how the curve looks
 
 
-def test_without_ground_truth_nothing_is_said_of_it(tmp_path):
+def test_without_ground_truth_none_is_shown(tmp_path):
     record = fabricate.without_truth(fabricate.record(30))
     paths = {piece.entity_path for piece in recorded(tmp_path, record, None)}
     assert "/world/ground_truth" not in paths
