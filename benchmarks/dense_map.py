@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from odometry import se3
-from slam.dense_command import DrivenRun, read_run
+from slam.dense_command import MappedRun, read_run
 from slam.evaluation.trajectory import Similarity, umeyama
-from slam.mapping.dense_map import DenseMapper, choose_frames
-from slam.mapping.occupancy import FREE, OCCUPIED, Grid, draw_grid
+from slam.mapping.dense_map import DenseMapper, group_key_frames
+from slam.mapping.occupancy import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
 from slam.provenance import peak_memory_mb
 from slam.simulation.drive import MANIFEST
@@ -36,9 +36,9 @@ REACH_M = 25.0
 HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is compared
 
 
-def fused(run: DrivenRun, folder: Path) -> tuple[SubmapStore, str]:
+def fused(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
     """Fuse a run's drive; its submaps, and what that cost."""
-    store, groups = SubmapStore(folder), choose_frames(run.odometry, run.key_frames, 20)
+    store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
     done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
     wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
@@ -60,7 +60,7 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
     return np.concatenate(out)
 
 
-def agreement(grid: Grid, fit: Similarity, spec: DriveSpec, scene: open3d.t.geometry.RaycastingScene) -> str:
+def agreement(grid: OccupancyGrid, fit: Similarity, spec: DriveSpec, scene: open3d.t.geometry.RaycastingScene) -> str:
     """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
     T_town_world = plan_drive(spec).T_town_camera[0]
     shares = {}
@@ -83,7 +83,7 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
     for axes, (name, poses) in zip(
         figure.subplots(1, len(trajectories), sharey=True), trajectories.items(), strict=True
     ):
-        for surface in store.placed(poses):
+        for surface in store.surfaces_in_world(poses):
             across, down, ahead = se3.transform(T_camera_world, surface.points).T
             near = np.abs(ahead) < 0.5
             axes.plot(across[near], -down[near], ".", color="black", markersize=1.5)
@@ -116,7 +116,7 @@ def main() -> None:
                 medians[name, how] = quartiles[0]
                 table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
         fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
-        cells = agreement(draw_grid(store, run.corrected), fit, spec, scene)
+        cells = agreement(build_occupancy_grid(store, run.corrected), fit, spec, scene)
         if len(sys.argv) > 2:
             draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
     Console().print(table)

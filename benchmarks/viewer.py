@@ -16,7 +16,7 @@ from rich.table import Table
 
 from odometry.camera import StereoCamera
 from slam.viewer.rerun_viewer import RerunViewer
-from slam.viewer.viewer import ClosedLoop, Step
+from slam.viewer.viewer import FrameView, LoopView
 
 FRAMES, TRACKS, LANDMARKS, IMAGES = 1000, 1200, 400, 40
 
@@ -29,7 +29,7 @@ def images(folder: str | None, rng: np.random.Generator) -> list[np.ndarray]:
     return [cv2.normalize(cv2.GaussianBlur(n, None, 2.0), None, 0, 255, cv2.NORM_MINMAX) for n in noise]
 
 
-def step(index: int, image: np.ndarray, rng: np.random.Generator) -> Step:
+def step(index: int, image: np.ndarray, rng: np.random.Generator) -> FrameView:
     """Make a step with as many tracks and landmarks as a real one."""
     T = np.eye(4)
     T[:3, 3] = 100 * np.array([np.cos(index / 80), 0.0, np.sin(index / 80)])
@@ -37,7 +37,7 @@ def step(index: int, image: np.ndarray, rng: np.random.Generator) -> Step:
     landmarks = T[:3, 3] + rng.normal(scale=10, size=(LANDMARKS, 3)) if index % 3 == 0 else None
     inliers = rng.random(TRACKS) < 0.85
     stages = dict.fromkeys(("read", "odometry", "features", "place recognition", "pose graph"), 10.0)
-    return Step(index, index / 10, image, T, T, pixels, pixels + 3, inliers, False, landmarks, stages, 0.5, False)
+    return FrameView(index, index / 10, image, T, T, pixels, pixels + 3, inliers, False, landmarks, stages, 0.5, False)
 
 
 def main() -> None:
@@ -55,13 +55,13 @@ def main() -> None:
             now = step(index, shown[index % len(shown)], rng)
             poses[index] = now.T_world_camera
             start = time.perf_counter()
-            viewer.step(now)
+            viewer.show_frame(now)
             spent.append(time.perf_counter() - start)
             if index > 500 and index % 5 == 0:
                 pixels = now.pixels_current[:100]
-                loop = ClosedLoop(index, index - 500, now.image, now.image, pixels, pixels, True, "a benchmark")
+                loop = LoopView(index, index - 500, now.image, now.image, pixels, pixels, True, "a benchmark")
                 start = time.perf_counter()
-                viewer.loop(loop, poses[: index + 1])
+                viewer.show_loop(loop, poses[: index + 1])
                 spent_loops.append(time.perf_counter() - start)
         viewer.close()
         size = path.stat().st_size / 1e6

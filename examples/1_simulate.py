@@ -10,7 +10,7 @@ from street import arguments, street
 
 from slam.datasets.open import open_drive
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style
+from slam.report.figures import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
 
@@ -27,7 +27,7 @@ panels = figure.subplot_mosaic([["left", "plan"], ["right", "plan"]], width_rati
 for name in ("left", "right"):
     panels[name].imshow(getattr(first, name), cmap="gray", vmin=0, vmax=255)
     panels[name].set(title=f"{name} camera, frame 0", xticks=[], yticks=[])
-style(panels["plan"])
+style_axes(panels["plan"])
 panels["plan"].plot(positions[:, 0], positions[:, 2], color=colours.GROUND_TRUTH, ls="--")
 panels["plan"].plot(0, 0, "o", color=colours.CORRECTED, label="start")
 panels["plan"].set(title="two laps, seen from above", xlabel="x [m]", ylabel="z [m]", aspect="equal")

@@ -13,7 +13,7 @@ from odometry.stereo import StereoOdometry
 from slam.datasets.open import open_drive
 from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style
+from slam.report.figures import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
 drive = open_drive(street(given))
@@ -38,5 +38,5 @@ plan.legend(frameon=False)
 error.plot(way, np.linalg.norm(estimate[:, :3, 3] - truth[:, :3, 3], axis=1), color=colours.ODOMETRY)
 error.set(xlabel="way driven [m]", ylabel="position error, starts made equal [m]", title="the error grows")
 for ax in (plan, error):
-    style(ax)
+    style_axes(ax)
 save_png(figure, given.out / "2_odometry.png")

@@ -14,7 +14,7 @@ from slam.datasets.open import open_drive
 from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.parts import build_components
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style
+from slam.report.figures import new_figure, save_png, style_axes
 from slam.system import Slam
 
 given = arguments(__doc__).parse_args()
@@ -39,7 +39,7 @@ for ax, (name, estimate, colour) in zip(axes, panels, strict=True):
     ate = absolute_trajectory_error(estimate, truth)
     print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
     cloud = slam.components.landmarks.cloud(estimate)  # points are kept in the frame that saw them: they move with it
-    style(ax)
+    style_axes(ax)
     ax.plot(cloud.points[::5, 0], cloud.points[::5, 2], ".", color="black", ms=0.8, alpha=0.3, rasterized=True)
     ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")
     ax.plot(estimate[:, 0, 3], estimate[:, 2, 3], color=colour, label=name)

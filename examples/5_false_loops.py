@@ -16,7 +16,7 @@ from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.loop_closing import LoopClosure
 from slam.pose_graph import PoseGraph
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style
+from slam.report.figures import new_figure, save_png, style_axes
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
@@ -57,7 +57,7 @@ estimates = {"odometry": graph.odometry_poses()} | {name: graph.optimize(name).p
 for ax, (name, poses) in zip(figure.subplots(1, 3), estimates.items(), strict=True):
     ate = absolute_trajectory_error(poses, np.array(truth))
     print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
-    style(ax)
+    style_axes(ax)
     ax.plot(*np.array(truth)[:, [0, 2], 3].T, color=colours.GROUND_TRUTH, ls="--", label="ground truth")
     ax.plot(*poses[:, [0, 2], 3].T, color=colours.ODOMETRY if name == "odometry" else colours.CORRECTED, label=name)
     ax.set(title=f"{name}: ATE {ate:.2f} m", xlabel="x [m]", ylabel="z [m]", aspect="equal")

@@ -22,7 +22,7 @@ from slam.graph_roles import classify_edges
 from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
 from slam.pose_graph_lie import Plane, compounded, inverse
-from slam.report.figures import new_figure, save_png, style
+from slam.report.figures import new_figure, save_png, style_axes
 from slam.robust import BACK_ENDS, LoopProblem, solve
 from slam.storage.g2o import read_g2o
 from slam.storage.tables import write_table
@@ -145,7 +145,7 @@ def draw(rows: list[Row]) -> Figure:
         axes[0, column].set(title=" ".join(panel), yscale="log")
         axes[1, column].set(xlabel="false loops [%]", yscale="log")
     for ax in axes.ravel():
-        style(ax)
+        style_axes(ax)
     axes[0, 0].set_ylabel("error over that of the clean graph")
     axes[1, 0].set_ylabel("time [s]")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=7, frameon=False)

@@ -1,7 +1,7 @@
-"""`revisit dense`: the dense map of a run, before and after correction, and what of it can be driven on."""
+"""`revisit dense`: dense maps of a run before and after correction, and an occupancy grid."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,14 +18,15 @@ from slam.datasets.open import open_source
 from slam.datasets.source import Source
 from slam.errors import ConfigError, DataError, OutputError
 from slam.keyframes import KeyFrameConfig
-from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
+from slam.mapping.dense_map import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
 from slam.mapping.fusion import FusionConfig
-from slam.mapping.occupancy import Grid, draw_grid, write_grid
+from slam.mapping.occupancy import OccupancyGrid, build_occupancy_grid, write_occupancy_grid
 from slam.mapping.submaps import SubmapStore
-from slam.mapping.surface_file import write_surfaces
-from slam.mapping.top_view import Window, seen_from_above
+from slam.mapping.surface_file import write_mesh
+from slam.mapping.top_view import PlaneWindow, render_birds_eye_view
 from slam.progress import progress_bar
-from slam.report.dense_section import Overview, show_dense_map
+from slam.report.dense_section import DenseOverview, write_dense_page
+from slam.report.page import DENSE_PAGE
 from slam.storage.calibration import read_calibration
 from slam.storage.metrics import read_metrics
 from slam.storage.run_folder import STAGING
@@ -35,24 +36,24 @@ from slam.viewer.dense_recording import PlacedMap, record_dense_map
 
 Array = NDArray[np.float64]
 
-REPORT, RECORDING = "report.html", "recording.rrd"
-_PICTURE_CELL = 4 / 3  # of a voxel: points that far apart leave no gaps in a picture
+RECORDING, DENSE_RECORDING = "recording.rrd", "dense.rrd"
 RESULTS = (
     "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
-    "dense.rrd",
+    DENSE_PAGE, DENSE_RECORDING,
 )  # fmt: skip
+_PIXEL_VOXELS = 4 / 3  # size of a pixel of the page's pictures: smaller ones leave gaps between the points
 
 
 @dataclass(frozen=True)
 class DenseOptions:
-    """What to map.
+    """Options of a dense map.
 
     Attributes:
-        run: folder of a run, where the results go.
-        source: its recording, where that has moved; None where it has not.
-        voxel_m: distance between points, metres.
-        max_depth_m: what is farther from the camera is left out, metres.
-        overwrite: replace a dense map that is there.
+        run: folder of a run, to which the results are written.
+        source: new place of its recording, or None if that has not moved.
+        voxel_m: edge of a voxel, about the distance between points, metres.
+        max_depth_m: maximum depth of fused pixels, metres.
+        overwrite: whether an existing dense map is replaced.
     """
 
     run: Path
@@ -63,10 +64,10 @@ class DenseOptions:
 
     @property
     def config(self) -> DenseMapConfig:
-        """As the fusion takes it.
+        """Configuration of the fusion.
 
         Raises:
-            ConfigError: a number that cannot work.
+            ConfigError: a number is not positive and finite.
         """
         try:
             return DenseMapConfig(fusion=FusionConfig(voxel_m=self.voxel_m, max_depth_m=self.max_depth_m))
@@ -75,34 +76,34 @@ class DenseOptions:
 
 
 @dataclass(frozen=True)
-class DrivenRun:
-    """What a dense map needs of a run.
+class MappedRun:
+    """The parts of a run that a dense map needs.
 
     Attributes:
         drive: the recording.
-        calibration: as the run has learned it.
-        odometry: the trajectory by which depth is fused.
-        corrected: (F, 4, 4) metres, the trajectory that moves the submaps.
-        key_frames: what chooses them.
+        calibration: calibration that the run has estimated.
+        odometry: trajectory within a submap.
+        corrected: corrected trajectory, (F, 4, 4), metres, which moves the submaps.
+        key_frames: rule for the choice of key frames.
     """
 
     drive: Dataset
     calibration: Calibration
-    odometry: Odometry
+    odometry: OdometryTrajectory
     corrected: Array
     key_frames: KeyFrameConfig
 
     @property
     def states(self) -> dict[str, Array]:
-        """Trajectories (F, 4, 4), metres, before and after correction."""
+        """Trajectories before and after correction, (F, 4, 4), metres."""
         return {"before": self.odometry.T_world_camera, "after": self.corrected}
 
 
-def read_run(run: Path, source: Path | None = None) -> DrivenRun:
-    """Read what a run has left, and open its recording, which may have moved to `source`.
+def read_run(run: Path, source: Path | None = None) -> MappedRun:
+    """Read the files of a run and open its recording, which may have moved to `source`.
 
     Raises:
-        DataError: something is missing or damaged, or does not belong together.
+        DataError: a file is missing or damaged, or files do not belong to one run.
     """
     calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
     drive = open_source(recording)
@@ -118,7 +119,7 @@ def read_run(run: Path, source: Path | None = None) -> DrivenRun:
             f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(drive)}; run again"
         )
     key_frames = read_config(run / "config.toml").key_frames
-    return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, key_frames)
+    return MappedRun(drive, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
 
 
 def _recording(run: Path, source: Path | None) -> Source:
@@ -132,37 +133,37 @@ def _recording(run: Path, source: Path | None) -> Source:
     return recording if source is None else replace(recording, path=source)
 
 
-def map_densely(options: DenseOptions, messages: Console) -> str:
-    """Fuse the drive of a run and write both maps and the grid into its folder; says what was done.
+def build_dense_map(options: DenseOptions, messages: Console) -> str:
+    """Fuse the depth of a run, write maps, grid, page and recording into its folder, and return a summary line.
 
     Raises:
-        ConfigError: a number that cannot work.
+        ConfigError: a number is not positive and finite.
         DataError: the run or its recording cannot be read.
-        OutputError: a dense map is there already and is not to be replaced, or it cannot be written.
+        OutputError: a dense map exists and is not to be replaced, or the results cannot be written.
     """
     run, config = options.run, options.config
     present = [name for name in RESULTS if (run / name).exists()]
     if present and not options.overwrite:
         raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
     driven = read_run(run, options.source)
-    groups = choose_frames(driven.odometry, driven.key_frames, config.submap_frames)
+    groups = group_key_frames(driven.odometry, driven.key_frames, config.submap_frames)
     total = sum(map(len, groups))
     with _folder_in(run) as folder:
         store, mapper = SubmapStore(folder), DenseMapper(driven.calibration, config)
         with progress_bar(messages, "Fusing") as progress:
             for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
                 progress(done, total)
-        grid = draw_grid(store, driven.corrected)
+        grid = build_occupancy_grid(store, driven.corrected)
         _write(run, store, driven, grid)
-        _where_there_is(run / REPORT, messages, lambda report: _show(report, store, driven, grid, config.fusion))
-        _where_there_is(run / RECORDING, messages, lambda recording: _record(recording, store, driven))
-    written = [name for name in (*RESULTS, REPORT) if (run / name).exists()]
+        _write_page(run / DENSE_PAGE, store, driven, grid, config.fusion)
+        _record(run, store, driven, messages)
+    written = [name for name in RESULTS if (run / name).exists()]
     return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(written)}"
 
 
 @contextmanager
 def _folder_in(run: Path) -> Iterator[Path]:
-    """Make a folder for submaps where there is room for their results, not where temporary files eat up memory."""
+    """Make a temporary folder for submaps on the disk of the run: /tmp may be in memory."""
     try:
         folder = tempfile.TemporaryDirectory(prefix=STAGING, dir=run)
     except OSError as error:
@@ -171,34 +172,31 @@ def _folder_in(run: Path) -> Iterator[Path]:
         yield Path(name)
 
 
-def _write(run: Path, store: SubmapStore, driven: DrivenRun, grid: Grid) -> None:
+def _write(run: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid) -> None:
     for state, poses in driven.states.items():
-        surfaces = partial(store.placed, poses)
-        write_surfaces(run / f"dense_{state}.ply", surfaces, with_triangles=False)
-        write_surfaces(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
-    write_grid(run / "occupancy.yaml", grid)
+        surfaces = partial(store.surfaces_in_world, poses)
+        write_mesh(run / f"dense_{state}.ply", surfaces, with_triangles=False)
+        write_mesh(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
+    write_occupancy_grid(run / "occupancy.yaml", grid)
 
 
-def _where_there_is(path: Path, messages: Console, show: Callable[[Path], None]) -> None:
-    """Show the maps in a file of the run, if it has that; where the file is of no use, they are there all the same."""
-    if not path.exists():
-        return
-    try:
-        show(path)
-    except DataError as error:
-        messages.print(f"not shown there: {error}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _show(report: Path, store: SubmapStore, driven: DrivenRun, grid: Grid, config: FusionConfig) -> None:
+def _write_page(page: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid, config: FusionConfig) -> None:
     positions = np.concatenate([poses[:, :3, 3] for poses in driven.states.values()])
-    window = Window.around(positions, config.max_depth_m, _PICTURE_CELL * config.voxel_m)
+    window = PlaneWindow.around(positions, config.max_depth_m, _PIXEL_VOXELS * config.voxel_m)
     maps = [
-        Overview(state, seen_from_above(store.placed(poses), window), poses[:, :3, 3])
+        DenseOverview(state, render_birds_eye_view(store.surfaces_in_world(poses), window), poses[:, :3, 3])
         for state, poses in driven.states.items()
     ]
-    show_dense_map(report, maps, window, grid)
+    write_dense_page(page, maps, window, grid)
 
 
-def _record(recording: Path, store: SubmapStore, driven: DrivenRun) -> None:
-    placed = (PlacedMap(state, store.placed(poses), poses[:, :3, 3]) for state, poses in driven.states.items())
-    record_dense_map(recording.with_name("dense.rrd"), recording, driven.drive.camera, placed)
+def _record(run: Path, store: SubmapStore, driven: MappedRun, messages: Console) -> None:
+    """Write the maps as a recording beside the run's own, if it has one; a damaged one costs a line, not the maps."""
+    recording = run / RECORDING
+    if not recording.exists():
+        return
+    maps = (PlacedMap(state, store.surfaces_in_world(poses), poses[:, :3, 3]) for state, poses in driven.states.items())
+    try:
+        record_dense_map(run / DENSE_RECORDING, recording, driven.drive.camera, maps)
+    except DataError as error:
+        messages.print(f"no {DENSE_RECORDING}: {error}", markup=False, highlight=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`revisit export`: results of a run, in the format that another program reads."""
+"""`revisit export`: results of a run in the formats of other programs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,24 +8,26 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.mapping.ply import read_cloud
 from slam.storage.atomic import atomic_writer
 from slam.storage.colmap import Model, write_colmap
-from slam.storage.landmarks import read_sightings
+from slam.storage.landmarks import read_landmark_observers
 from slam.storage.run_folder import RunFolder
 from slam.storage.trajectory import read_tum, write_kitti, write_tum
 
 STATES = ("odometry", "online", "corrected")
-_OF_MAPS = {"odometry": "before", "corrected": "after"}  # graph and map are kept at the beginning and at the end
+_MAP_SUFFIXES = {"odometry": "before", "corrected": "after"}  # of the files of graph and map
+_TRAJECTORIES = ("tum", "kitti")
+_SUFFIXES = {"tum": ".tum", "kitti": ".txt", "g2o": ".g2o", "ply": ".ply", "colmap": "_colmap"}
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What to export, and where to.
+    """Options of an export.
 
     Attributes:
         run: folder of a run.
-        format: a key of FORMATS.
-        state: which estimate: by odometry alone, as known at each moment, or corrected.
-        out: the file to write, a folder for colmap; None to name it after the run, beside it.
-        overwrite: replace what is there.
+        format: key of FORMATS.
+        state: one of STATES: odometry alone, the online estimate of each frame, or corrected.
+        out: the file to write, a folder for colmap; None for a name beside the run that begins with the run's.
+        overwrite: whether an existing file is replaced.
     """
 
     run: Path
@@ -35,19 +37,19 @@ class ExportOptions:
     overwrite: bool = False
 
 
-def export(options: ExportOptions) -> Path:
-    """Write one result of a run in one format; the file or folder that was written.
+def export_result(options: ExportOptions) -> Path:
+    """Write one result of a run in one format and return the file or folder that was written.
 
     Raises:
-        ConfigError: an unknown format or state, or a state in which a run keeps no such result.
+        ConfigError: the format or state is unknown, or a run has no such result in that state.
         DataError: the run does not have the result, or it is damaged.
-        OutputError: the file is there already, or cannot be written.
+        OutputError: the file exists, or cannot be written.
     """
     _check(options)
     folder = options.run.resolve()
     out = options.out or options.run.with_name(f"{folder.name}_{options.state}{_SUFFIXES[options.format]}")
     if out.exists() and not options.overwrite:
-        raise OutputError(f"{out}: there is such a file already; choose another or add --overwrite")
+        raise OutputError(f"{out}: this file exists already; choose another name or add --overwrite")
     FORMATS[options.format](options.run, options.state, out)
     return out
 
@@ -55,7 +57,7 @@ def export(options: ExportOptions) -> Path:
 def _check(options: ExportOptions) -> None:
     if options.format not in FORMATS:
         raise ConfigError(f"--format: expected one of {', '.join(FORMATS)}, found {options.format!r}")
-    known = STATES if options.format in _TRAJECTORIES else tuple(_OF_MAPS)
+    known = STATES if options.format in _TRAJECTORIES else tuple(_MAP_SUFFIXES)
     if options.state not in known:
         raise ConfigError(f"--state: expected one of {', '.join(known)} for {options.format}, found {options.state!r}")
 
@@ -69,11 +71,11 @@ def _kitti(run: Path, state: str, out: Path) -> None:
 
 
 def _g2o(run: Path, state: str, out: Path) -> None:
-    _copy(_result(run, f"pose_graph_{_OF_MAPS[state]}.g2o"), out)
+    _copy(_result(run, f"pose_graph_{_MAP_SUFFIXES[state]}.g2o"), out)
 
 
 def _ply(run: Path, state: str, out: Path) -> None:
-    _copy(_result(run, f"map_{_OF_MAPS[state]}.ply"), out)
+    _copy(_result(run, f"map_{_MAP_SUFFIXES[state]}.ply"), out)
 
 
 def _colmap(run: Path, state: str, out: Path) -> None:
@@ -84,15 +86,15 @@ def _colmap(run: Path, state: str, out: Path) -> None:
 
 
 def _model(run: Path, state: str) -> Model:
-    sightings = read_sightings(_result(run, "landmarks.npz"))
-    cloud = read_cloud(_result(run, f"map_{_OF_MAPS[state]}.ply"))
+    observers = read_landmark_observers(_result(run, "landmarks.npz"))
+    cloud = read_cloud(_result(run, f"map_{_MAP_SUFFIXES[state]}.ply"))
     poses = read_tum(_result(run, f"trajectory_{state}.tum"))[1]
-    if len(cloud.points) != len(sightings.frames) or sightings.frames.max(initial=0) >= len(poses):
+    if len(cloud.points) != len(observers.frames) or observers.frames.max(initial=0) >= len(poses):
         raise DataError(
             f"{run / 'landmarks.npz'}: expected a frame, up to {len(poses) - 1}, for each of {len(cloud.points)}"
-            f" landmarks, found {len(sightings.frames)} up to {sightings.frames.max(initial=0)}; run again"
+            f" landmarks, found {len(observers.frames)} up to {observers.frames.max(initial=0)}; run again"
         )
-    return Model(poses, cloud, sightings)
+    return Model(poses, cloud, observers)
 
 
 def _result(run: Path, name: str) -> Path:
@@ -116,5 +118,3 @@ FORMATS: dict[str, Callable[[Path, str, Path], None]] = {
     "ply": _ply,
     "colmap": _colmap,
 }
-_TRAJECTORIES = ("tum", "kitti")
-_SUFFIXES = {"tum": ".tum", "kitti": ".txt", "g2o": ".g2o", "ply": ".ply", "colmap": "_colmap"}

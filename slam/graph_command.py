@@ -15,7 +15,7 @@ from slam.graph_truth import GraphTruth, absolute_error, find_truth
 from slam.pose_graph_lie import inverse
 from slam.provenance import peak_memory_mb, provenance
 from slam.report.figures import save_png
-from slam.report.graph_figure import graph_figure
+from slam.report.graph_figure import draw_pose_graph
 from slam.robust import DEFAULT, BackEndResult, back_end, solve
 from slam.storage.g2o import Graph, read_g2o, write_g2o
 from slam.storage.metrics import write_metrics
@@ -131,7 +131,7 @@ def _write(folder: Path, done: OptimizedGraph, metrics: dict[str, object]) -> No
     )
     write_table(folder / "edges.csv", EDGE_COLUMNS, _rows(done))
     save_png(
-        graph_figure(done.path.stem, done.edges.problem, done.result, done.truth.positions),
+        draw_pose_graph(done.path.stem, done.edges.problem, done.result, done.truth.positions),
         folder / "before_after.png",
     )
 

@@ -31,14 +31,14 @@ from slam.memory import UNKNOWN, held_mb
 from slam.place_metrics import PlaceMetrics, evaluate_places
 from slam.provenance import peak_memory_mb
 from slam.record import RunRecord
-from slam.report.figures import before_after, save_png
-from slam.report.page import write_report
+from slam.report.figures import draw_before_after, save_png
+from slam.report.page import DENSE_PAGE, write_report
 from slam.robust import OptimizationResult
 from slam.storage.atomic import atomic_writer
 from slam.storage.calibration import write_calibration
 from slam.storage.covariances import write_covariances
 from slam.storage.g2o import chain_graph, write_g2o
-from slam.storage.landmarks import write_sightings
+from slam.storage.landmarks import write_landmark_observers
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_events, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
@@ -161,9 +161,10 @@ def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> No
     _write_calibration(folder, result)
     _write_graphs(folder, record, result)
     _write_maps(folder, record)
-    write_sightings(folder / "landmarks.npz", result.components.landmarks.frames, drive.camera)
-    save_png(before_after(record), folder / "before_after.png")
-    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config))
+    write_landmark_observers(folder / "landmarks.npz", result.components.landmarks.frames, drive.camera)
+    save_png(draw_before_after(record), folder / "before_after.png")
+    dense_page = None if config.mono else DENSE_PAGE
+    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config), dense_page)
 
 
 def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:

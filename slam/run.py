@@ -34,7 +34,7 @@ from slam.parts import build_components, check_names, read_checked_config
 from slam.pipeline.event_log import log, log_frame, log_loops, log_to_file
 from slam.progress import progress_bar
 from slam.provenance import provenance
-from slam.report.tables import summary
+from slam.report.tables import summary_table
 from slam.results import PipelineResult, make_record, write_results
 from slam.stopping import stop_on_interrupt
 from slam.storage.run_folder import RunFolder

@@ -1,4 +1,4 @@
-"""Between the system and a viewer: what of a frame is worth showing."""
+"""Passes what a viewer shows from the SLAM system to the viewer: frames, loops, and the recogniser's matrix."""
 
 import time
 
@@ -11,27 +11,27 @@ from slam.datasets.dataset import Dataset, Frame
 from slam.drive_log import RunLog
 from slam.loop_closing import LoopClosure
 from slam.system import FrameResult, LoopCandidate, Slam
-from slam.viewer.viewer import ClosedLoop, Step, Viewer
+from slam.viewer.viewer import FrameView, LoopView, Viewer
 
 Array = NDArray[np.float64]
 
-_PAIR_EVERY = 10  # frames between two image pairs shown: the earlier image has to be read again
-_MATRIX_EVERY = 100  # frames between two pictures of the recogniser's matrix
+_MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier image has to be read again
+_MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
 
 
 class RunVisualizer:
-    """Shows each frame, what became of the loops proposed with it, and the matrix of the recogniser, in a viewer."""
+    """Shows each frame, the outcome of the loops proposed with it, and the recogniser's matrix in a viewer."""
 
     def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRecorder) -> None:
         self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
-        self._last_pair = -_PAIR_EVERY
+        self._last_pair = -_MIN_PAIR_INTERVAL_FRAMES
 
     def restore(self, log: RunLog) -> None:
-        """Show what an earlier run has found out, without its images."""
+        """Show the state of a resumed run, without its images."""
         if log.timestamps:
             loops = [candidate for candidate in log.candidates if candidate.geometry is not None]
-            self._viewer.recall(
+            self._viewer.restore(
                 np.array(log.timestamps),
                 np.array(log.odometry),
                 self._slam.components.graph.poses(),
@@ -39,47 +39,47 @@ class RunVisualizer:
             )
 
     def show(self, result: FrameResult) -> dict[str, float]:
-        """Show a frame. Returns the milliseconds it took, as the stage `viewer`."""
+        """Show a frame and return the milliseconds it took, as the stage `viewer`."""
         start = time.perf_counter()
-        self._viewer.step(_step(result))
+        self._viewer.show_frame(_frame_view(result))
         for candidate in result.candidates:
             if candidate.geometry is not None:
                 self._show_loop(candidate, result)
-        if result.frame.index % _MATRIX_EVERY == _MATRIX_EVERY - 1:
-            self._viewer.matrix(self._rows.matrix(result.frame.index + 1))
+        if result.frame.index % _MATRIX_INTERVAL_FRAMES == _MATRIX_INTERVAL_FRAMES - 1:
+            self._viewer.show_matrix(self._rows.matrix(result.frame.index + 1))
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
     def _show_loop(self, candidate: LoopCandidate, result: FrameResult) -> None:
-        with_pair = candidate.closed and result.frame.index - self._last_pair >= _PAIR_EVERY
+        with_pair = candidate.closed and result.frame.index - self._last_pair >= _MIN_PAIR_INTERVAL_FRAMES
         if with_pair:
             self._last_pair = result.frame.index
         poses = self._slam.components.graph.poses() if with_pair else np.empty((0, 4, 4))
-        self._viewer.loop(self._closed(candidate, result, with_pair), poses)
+        self._viewer.show_loop(self._loop_view(candidate, result, with_pair), poses)
 
-    def _closed(self, candidate: LoopCandidate, result: FrameResult, with_pair: bool) -> ClosedLoop:
+    def _loop_view(self, candidate: LoopCandidate, result: FrameResult, with_pair: bool) -> LoopView:
         geometry, belief = candidate.geometry, candidate.belief
         assert belief.match is not None
-        proved = geometry if isinstance(geometry, LoopClosure) else None
-        return ClosedLoop(
+        closure = geometry if isinstance(geometry, LoopClosure) else None
+        return LoopView(
             query=belief.query,
             match=belief.match,
             image_query=self._query_image(belief.query, result.frame) if with_pair else None,
             image_match=self._drive[belief.match].left if with_pair else None,
-            pixels_query=_NO_PIXELS if proved is None else proved.pixels_query.astype(np.float64),
-            pixels_match=_NO_PIXELS if proved is None else proved.pixels_match.astype(np.float64),
+            pixels_query=_NO_PIXELS if closure is None else closure.pixels_query.astype(np.float64),
+            pixels_match=_NO_PIXELS if closure is None else closure.pixels_match.astype(np.float64),
             accepted=candidate.closed,
             reason=candidate.reason,
         )
 
     def _query_image(self, query: int, frame: Frame) -> NDArray[np.uint8]:
-        """The image asked about: the current one, unless the recogniser answers late."""
+        """Return the image of the query: the current one, unless the recogniser answers late."""
         return frame.left if query == frame.index else self._drive[query].left
 
 
-def _step(result: FrameResult) -> Step:
+def _frame_view(result: FrameResult) -> FrameView:
     beliefs = [candidate.belief for candidate in result.candidates]  # several at once, or none, where answers come late
     belief = max(beliefs, key=lambda belief: (belief.accepted, belief.score), default=None)
-    return Step(
+    return FrameView(
         index=result.frame.index,
         timestamp=result.frame.timestamp,
         image=result.frame.left,

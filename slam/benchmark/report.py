@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from slam.benchmark.results import DISPLAYED, ResultRow, format_values
 from slam.report import colours
 from slam.report.cells import Cell
-from slam.report.figures import INK, new_figure, style
-from slam.report.page import environment
+from slam.report.figures import INK, new_figure, style_axes
+from slam.report.page import template_environment
 from slam.report.svg import inline_svg
 from slam.storage.atomic import atomic_writer
 
@@ -41,7 +41,7 @@ def render_page(name: str, rows: Sequence[ResultRow]) -> str:
     figure = recall_over_error_figure(rows)
     title = "R@P100 of each run over the position error of its corrected trajectory"
     return (
-        environment()
+        template_environment()
         .get_template("benchmark.html.jinja")
         .render(
             name=name,
@@ -80,6 +80,6 @@ def recall_over_error_figure(rows: Sequence[ResultRow]) -> Figure | None:
         ax.plot(*zip(*points, strict=True), mark, color=colour, ms=7, label=paradigm)
     ax.set(xlabel="ATE, corrected [m]", ylabel="R@P100", ylim=(0.0, 1.05))
     ax.set_xlim(0.0, 1.08 * max(ax.dataLim.x1, _MIN_AXIS_M))
-    style(ax)
+    style_axes(ax)
     figure.legend(loc="outside upper center", ncols=3, frameon=False, labelcolor=INK, columnspacing=1.0)
     return figure

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.benchmark.job import Job, JobResult
-from slam.report.reading import text, value
+from slam.report.reading import format_value, metric_value
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_table
 
@@ -88,7 +88,7 @@ _NOT_IN_TERMINAL = ("t_rel_percent", "frames_per_second")  # left out there, bec
 
 def make_row(job: Job, result: JobResult) -> ResultRow:
     """Make the row of a job from its metrics."""
-    values = {name: value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
+    values = {name: metric_value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
     return ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, error=result.error, **values)
 
 
@@ -96,9 +96,10 @@ def format_row(row: ResultRow) -> str:
     """Format a row as one line of text."""
     if row.error:
         return f"{row.run}: failed: {row.error}"
-    loops = f"{text(row.loops_kept)} loops kept, {text(row.loops_false)} of them false"
-    recall = f"R@P100 {text(row.recall_at_100_precision, 3)}"
-    return f"{row.run}: ATE {text(row.odometry_ate_m)} m by odometry, {text(row.ate_m)} m corrected; {loops}; {recall}"
+    loops = f"{format_value(row.loops_kept)} loops kept, {format_value(row.loops_false)} of them false"
+    recall = f"R@P100 {format_value(row.recall_at_100_precision, 3)}"
+    ate = f"ATE {format_value(row.odometry_ate_m)} m by odometry, {format_value(row.ate_m)} m corrected"
+    return f"{row.run}: {ate}; {loops}; {recall}"
 
 
 def write_csv(folder: Path, rows: Iterable[ResultRow]) -> None:
@@ -150,10 +151,10 @@ def summary_table(rows: Sequence[ResultRow]) -> Table:
     for _, heading, _ in columns:
         table.add_column(escape(heading), justify="right")
     for row in rows:
-        table.add_row(escape(row.run), *(text(getattr(row, name), digits) for name, _, digits in columns))
+        table.add_row(escape(row.run), *(format_value(getattr(row, name), digits) for name, _, digits in columns))
     return table
 
 
 def format_values(row: ResultRow) -> list[str]:
     """Format the numbers of a row in the order of `DISPLAYED`."""
-    return [text(getattr(row, name), digits) for name, _, digits in DISPLAYED]
+    return [format_value(getattr(row, name), digits) for name, _, digits in DISPLAYED]

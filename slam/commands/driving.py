@@ -341,8 +341,8 @@ def dense(
 
     Example: revisit dense runs/kitti05
     """
-    from slam.dense_command import DenseOptions, map_densely
+    from slam.dense_command import DenseOptions, build_dense_map
 
     options = DenseOptions(run=run, source=source, voxel_m=voxel_size, max_depth_m=max_depth, overwrite=overwrite)
-    message = map_densely(options, Console(stderr=True))
+    message = build_dense_map(options, Console(stderr=True))
     Console().print(message, markup=False, highlight=False, soft_wrap=True)

@@ -174,6 +174,6 @@ def explain(
 
     Example: revisit explain runs/demo 310
     """
-    from slam.explain import explain as told
+    from slam.explain import explain_loop
 
-    Console().print(told(run, query, match), markup=False, highlight=False, soft_wrap=True)
+    Console().print(explain_loop(run, query, match), markup=False, highlight=False, soft_wrap=True)

@@ -94,10 +94,9 @@ def export(
 
     Example: revisit export runs/kitti05 --format tum --out kitti05.tum
     """
-    from slam.export import ExportOptions
-    from slam.export import export as write
+    from slam.export import ExportOptions, export_result
 
-    written = write(ExportOptions(run, format, state, out, overwrite))
+    written = export_result(ExportOptions(run, format, state, out, overwrite))
     Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
 
 
@@ -109,7 +108,8 @@ def view(
 ) -> None:
     """Open the recording of a run, and its dense map if there is one, in the rerun viewer.
 
-    The viewer listens on 127.0.0.1 only and sends no usage data.
+    The viewer listens on 127.0.0.1 alone. Its web page, which is rerun's own, asks the internet for a font, for news of
+    releases and for examples, and reports its use to rerun's makers; the window does not.
 
     Example: revisit view runs/demo
     """

@@ -91,7 +91,7 @@ def reopen_run_folder(stopped: ResumableRun, out: Path) -> RunFolder:
         OutputError: the map cannot be copied.
     """
     if stopped.map_file.parent != out:
-        return RunFolder.go_on(out, stopped.map_file.parent)
+        return RunFolder.reopen(out, stopped.map_file.parent)
     folder = RunFolder.create(out, overwrite=True)
     folder.keep()
     _copy(stopped.map_file, folder.path / MAP_FILE)

@@ -1,1 +1,1 @@
-"""What the world looks like: landmarks that move with the key frames that saw them."""
+"""Maps of a run: sparse landmarks, and dense surfaces fused from stereo depth."""

@@ -1,7 +1,7 @@
-"""The dense map of a drive: depth of its key frames, fused submap by submap.
+"""The dense map of a run: stereo depth of its key frames, fused submap by submap.
 
-Within a submap odometry is trusted: over 20 m it drifts less than a voxel. A graph moves whole submaps, so one fusion
-gives the map before and after correction, and no image is read twice.
+Within a submap the odometry is exact enough: over 20 m it drifts less than a voxel. A corrected graph moves whole
+submaps, so one fusion gives the maps before and after correction, and no image is read twice.
 """
 
 import math
@@ -17,7 +17,7 @@ from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.prefetch import prefetch
 from slam.keyframes import KeyFrameConfig, KeyFrameSelector
 from slam.mapping.dense_depth import DenseStereo
-from slam.mapping.fusion import FusionConfig, Volume
+from slam.mapping.fusion import FusionConfig, TsdfVolume
 from slam.mapping.landmarks import LandmarkMapConfig
 from slam.mapping.submaps import Submap, SubmapStore
 
@@ -26,11 +26,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DenseMapConfig:
-    """How a drive is cut into submaps, and how these are fused.
+    """Configuration of submaps and of their fusion.
 
     Attributes:
-        submap_frames: key frames of one submap.
-        fusion: how depth becomes a surface.
+        submap_frames: maximum number of key frames of a submap.
+        fusion: configuration of the fusion.
     """
 
     submap_frames: int = 20
@@ -38,20 +38,23 @@ class DenseMapConfig:
 
 
 @dataclass(frozen=True)
-class Odometry:
-    """The drive as odometry knows it.
+class OdometryTrajectory:
+    """Trajectory of the odometry.
 
     Attributes:
-        T_world_camera: (F, 4, 4) metres.
-        predicted: (F,) bool, frames whose images allowed no measurement.
+        T_world_camera: poses, (F, 4, 4), metres.
+        predicted: frames whose motion was extrapolated instead of measured, (F,) bool.
     """
 
     T_world_camera: Array
     predicted: NDArray[np.bool_]
 
 
-def choose_frames(odometry: Odometry, key_frames: KeyFrameConfig, size: int) -> list[list[int]]:
-    """Key frames, in submaps of like length and at most `size`; what was predicted is left out and parts submaps."""
+def group_key_frames(odometry: OdometryTrajectory, key_frames: KeyFrameConfig, size: int) -> list[list[int]]:
+    """Group key frames into submaps of similar length, of at most `size` frames each.
+
+    Frames with predicted motion are left out and separate submaps: across them the odometry is not exact enough.
+    """
     selector, stretches = KeyFrameSelector(key_frames), [list[int]()]
     for index, (pose, predicted) in enumerate(zip(odometry.T_world_camera, odometry.predicted, strict=True)):
         if predicted:
@@ -63,7 +66,7 @@ def choose_frames(odometry: Odometry, key_frames: KeyFrameConfig, size: int) -> 
 
 
 class DenseMapper:
-    """Fuses a recorded drive into a store of submaps."""
+    """Fuses the depth of a recorded drive into submaps."""
 
     def __init__(self, calibration: Calibration, config: DenseMapConfig | None = None) -> None:
         self._config = config or DenseMapConfig()
@@ -71,32 +74,32 @@ class DenseMapper:
         self._stereo = DenseStereo(calibration, reach.depth_limit(calibration.camera))
 
     def fuse(
-        self, drive: Dataset, odometry: Odometry, groups: Sequence[Sequence[int]], store: SubmapStore
+        self, drive: Dataset, odometry: OdometryTrajectory, groups: Sequence[Sequence[int]], store: SubmapStore
     ) -> Iterator[int]:
-        """Add one submap to the store for each group of key frames; yields the key frames done so far.
+        """Add one submap to the store for each group of key frames; yields the number of key frames done so far.
 
         Raises:
             DataError: an image cannot be read.
         """
-        frames = prefetch(_Chosen(drive, [index for group in groups for index in group]))
+        frames = prefetch(_Subset(drive, [index for group in groups for index in group]))
         done = 0
         for group in groups:
             poses = odometry.T_world_camera[list(group)]
-            middle = len(group) // 2  # the fewest metres to either end
+            middle = len(group) // 2  # as anchor it is nearest to both ends
             T_anchor_camera = se3.inverse(poses[middle]) @ poses
-            volume = Volume(self._config.fusion)
+            volume = TsdfVolume(self._config.fusion)
             for T in T_anchor_camera:
                 frame = next(frames)
                 assert frame.right is not None
-                volume.integrate(self._stereo.see(frame.left, frame.right), T)
+                volume.integrate(self._stereo.compute_depth(frame.left, frame.right), T)
                 done += 1
                 yield done
-            store.add(Submap(group[middle], np.array(group), T_anchor_camera, volume.surface()))
+            store.add(Submap(group[middle], np.array(group), T_anchor_camera, volume.extract_surface()))
 
 
 @dataclass(frozen=True)
-class _Chosen:
-    """Some frames of a drive."""
+class _Subset:
+    """Selected frames of a drive."""
 
     drive: Dataset
     indices: list[int]

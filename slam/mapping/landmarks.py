@@ -1,4 +1,4 @@
-"""The sparse map: landmarks kept in the frame that saw them, so that a corrected graph moves them."""
+"""The sparse map: landmarks in the camera frames that observed them, so that a corrected graph moves them."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LandmarkMapConfig:
-    """Which points are sure enough for the map.
+    """Accuracy that points of the map must have.
 
     Attributes:
-        max_depth_m: points farther than this are dropped, metres.
-        disparity_sigma_px: standard deviation of a disparity, pixels; stereo depth has z^2 / (f b) times
-            this.
-        max_relative_sigma: points whose depth is less sure than this fraction of itself are dropped. With
-            KITTI's baseline 5 % ends at 38 m; a shorter baseline sees less far.
+        max_depth_m: maximum depth of a point, metres.
+        disparity_sigma_px: standard deviation of a disparity, pixels; that of a depth z is z^2 / (f b) times this.
+        max_relative_sigma: maximum standard deviation of a depth, as a share of the depth. With KITTI's baseline
+            5 % are reached at 38 m, with a shorter baseline earlier.
     """
 
     max_depth_m: float = 40.0
@@ -28,15 +27,15 @@ class LandmarkMapConfig:
     max_relative_sigma: float = 0.05
 
     def depth_limit(self, camera: StereoCamera | None) -> float:
-        """Depth, metres, up to which points are kept; without a stereo camera `max_depth_m` alone decides."""
+        """Return the maximum depth of points, metres; without a stereo camera it is `max_depth_m`."""
         if camera is None:
             return self.max_depth_m
-        sure = self.max_relative_sigma * camera.fx * camera.baseline / self.disparity_sigma_px
-        return min(self.max_depth_m, sure)
+        accurate_m = self.max_relative_sigma * camera.fx * camera.baseline / self.disparity_sigma_px
+        return min(self.max_depth_m, accurate_m)
 
 
 class LandmarkMap:
-    """Points in the camera frames that saw them. Nothing stored is ever rewritten."""
+    """Landmarks in the camera frames that observed them; stored points never change."""
 
     def __init__(self, config: LandmarkMapConfig | None = None, camera: StereoCamera | None = None) -> None:
         self._depth_limit = (config or LandmarkMapConfig()).depth_limit(camera)
@@ -48,13 +47,13 @@ class LandmarkMap:
         return sum(map(len, self._points))
 
     def add(self, frame_index: int, points_camera: Array, grey: NDArray[np.uint8]) -> None:
-        """Add what one frame saw.
+        """Add the landmarks of one frame.
 
         Args:
-            frame_index: of the frame, from 0.
-            points_camera: (N, 3) metres, camera frame; NaN, points behind the camera and unsure ones are
-                dropped.
-            grey: (N,) brightness in the image.
+            frame_index: index of the frame, from 0.
+            points_camera: points in the camera frame, (N, 3), metres; NaN, points behind the camera and points of
+                inaccurate depth are dropped.
+            grey: brightness in the image, (N,).
         """
         depth = points_camera[:, 2]
         keep = np.isfinite(points_camera).all(axis=1) & (depth > 0) & (depth <= self._depth_limit)
@@ -64,17 +63,17 @@ class LandmarkMap:
 
     @property
     def frames(self) -> NDArray[np.int32]:
-        """Which frame (M,) saw each point, in the order of `cloud`."""
+        """Index of the frame that observed each point, (M,), in the order of `cloud`."""
         return np.repeat(np.array(self._frames, np.int32), [len(points) for points in self._points])
 
     def cloud(self, T_world_camera: Array) -> PointCloud:
-        """The map on a trajectory.
+        """Return all landmarks in the world frame.
 
         Args:
-            T_world_camera: (F, 4, 4) metres, poses of all frames, before or after correction.
+            T_world_camera: poses of all frames, (F, 4, 4), metres, before or after correction.
 
         Raises:
-            ValueError: a frame that saw points has no pose.
+            ValueError: a frame with landmarks has no pose.
         """
         if not self._frames:
             return PointCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))

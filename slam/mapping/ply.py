@@ -1,4 +1,7 @@
-"""Clouds as binary PLY, which every point cloud viewer opens."""
+"""Point clouds as binary PLY files, which every point cloud viewer opens.
+
+Both directions are written here, not by Open3D: docs/decisions/ply.md.
+"""
 
 import re
 from pathlib import Path
@@ -7,7 +10,7 @@ import numpy as np
 
 from slam.errors import DataError
 from slam.record import PointCloud
-from slam.storage.atomic import replacing
+from slam.storage.atomic import atomic_writer
 
 _HEADER = """ply
 format binary_little_endian 1.0
@@ -24,26 +27,24 @@ _VERTEX = np.dtype([("point", "<f8", 3), ("colour", "u1", 3)])
 
 
 def write_cloud(path: Path, cloud: PointCloud) -> None:
-    """Write points (metres, world frame) with their grey as colour.
-
-    Open3D writes it. Where Open3D cannot be loaded (on a bare server its wheel misses libusb), refuses (no
-    points at all) or fails, the same bytes are written here: no run loses its map to that.
+    """Write points (metres, world frame) with their brightness as grey colour.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    with replacing(path) as temporary:
-        if not _write_with_open3d(temporary, cloud):
-            _write_plain(temporary, cloud)
+    vertices = np.empty(len(cloud.points), dtype=_VERTEX)
+    vertices["point"], vertices["colour"] = cloud.points, cloud.grey[:, None]
+    with atomic_writer(path, "wb") as file:
+        file.write(_HEADER.format(count=len(vertices)).encode() + vertices.tobytes())
 
 
 def read_cloud(path: Path) -> PointCloud:
     """Read points (metres) and their brightness, the mean of red, green and blue, from a file of `write_cloud`.
 
-    Open3D, which would read it too, trusts the header, and ends the process where that is damaged.
+    Open3D could read it as well, but it trusts the header, and ends the process if that is damaged.
 
     Raises:
-        DataError: missing file, or no point cloud as a run writes it.
+        DataError: the file is missing, or not a point cloud as a run writes it.
     """
     try:
         data = path.read_bytes()
@@ -62,25 +63,4 @@ def read_cloud(path: Path) -> PointCloud:
     vertices = np.frombuffer(body, _VERTEX)
     if not np.isfinite(vertices["point"]).all():
         raise DataError(f"{path}: expected finite points, found others; export the map again")
-    return PointCloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
-
-
-def _write_with_open3d(path: Path, cloud: PointCloud) -> bool:
-    if len(cloud.points) == 0:
-        return False
-    try:
-        import open3d
-    except (ImportError, OSError):
-        return False
-    out = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points))
-    out.colors = open3d.utility.Vector3dVector(np.repeat(cloud.grey[:, None] / 255.0, 3, axis=1))
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        done = open3d.io.write_point_cloud(path, out)
-    # On a full disk Open3D reports success for half a file.
-    return bool(done) and path.stat().st_size > len(cloud.points) * _VERTEX.itemsize
-
-
-def _write_plain(path: Path, cloud: PointCloud) -> None:
-    vertices = np.empty(len(cloud.points), dtype=_VERTEX)
-    vertices["point"], vertices["colour"] = cloud.points, cloud.grey[:, None]
-    path.write_bytes(_HEADER.format(count=len(vertices)).encode() + vertices.tobytes())
+    return Cloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))

@@ -1,4 +1,4 @@
-"""Finished submaps wait on disk, each in the frame of its anchor, and are never rewritten: a graph moves anchors."""
+"""Finished submaps on disk, each in the frame of its anchor: a corrected graph moves anchors, no file is rewritten."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Submap:
-    """What a short stretch of the drive saw.
+    """The surface that a short part of the drive has seen.
 
     Attributes:
-        anchor: frame whose camera holds the submap.
-        frames: (K,) the frames that saw it.
-        T_anchor_camera: (K, 4, 4) metres, where their cameras were.
-        surface: in the frame of the anchor.
+        anchor: index of the frame whose camera frame the submap is in.
+        frames: indices of the fused frames, (K,).
+        T_anchor_camera: poses of their cameras, (K, 4, 4), metres.
+        surface: fused surface, in the frame of the anchor.
     """
 
     anchor: int
@@ -41,7 +41,7 @@ class SubmapStore:
         return self._count
 
     def add(self, submap: Submap) -> None:
-        """Keep one more.
+        """Write one more submap.
 
         Raises:
             OutputError: the folder cannot be written.
@@ -65,10 +65,10 @@ class SubmapStore:
                 surface = Surface(file["points"], file["grey"], file["triangles"])
                 yield Submap(int(file["anchor"]), file["frames"], file["T_anchor_camera"], surface)
 
-    def placed(self, T_world_camera: Array) -> Iterator[Surface]:
-        """Each surface in the world, where poses (F, 4, 4) of all frames, metres, put its anchor."""
+    def surfaces_in_world(self, T_world_camera: Array) -> Iterator[Surface]:
+        """Yield each surface in the world frame, given the poses (F, 4, 4), metres, of all frames."""
         for submap in self:
-            yield submap.surface.moved(T_world_camera[submap.anchor])
+            yield submap.surface.transform(T_world_camera[submap.anchor])
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:06d}.npz"

@@ -1,4 +1,4 @@
-"""Surfaces as binary PLY, written piece by piece: however long the drive, one submap is in memory at a time."""
+"""Writes the surfaces of submaps as one binary PLY file, with one submap in memory at a time."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,13 +25,13 @@ _VERTEX = np.dtype([("point", "<f4", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("corners", "u1"), ("triangle", "<i4", 3)])
 
 
-def write_surfaces(path: Path, surfaces: Callable[[], Iterator[Surface]], with_triangles: bool) -> None:
-    """Write many surfaces (metres, one frame) as one mesh, or without their triangles as one cloud.
+def write_mesh(path: Path, surfaces: Callable[[], Iterator[Surface]], with_triangles: bool) -> None:
+    """Write many surfaces (metres, one frame) as one mesh, or as one point cloud.
 
     Args:
-        path: the file.
-        surfaces: gives them all from the first on, each time it is called.
-        with_triangles: a mesh.
+        path: the file to write.
+        surfaces: returns an iterator over all surfaces; called once for their sizes and once for each PLY element.
+        with_triangles: whether a mesh is written; else a point cloud.
 
     Raises:
         OutputError: the file cannot be written.

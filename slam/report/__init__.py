@@ -1,1 +1,1 @@
-"""Pictures and pages that show one run."""
+"""Reports of a run: HTML pages, figures and tables."""

@@ -1,4 +1,4 @@
-"""Smaller pictures of a run: error over the way, tracks in each frame, time of each stage."""
+"""Charts of a run: position error over distance, inlier tracks in each frame, time of each stage."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,66 +7,75 @@ from matplotlib.figure import Figure
 from slam.evaluation.trajectory import distances_along
 from slam.record import RunRecord
 from slam.report import colours
-from slam.report.alignment import anchored_truth, position_error
-from slam.report.figures import INK, new_figure, style
-from slam.report.reading import kept, scaled, stage_times
+from slam.report.alignment import anchor_ground_truth, position_errors
+from slam.report.figures import INK, new_figure, style_axes
+from slam.report.reading import is_scaled, kept, stage_times
 
 _ESTIMATES = (
     ("odometry", colours.ODOMETRY, "-"),
     ("online", colours.ONLINE, ":"),
     ("corrected", colours.CORRECTED, "-"),
 )
-_WIDTH = 5.6  # inches; of this width the writing can still be read on a phone
-_BAR = 0.32  # inches of height for each stage
+_WIDTH_INCH = 5.6  # text in a figure of this width can still be read on a phone
+_BAR_HEIGHT_INCH = 0.32
 
 
-def error_over_way(record: RunRecord) -> Figure | None:
-    """Draw the distance from the ground truth after alignment over the way driven; None without truth."""
-    truth = anchored_truth(record)
+def draw_error_over_distance(record: RunRecord) -> Figure | None:
+    """Draw the position error after alignment over the distance travelled; None without ground truth."""
+    truth = anchor_ground_truth(record)
     if truth is None:
         return None
-    figure = new_figure(_WIDTH, 3.1)
+    figure = new_figure(_WIDTH_INCH, 3.1)
     ax = figure.subplots()
-    way = distances_along(truth)
+    distance_m = distances_along(truth)
     for name, colour, dashes in _ESTIMATES:
-        error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
-        ax.plot(way, error, dashes, color=colour, lw=1.6, label=name)
-    _mark_loops(record, way, ax)
-    _finish(ax, "way driven [m]", "position error [m]")
+        error = position_errors(getattr(record, name), truth, is_scaled(record.metrics, name))
+        ax.plot(distance_m, error, dashes, color=colour, lw=1.6, label=name)
+    _mark_loops(record, distance_m, ax)
+    _finish(ax, "distance travelled [m]", "position error [m]")
     return figure
 
 
-def inliers_per_frame(record: RunRecord) -> Figure:
-    """Draw how many tracks agreed with the motion in each frame, and where it had to be predicted."""
-    figure = new_figure(_WIDTH, 2.6)
+def draw_inliers(record: RunRecord) -> Figure:
+    """Draw the number of inlier tracks in each frame, and the frames whose motion was predicted."""
+    figure = new_figure(_WIDTH_INCH, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
     ax.plot(frames, record.inliers, color=colours.CORRECTED, lw=1.0, label="inlier tracks")
-    guessed = frames[record.predicted]
-    if len(guessed):
-        ax.plot(guessed, record.inliers[guessed], "x", color=colours.REJECTED, ms=5, label="motion predicted")
+    predicted_frames = frames[record.predicted]
+    if len(predicted_frames):
+        ax.plot(
+            predicted_frames,
+            record.inliers[predicted_frames],
+            "x",
+            color=colours.REJECTED,
+            ms=5,
+            label="motion predicted",
+        )
     _finish(ax, "frame", "inliers")
     return figure
 
 
-def time_per_stage(record: RunRecord) -> Figure | None:
+def draw_stage_times(record: RunRecord) -> Figure | None:
     """Draw median and 99th percentile of each stage, first stage on top; None where nothing was timed."""
     times = stage_times(record)[::-1]
     if not times:
         return None
-    figure = new_figure(_WIDTH, 1.2 + _BAR * len(times))
+    figure = new_figure(_WIDTH_INCH, 1.2 + _BAR_HEIGHT_INCH * len(times))
     ax = figure.subplots()
     rows = np.arange(len(times))
     ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
     ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
-    _finish(ax, "milliseconds a frame", "")
+    _finish(ax, "milliseconds per frame", "")
     return figure
 
 
-def _mark_loops(record: RunRecord, way: np.ndarray, ax: Axes) -> None:
+def _mark_loops(record: RunRecord, distance_m: np.ndarray, ax: Axes) -> None:
     queries = [row.query for row in kept(record)]
-    ax.plot(way[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed")
+    ax.plot(
+        distance_m[queries], np.zeros(len(queries)), "|", color=colours.ACCEPTED, ms=9, mew=1.2, label="loop closed"
+    )
 
 
 def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:
@@ -74,5 +83,5 @@ def _finish(ax: Axes, xlabel: str, ylabel: str) -> None:
     ax.set_xlim(left=0)
     if ylabel:
         ax.set_ylim(bottom=0)
-    style(ax)
+    style_axes(ax)
     ax.figure.legend(loc="outside upper right", ncols=4, frameon=False, labelcolor=INK, columnspacing=1.0)

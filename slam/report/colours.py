@@ -1,7 +1,7 @@
-"""One colour for each thing, in every picture, page and recording.
+"""Colours of trajectories and loops, the same in every figure, page and recording.
 
-The hues are those that Okabe and Ito (Color Universal Design, 2008) chose for colour-blind readers.
-Where two lines could still be confused their dashes differ as well.
+The hues are those of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can tell apart. Lines
+that could still be confused have different dashes as well.
 """
 
 GROUND_TRUTH = "#808080"  # drawn dashed
@@ -14,5 +14,5 @@ MOST = "#001d33"  # end of the scale of matrices
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green, blue, 0 to 255, of a colour `#rrggbb`."""
+    """Return red, green and blue, 0 to 255, of a colour `#rrggbb`."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

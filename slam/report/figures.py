@@ -1,4 +1,4 @@
-"""Figure 4.1 of one drive: where the robot thought it was, and where it was once its loops were closed."""
+"""Figure of a run before and after loop closing: plan view with map, trajectory and loops, and height profile."""
 
 import io
 import warnings
@@ -17,35 +17,37 @@ from slam.errors import OutputError
 from slam.evaluation.trajectory import Similarity
 from slam.record import LoopRow, PointCloud, RunRecord
 from slam.report import colours
-from slam.report.alignment import anchored_truth, fit
+from slam.report.alignment import align_trajectory, anchor_ground_truth
 from slam.report.ellipses import confidence_ellipses
-from slam.report.letters import choose_fonts
-from slam.report.reading import alignment, kept, rejected, scaled, text, value
+from slam.report.letters import set_font_fallbacks
+from slam.report.reading import alignment_name, format_value, is_scaled, kept, metric_value, rejected
 
 Array = NDArray[np.float64]
 
 INK = "#1a1a1a"
-_NONE = np.empty((0, 0, 2))
-_UNMOVED = Similarity(np.eye(3), np.zeros(3), 1.0)
-_DOTS = 60_000  # landmarks drawn in a panel; more only make the picture heavier
-_MARGIN = 0.07  # of the larger side, around the trajectories
-_SURROUNDINGS = 10.0  # metres around the trajectories in which the map of a short drive lies
-_SMALLEST = 4.0  # metres shown at least, for a robot that stood still
-_NARROWEST = 0.6  # short over long side of a panel at least, for straight tracks
-_AHEAD = 0.04  # the heading is shown to where the robot is so far from the start, of its largest distance
-_ARROW = 26.0  # points
+_NO_ELLIPSES = np.empty((0, 0, 2))
+_IDENTITY = Similarity(np.eye(3), np.zeros(3), 1.0)
+_MAX_LANDMARKS = 60_000  # drawn in a panel; more only make the file larger
+_MARGIN = 0.07  # around the trajectories, as a share of the larger side
+_MAX_MARGIN_M = 10.0  # around short trajectories, so that the map beside them is shown
+_MIN_SIDE_M = 4.0  # shown at least, for a camera that stood still
+_MIN_ASPECT = 0.6  # least ratio of short to long side of a panel, for straight paths
+_HEADING_DISTANCE = 0.04  # the arrow points to the first position this far from the start, as a share of the largest
+_ARROW_POINTS = 26.0
 
 
 @dataclass(frozen=True)
 class Panel:
-    """What one panel shows, all in the frame of the first camera.
+    """Contents of one panel, in the frame of the first camera.
 
     Attributes:
-        title, name, colour: of the estimate.
-        positions: (N, 3) metres.
-        landmarks: (M, 3) metres.
-        truth: (N, 3) metres, or None.
-        ellipses: (K, C, 2) metres, outlines of where the robot may be; none where that is not known.
+        title: heading of the panel.
+        name: name of the estimate, `odometry` or `corrected`.
+        colour: colour of its trajectory.
+        positions: camera positions, (N, 3), metres.
+        landmarks: map points, (M, 3), metres.
+        truth: true positions, (N, 3), metres, or None.
+        ellipses: outlines of the 95 % confidence regions, (K, C, 2), metres; K = 0 if covariances are unknown.
     """
 
     title: str
@@ -57,17 +59,17 @@ class Panel:
     ellipses: Array
 
 
-def before_after(record: RunRecord) -> Figure:
-    """Draw the drive in plan view (x to the right, z up, metres) and its height: odometry alone, and corrected.
+def draw_before_after(record: RunRecord) -> Figure:
+    """Draw plan views (x to the right, z up, metres) and heights of odometry alone and of the corrected trajectory.
 
-    Where there is ground truth both estimates are laid over it by the same alignment as their ATE.
+    With ground truth, both estimates are aligned with it in the same way as for their ATE.
     """
-    both = both_panels(record)
-    centre, half = window(both)
+    both = make_panels(record)
+    centre, half = shared_window(both)
     figure, (left, right), profiles = _canvas(half[1] / half[0])
     for ax, panel in zip((left, right), both, strict=True):
-        draw(ax, panel, record)
-        frame_axes(ax, centre, half)
+        draw_plan_view(ax, panel, record)
+        set_limits(ax, centre, half)
     for ax, panel in zip(profiles, both, strict=True):
         _draw_height(ax, panel)
     left.set_ylabel("z [m], forward at the start")
@@ -78,15 +80,15 @@ def before_after(record: RunRecord) -> Figure:
     return figure
 
 
-def frame_axes(ax: Axes, centre: Array, half: Array) -> None:
-    """Show what lies so far from a centre (2,), x and z in metres, as large up as across."""
+def set_limits(ax: Axes, centre: Array, half: Array) -> None:
+    """Set the limits to centre (2,) +- half (2,), x and z in metres, with equal scale in both directions."""
     ax.set_aspect("equal", adjustable="box")
     (left, bottom), (right, top) = centre - half, centre + half
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def _canvas(tallness: float) -> tuple[Figure, list[Axes], list[Axes]]:
-    """Make a figure whose two panels fit data of this height over width, with two profiles below them."""
+    """Make a figure of two panels for data with this ratio of height to width, and two profiles below them."""
     width, above, between, profile, below = 12.0, 0.95, 0.75, 1.3, 0.95  # inches
     plan = float(np.clip(5.5 * tallness, 3.3, 6.6))
     height = above + plan + between + profile + below
@@ -113,14 +115,14 @@ def _canvas(tallness: float) -> tuple[Figure, list[Axes], list[Axes]]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure of so many inches that shares no state with others."""
+    """Make an empty figure, width and height in inches, that shares no state with others."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def style(ax: Axes) -> None:
-    """Give axes the look that all pictures share."""
+def style_axes(ax: Axes) -> None:
+    """Give axes the common style of all figures."""
     ax.grid(True, linewidth=0.5, alpha=0.25, color=INK)
     ax.tick_params(colors=INK, labelsize=9)
     ax.xaxis.label.set_color(INK)
@@ -130,8 +132,8 @@ def style(ax: Axes) -> None:
         spine.set_color(INK)
 
 
-def both_panels(record: RunRecord) -> tuple[Panel, Panel]:
-    """By odometry alone, and corrected."""
+def make_panels(record: RunRecord) -> tuple[Panel, Panel]:
+    """Return the panels of odometry alone and of the corrected trajectory."""
     return (
         _panel(record, "Before: odometry alone", "odometry", record.map_before),
         _panel(record, "After: loops closed", "corrected", record.map_after),
@@ -141,10 +143,10 @@ def both_panels(record: RunRecord) -> tuple[Panel, Panel]:
 def _panel(record: RunRecord, heading: str, name: str, cloud: PointCloud) -> Panel:
     estimate = record.odometry if name == "odometry" else record.corrected
     covariances = record.odometry_covariances if name == "odometry" else record.corrected_covariances
-    truth = anchored_truth(record)
-    aligned = _UNMOVED
+    truth = anchor_ground_truth(record)
+    aligned = _IDENTITY
     if truth is not None and len(estimate):
-        aligned = fit(estimate, truth, scaled(record.metrics, name))
+        aligned = align_trajectory(estimate, truth, is_scaled(record.metrics, name))
     points = np.asarray(cloud.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     return Panel(
@@ -152,22 +154,22 @@ def _panel(record: RunRecord, heading: str, name: str, cloud: PointCloud) -> Pan
         name=name,
         colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
         positions=aligned.apply(estimate[:, :3, 3]),
-        landmarks=aligned.apply(points[:: len(points) // _DOTS + 1]),
+        landmarks=aligned.apply(points[:: len(points) // _MAX_LANDMARKS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
-        ellipses=_NONE if covariances is None else confidence_ellipses(estimate, covariances, aligned),
+        ellipses=_NO_ELLIPSES if covariances is None else confidence_ellipses(estimate, covariances, aligned),
     )
 
 
 def _ate(record: RunRecord, name: str) -> str:
     if record.ground_truth is None:
         return "no ground truth"
-    ate = text(value(record.metrics, f"{name}.ate_m"), 2, " m")
-    return f"ATE {ate}, {alignment(record.metrics, name)} alignment"
+    ate = format_value(metric_value(record.metrics, f"{name}.ate_m"), 2, " m")
+    return f"ATE {ate}, {alignment_name(record.metrics, name)} alignment"
 
 
-def draw(ax: Axes, panel: Panel, record: RunRecord) -> None:
-    """Draw the plan view of an estimate: map, trajectory, how sure it is, loops, start."""
-    style(ax)
+def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
+    """Draw the plan view of an estimate: map, trajectory, confidence ellipses, loops, start."""
+    style_axes(ax)
     ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)
     ax.set_xlabel("x [m]")
     x, _, z = panel.landmarks.T
@@ -192,19 +194,19 @@ def _draw_ellipses(ax: Axes, panel: Panel) -> None:
 
 
 def _draw_height(ax: Axes, panel: Panel) -> None:
-    """Height over the way driven: drift that a plan view cannot show."""
-    style(ax)
-    ax.set_xlabel("way driven [m]")
+    """Draw the height over the distance travelled: drift that a plan view cannot show."""
+    style_axes(ax)
+    ax.set_xlabel("distance travelled [m]")
     if panel.truth is not None:
         truth = panel.truth
-        ax.plot(_way(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
-    ax.plot(_way(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
+        ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
+    ax.plot(_distances(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
     low, high = ax.get_ylim()
-    if high - low < _SMALLEST:  # a flat drive is not magnified into mountains
-        ax.set_ylim((low + high - _SMALLEST) / 2, (low + high + _SMALLEST) / 2)
+    if high - low < _MIN_SIDE_M:  # a flat drive is not magnified into mountains
+        ax.set_ylim((low + high - _MIN_SIDE_M) / 2, (low + high + _MIN_SIDE_M) / 2)
 
 
-def _way(positions: Array) -> Array:
+def _distances(positions: Array) -> Array:
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
 
@@ -216,7 +218,7 @@ def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, st
     name = f"{label} ({len(pairs)})"
     ax.add_collection(LineCollection(list(ends), colors=colour, lw=1.0, ls=dashes, alpha=0.8, zorder=2.5))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=name)
-    # a loop that closed well is too short to see as a line; its dot peeps out from under the trajectory
+    # the line of a well closed loop is too short to be seen; a dot under the trajectory is wider than it
     ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.5, mew=0, zorder=2)
 
 
@@ -227,46 +229,46 @@ def _draw_start(ax: Axes, panel: Panel) -> None:
     away = np.linalg.norm(plan - plan[0], axis=1)
     ax.plot(*plan[0], "o", color=INK, mfc="none", ms=8, mew=1.5, ls="none", label="start and heading", zorder=7)
     if away.max() > 0:
-        ahead = plan[int(np.argmax(away > _AHEAD * away.max()))] - plan[0]
-        tip = ahead / np.linalg.norm(ahead) * _ARROW
+        ahead = plan[int(np.argmax(away > _HEADING_DISTANCE * away.max()))] - plan[0]
+        tip = ahead / np.linalg.norm(ahead) * _ARROW_POINTS
         arrow = {"arrowstyle": "<|-", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 5}
         ax.annotate("", xy=plan[0], xytext=tip, textcoords="offset points", arrowprops=arrow, zorder=7)
 
 
-def window(both: tuple[Panel, Panel]) -> tuple[Array, Array]:
-    """Centre (2,) and half size (2,), metres, of both panels: trajectories only, as landmarks stray."""
+def shared_window(both: tuple[Panel, Panel]) -> tuple[Array, Array]:
+    """Return centre (2,) and half size (2,), metres, that show both trajectories; landmarks may be far outliers."""
     shown = [panel.positions for panel in both] + [panel.truth for panel in both if panel.truth is not None]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
-    side = max(float((high - low).max()), _SMALLEST)
-    return (low + high) / 2, np.maximum((high - low) / 2, side * _NARROWEST / 2) + max(
-        _MARGIN * side, min(_SURROUNDINGS, side / 3)
+    side = max(float((high - low).max()), _MIN_SIDE_M)
+    return (low + high) / 2, np.maximum((high - low) / 2, side * _MIN_ASPECT / 2) + max(
+        _MARGIN * side, min(_MAX_MARGIN_M, side / 3)
     )
 
 
 def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG: the same figure gives the same bytes, whatever the day.
+    """Write a figure as PNG; the same figure gives the same bytes.
 
     Raises:
         OutputError: the file cannot be written.
     """
     try:
-        path.write_bytes(png(figure))
+        path.write_bytes(render_png(figure))
     except OSError as error:
         raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
 
 
-def png(figure: Figure) -> bytes:
+def render_png(figure: Figure) -> bytes:
     """Render a figure as PNG on white, without the date and version that matplotlib would add."""
     buffer = io.BytesIO()
-    render(figure, buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
+    save_figure(figure, buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
     return buffer.getvalue()
 
 
-def render(figure: Figure, buffer: IO[Any], **how: Any) -> None:
-    """Write a figure to a buffer as `Figure.savefig` does; letters that no font has become boxes."""
-    choose_fonts(figure)
+def save_figure(figure: Figure, buffer: IO[Any], **how: Any) -> None:
+    """Write a figure to a buffer as `Figure.savefig` does; a letter that no font has becomes a box."""
+    set_font_fallbacks(figure)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
         figure.savefig(buffer, **how)

@@ -1,4 +1,4 @@
-"""A pose graph before and after optimisation, with the loops that were kept and those left out."""
+"""Figure of a pose graph before and after optimisation, with its kept and its rejected loops."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from slam.graph_truth import aligned
 from slam.pose_graph_edges import Edges
 from slam.report import colours
-from slam.report.figures import INK, new_figure, style
+from slam.report.figures import INK, new_figure, style_axes
 from slam.robust_problem import BackEndResult, LoopProblem
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ _MAX_INK = 60.0  # opacity of all loops of a kind together, in opaque loops: man
 _MAX_LOOPS = 3000  # drawn of each kind; more only blacken the picture
 
 
-def graph_figure(name: str, problem: LoopProblem, result: BackEndResult, truth: Array | None) -> Figure:
+def draw_pose_graph(name: str, problem: LoopProblem, result: BackEndResult, truth: Array | None) -> Figure:
     """Draw odometry alone beside the optimised graph, metres.
 
     Args:
@@ -37,15 +37,15 @@ def graph_figure(name: str, problem: LoopProblem, result: BackEndResult, truth: 
     for ax, title, label, colour, poses in parts:
         positions = poses[:, :-1, -1] if truth is None else aligned(poses[:, :-1, -1], truth)
         positions = positions @ plane
-        _loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
-        _loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))
+        _draw_loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
+        _draw_loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))
         if truth is not None:  # above the estimate, dashed, so that both are seen where they agree
             ax.plot(
                 *(truth @ plane).T, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4
             )
         ax.plot(*positions.T, "-", color=colour, lw=1.4, label=label, zorder=3)
         ax.set_title(title, color=INK, fontsize=11)
-        _frame(ax, positions)
+        _set_limits(ax, positions)
     found = {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     figure.legend(
         found.values(), found.keys(), loc="outside lower center", ncols=len(found), frameon=False, labelcolor=INK
@@ -54,9 +54,9 @@ def graph_figure(name: str, problem: LoopProblem, result: BackEndResult, truth: 
     return figure
 
 
-def _frame(ax: Axes, positions: Array) -> None:
-    """Show the trajectory, whatever else is drawn."""
-    style(ax)
+def _set_limits(ax: Axes, positions: Array) -> None:
+    """Set the limits so that the whole trajectory is shown, whatever else is drawn."""
+    style_axes(ax)
     low, high = positions.min(axis=0), positions.max(axis=0)
     half = np.maximum(0.55 * (high - low), 0.25 * float((high - low).max()) + 1e-3)
     (left, bottom), (right, top) = (low + high) / 2 - half, (low + high) / 2 + half
@@ -64,7 +64,7 @@ def _frame(ax: Axes, positions: Array) -> None:
     ax.set_aspect("equal", adjustable="box")
 
 
-def _loops(ax: Axes, positions: Array, loops: Edges, look: tuple[str, str, str]) -> None:
+def _draw_loops(ax: Axes, positions: Array, loops: Edges, look: tuple[str, str, str]) -> None:
     name, colour, dashes = look
     drawn = loops[:: len(loops) // _MAX_LOOPS + 1] if len(loops) else loops
     alpha = float(np.clip(_MAX_INK / max(len(drawn), 1), 0.08, 0.6))
@@ -74,7 +74,7 @@ def _loops(ax: Axes, positions: Array, loops: Edges, look: tuple[str, str, str])
 
 
 def _plane(positions: Array) -> Array:
-    """Two axes (d, 2) to look along: the plane itself, or the two in which a graph in space spreads most."""
+    """Return the two axes (d, 2) that are drawn: those of the plane, or the two in which a 3D graph extends most."""
     d = positions.shape[1]
     if d == 2:
         return np.eye(2)

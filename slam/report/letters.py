@@ -1,42 +1,39 @@
-"""Letters of every script in pictures: what the usual font lacks is taken from any installed one that has it."""
+"""Fallback fonts of figures: names of places and recordings may be in any script."""
 
-from functools import lru_cache
+from functools import cache
 
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, fontManager, get_font
 from matplotlib.text import Text
 
-_BOXES = "Last Resort"  # a font that has everything, as empty boxes
+# Families of wide coverage on Linux, macOS and Windows, tried in this order for letters that DejaVu Sans, matplotlib's
+# own font, lacks. Only installed ones are used: matplotlib warns of any other.
+FALLBACK_FAMILIES = (
+    "Noto Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "Noto Sans CJK KR", "Noto Sans SC", "Noto Sans JP",
+    "Noto Sans KR", "Source Han Sans SC", "WenQuanYi Zen Hei", "Droid Sans Fallback", "Noto Sans Devanagari",
+    "Noto Sans Bengali", "Noto Sans Tamil", "Noto Sans Thai", "Noto Sans Hebrew", "Noto Sans Arabic", "FreeSans",
+    "Unifont", "Arial Unicode MS", "PingFang SC", "Hiragino Sans", "Apple SD Gothic Neo", "Microsoft YaHei",
+    "Yu Gothic", "Malgun Gothic", "Nirmala UI", "Leelawadee UI", "Segoe UI",
+)  # fmt: skip
 
 
-def choose_fonts(figure: Figure) -> None:
-    """Give the words of a figure the fonts that their letters need; where no font has one it stays a box."""
-    texts = figure.findobj(Text)
-    letters = frozenset(ord(letter) for text in texts for letter in text.get_text() if letter.isprintable())
-    more = _fonts_with(letters - _letters(findfont(FontProperties())))
-    for text in texts:
-        known = text.get_fontfamily()
-        text.set_fontfamily([*known, *(name for name in more if name not in known)])
+def set_font_fallbacks(figure: Figure) -> None:
+    """Give every text of a figure the installed fallback families after its own font."""
+    for text in figure.findobj(Text):
+        own = text.get_fontfamily()
+        text.set_fontfamily([*own, *(family for family in _installed() if family not in own)])
 
 
-@lru_cache(maxsize=8)
-def _fonts_with(letters: frozenset[int]) -> tuple[str, ...]:
-    """As few fonts as have these letters, first come by name; what none has is left out."""
-    chosen, missing = [], set(letters)
-    for entry in sorted(fontManager.ttflist, key=lambda entry: (entry.name, entry.fname)):
-        if not missing:
-            break
-        if entry.style == "normal" and not entry.name.startswith(_BOXES):
-            has = missing & _letters(entry.fname)
-            chosen += [entry.name] if has else []
-            missing -= has
-    return tuple(chosen)
+@cache
+def _installed() -> tuple[str, ...]:
+    known = set(fontManager.get_font_names())
+    return tuple(family for family in FALLBACK_FAMILIES if family in known and _is_readable(family))
 
 
-def _letters(path: str) -> set[int]:
-    """Code points that a font can draw at any size; none where the file is damaged or gone."""
+def _is_readable(family: str) -> bool:
+    """Return whether a family's file can be opened; a damaged one would fail when the figure is drawn."""
     try:
-        font = get_font(path)
-    except (OSError, RuntimeError):
-        return set()
-    return set(font.get_charmap()) if font.scalable else set()
+        get_font(findfont(FontProperties(family=family), fallback_to_default=False))
+    except (OSError, RuntimeError, ValueError):
+        return False
+    return True

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from slam.report import colours
-from slam.report.figures import INK, new_figure, style
+from slam.report.figures import INK, new_figure, style_axes
 
 Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
@@ -109,7 +109,7 @@ def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> 
     """
     figure = new_figure(6.4, 4.8)
     ax = figure.subplots()
-    style(ax)
+    style_axes(ax)
     ax.set(xlim=(-0.01, 1.01), ylim=(0.0, 1.03), xlabel="recall", ylabel="precision")
     ax.set_title(title, color=INK, parse_math=False, fontsize=11, fontweight="bold")
     for (name, curve), (colour, dashes) in zip(curves.items(), _LINES * len(curves), strict=False):
@@ -156,7 +156,7 @@ def _end(begins: Ids, size: int) -> int:
 
 
 def _frame(ax: Axes, title: str, images: int) -> None:
-    style(ax)
+    style_axes(ax)
     ax.grid(False)
     ax.set(xlim=(0, images), ylim=(images, 0), xlabel="earlier image", ylabel="query image")
     ax.set_aspect("equal")

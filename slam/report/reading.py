@@ -1,4 +1,4 @@
-"""Reading a record for people: values with their notes, the loops' fates, the time of each stage."""
+"""Values of a record as text: metrics with their notes, outcomes of loops, time of each stage."""
 
 import math
 from collections.abc import Mapping
@@ -11,16 +11,16 @@ from slam.record import LoopRow, RunRecord
 MISSING = "\N{EN DASH}"
 
 
-def value(metrics: Mapping[str, object], key: str) -> object | None:
-    """Look up a value by its dotted key, such as `odometry.ate_m`; None where it is absent, null or NaN."""
+def metric_value(metrics: Mapping[str, object], key: str) -> object | None:
+    """Return the value of a dotted key, such as `odometry.ate_m`; None if it is absent, null or NaN."""
     found: object = metrics
     for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return None if isinstance(found, float) and not math.isfinite(found) else found
 
 
-def note(metrics: Mapping[str, object], key: str) -> str:
-    """Why a value could not be computed: the note on its dotted key or on the nearest group, or empty."""
+def find_note(metrics: Mapping[str, object], key: str) -> str:
+    """Return why a value is missing: the note on its dotted key or on the nearest group, else an empty text."""
     notes = metrics.get("notes")
     if not isinstance(notes, Mapping):
         return ""
@@ -29,18 +29,18 @@ def note(metrics: Mapping[str, object], key: str) -> str:
     return next((str(notes[name]) for name in names if notes.get(name)), "")
 
 
-def scaled(metrics: Mapping[str, object], name: str) -> bool:
-    """Whether the estimate of this name was aligned with a scale, as that of one camera is."""
-    return "sim" in str(value(metrics, f"{name}.ate_alignment")).lower()
+def is_scaled(metrics: Mapping[str, object], name: str) -> bool:
+    """Return whether the estimate of this name was aligned with a scale, as monocular estimates are."""
+    return "sim" in str(metric_value(metrics, f"{name}.ate_alignment")).lower()
 
 
-def alignment(metrics: Mapping[str, object], name: str) -> str:
-    """Name the alignment of an estimate's ATE as papers write it."""
-    return "Sim(3)" if scaled(metrics, name) else "SE(3)"
+def alignment_name(metrics: Mapping[str, object], name: str) -> str:
+    """Return the name of the alignment of an estimate's ATE, as papers write it."""
+    return "Sim(3)" if is_scaled(metrics, name) else "SE(3)"
 
 
-def text(found: object | None, digits: int = 2, unit: str = "") -> str:
-    """Write a value for people: numbers with so many digits after the point, None as a dash."""
+def format_value(found: object | None, digits: int = 2, unit: str = "") -> str:
+    """Return a value as text: a float with `digits` decimals, None and NaN as a dash."""
     if found is None or (isinstance(found, float) and not math.isfinite(found)):
         return MISSING
     if isinstance(found, bool):
@@ -51,17 +51,17 @@ def text(found: object | None, digits: int = 2, unit: str = "") -> str:
 
 
 def kept(record: RunRecord) -> list[LoopRow]:
-    """Loops that stand in the corrected graph."""
+    """Return the loops that are in the corrected graph."""
     return [row for row in record.loops if row.in_graph]
 
 
 def rejected(record: RunRecord) -> list[LoopRow]:
-    """Return matches that the recogniser took for revisits and geometry or the back end turned down."""
+    """Return the matches that the recogniser accepted and geometry or the back end rejected."""
     return [row for row in record.loops if row.accepted and not row.in_graph]
 
 
-def verdict(row: LoopRow) -> str:
-    """How far a ledger row got, in one word: kept, dropped (by the back end), unverified or unlikely."""
+def loop_outcome(row: LoopRow) -> str:
+    """Return the outcome of a row in one word: kept, dropped (by the back end), unverified or unlikely."""
     if row.in_graph:
         return "kept"
     if row.verified:
@@ -71,12 +71,12 @@ def verdict(row: LoopRow) -> str:
 
 @dataclass(frozen=True)
 class StageTime:
-    """Time of one stage of the chain.
+    """Time of one stage of the pipeline.
 
     Attributes:
-        name: of the stage.
-        median, p99: milliseconds over the frames in which it ran.
-        share: of the whole time, 0 to 1.
+        name: name of the stage.
+        median, p99: median and 99th percentile over the frames in which it ran, milliseconds.
+        share: share of the total time, 0 to 1.
     """
 
     name: str
@@ -86,7 +86,7 @@ class StageTime:
 
 
 def stage_times(record: RunRecord) -> list[StageTime]:
-    """Time of each stage in the order of the chain; a stage that never ran is left out."""
+    """Return the time of each stage in the order of the pipeline; stages that never ran are left out."""
     stages = {name: ms[np.isfinite(ms) & (ms > 0)] for name, ms in record.stage_ms.items() if name != "total"}
     whole = sum(float(ms.sum()) for ms in stages.values()) or 1.0
     return [

@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: no outside reference, colours of the theme, text that can be read."""
+"""Figures as SVG within a page: without outside references, in the colours of the theme, with real text."""
 
 import io
 import re
@@ -8,9 +8,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from slam.report import colours
-from slam.report.figures import INK, render
+from slam.report.figures import INK, save_figure
 
-# The style sheet gives these variables one value for light pages and one for dark.
+# The style sheet gives each of these variables a value for light pages and one for dark pages.
 _THEMED = {
     INK: "currentColor",
     colours.GROUND_TRUTH: "var(--truth)",
@@ -21,20 +21,20 @@ _THEMED = {
     colours.REJECTED: "var(--rejected)",
     colours.MOST: "var(--most)",
 }
-_NOTHING = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+_NO_METADATA = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> Markup:
     """Render a figure as an `svg` element.
 
     Args:
-        figure: to render.
-        name: letters that make its ids unique within the page.
-        title: what it shows, for those who do not see it.
+        figure: figure to render.
+        name: prefix that makes its ids unique within the page.
+        title: description for readers who do not see the figure.
     """
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        render(figure, buffer, format="svg", dpi=120, transparent=True, metadata=_NOTHING)
+        save_figure(figure, buffer, format="svg", dpi=120, transparent=True, metadata=_NO_METADATA)
     drawn = buffer.getvalue()
     drawn = drawn[drawn.index("<svg") :]
     drawn = re.sub(r"<metadata>.*?</metadata>", "", drawn, flags=re.DOTALL)
@@ -44,4 +44,4 @@ def inline_svg(figure: Figure, name: str, title: str) -> Markup:
     for colour, themed in _THEMED.items():
         drawn = drawn.replace(colour, themed)
     label = Markup(' role="img" aria-label="{}"').format(title)
-    return Markup(drawn.replace("<svg", f"<svg{label}", 1))  # our own drawing; matplotlib escapes its text
+    return Markup(drawn.replace("<svg", f"<svg{label}", 1))  # safe to mark: matplotlib escapes the text

@@ -1,1 +1,1 @@
-"""Files in the field's own formats, written beside and renamed, never half."""
+"""File formats of results; every file is written beside its place and renamed, so that none is ever half written."""

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files: a file appears complete or not at all."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,10 +11,9 @@ from slam.errors import OutputError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`, same suffix; what is written there takes the place of `path`.
+    """Yield a temporary path beside `path` with the same suffix; the file written there replaces `path` at the end.
 
-    For libraries that want a file name. Where the block fails, the temporary file goes and `path` stays as it
-    was.
+    For libraries that need a file name. If the block fails, the temporary file is removed and `path` stays as it was.
 
     Raises:
         OutputError: the file cannot be written (no such folder, no permission, disk full).

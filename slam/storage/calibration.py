@@ -1,4 +1,4 @@
-"""`calibration.toml`: the pair, and what its odometry has learned of the error of its calibration."""
+"""`calibration.toml`: the stereo camera, and the calibration error that its odometry has estimated."""
 
 import tomllib
 from dataclasses import asdict
@@ -47,7 +47,7 @@ def read_calibration(path: Path) -> Calibration:
         camera = StereoCamera(**values["camera"])
     except OSError as problem:
         found = f"{problem.strerror}; {_REMEDY}, of a drive with two cameras"
-        raise DataError(f"{path}: expected the calibration that a run has learned, found {found}") from None
+        raise DataError(f"{path}: expected the calibration that a run has estimated, found {found}") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise DataError(f"{path}: expected camera, error_px and sigma_px, found {problem!r}; {_REMEDY}") from None
     if len(error) != COEFFICIENTS or len(sigma) != COEFFICIENTS or not np.isfinite([error, np.square(sigma)]).all():

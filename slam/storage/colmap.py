@@ -1,7 +1,7 @@
-"""The text model of COLMAP: `cameras.txt`, `images.txt` and `points3D.txt`.
+"""COLMAP's text model: `cameras.txt`, `images.txt` and `points3D.txt`.
 
-By its page "Output Format": poses map world to camera, quaternions have w first, and (0.5, 0.5) is the centre of the
-first pixel, which is (0, 0) everywhere else here.
+As its page "Output Format" defines: poses map world to camera, quaternions have w first, and the centre of the first
+pixel is (0.5, 0.5). Everywhere else in this product it is (0, 0).
 """
 
 from collections.abc import Iterator
@@ -15,48 +15,48 @@ from scipy.spatial.transform import Rotation
 from odometry import se3
 from slam.record import PointCloud
 from slam.storage.atomic import atomic_writer
-from slam.storage.landmarks import Sightings
+from slam.storage.landmarks import LandmarkObservers
 
 Array = NDArray[np.float64]
 
-_CENTRE = 0.5  # of the first pixel
-_UNKNOWN = -1  # reprojection error of a point that was not adjusted together with its images
+_FIRST_PIXEL_CENTRE = 0.5
+_UNKNOWN_ERROR = -1  # reprojection error of a point that is no result of bundle adjustment
 
 
 def image_name(frame: int) -> str:
-    """What the image of a frame is called, as in KITTI's folders."""
+    """Return the file name of the image of a frame, as in KITTI's folders."""
     return f"{frame:06d}.png"
 
 
 @dataclass(frozen=True)
 class Model:
-    """Cameras and points, as a run has found them.
+    """Poses and landmarks of a run.
 
     Attributes:
-        T_world_camera: (N, 4, 4) metres, of all frames.
-        cloud: (M,) landmarks, world frame.
-        sightings: which frame saw each.
+        T_world_camera: poses of all frames, (N, 4, 4), metres.
+        cloud: M landmarks, world frame.
+        observers: the frame that observed each landmark, and the camera.
     """
 
     T_world_camera: Array
     cloud: PointCloud
-    sightings: Sightings
+    observers: LandmarkObservers
 
     def pixels(self) -> Array:
-        """Where (M, 2) each landmark is in the image that saw it; (0, 0) is the centre of the first pixel."""
-        T_camera_world = se3.inverse(self.T_world_camera)[self.sightings.frames]
+        """Return the pixel (M, 2) of each landmark in its image; (0, 0) is the centre of the first pixel."""
+        T_camera_world = se3.inverse(self.T_world_camera)[self.observers.frames]
         x, y, z = np.einsum("mij,mj->im", T_camera_world[:, :3, :3], self.cloud.points) + T_camera_world[:, :3, 3].T
-        fx, fy, cx, cy = self.sightings.intrinsics
+        fx, fy, cx, cy = self.observers.intrinsics
         return np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
 
 
 def write_colmap(folder: Path, model: Model) -> None:
-    """Write the three files. Each landmark has been seen once, so that its track has one image.
+    """Write the three files. Each landmark was observed once, so its track has one image.
 
     Raises:
         OutputError: they cannot be written.
     """
-    _write(folder / "cameras.txt", _cameras(model.sightings))
+    _write(folder / "cameras.txt", _cameras(model.observers))
     _write(folder / "images.txt", _images(model))
     _write(folder / "points3D.txt", _points(model))
 
@@ -66,19 +66,19 @@ def _write(path: Path, lines: Iterator[str]) -> None:
         file.writelines(line + "\n" for line in lines)
 
 
-def _cameras(sightings: Sightings) -> Iterator[str]:
+def _cameras(observers: LandmarkObservers) -> Iterator[str]:
     yield "# CAMERA_ID, MODEL, WIDTH, HEIGHT, fx, fy, cx, cy"
-    fx, fy, cx, cy = sightings.intrinsics
-    width, height = sightings.size
-    yield _line(1, "PINHOLE", width, height, fx, fy, cx + _CENTRE, cy + _CENTRE)
+    fx, fy, cx, cy = observers.intrinsics
+    width, height = observers.size
+    yield _line(1, "PINHOLE", width, height, fx, fy, cx + _FIRST_PIXEL_CENTRE, cy + _FIRST_PIXEL_CENTRE)
 
 
 def _images(model: Model) -> Iterator[str]:
     yield "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
-    yield "# X, Y, POINT3D_ID of each landmark that the image has seen"
-    T_camera_world, pixels = se3.inverse(model.T_world_camera), model.pixels() + _CENTRE
+    yield "# X, Y, POINT3D_ID of each landmark in the image"
+    T_camera_world, pixels = se3.inverse(model.T_world_camera), model.pixels() + _FIRST_PIXEL_CENTRE
     quaternions = Rotation.from_matrix(T_camera_world[:, :3, :3]).as_quat(scalar_first=True, canonical=True)
-    order, starts = _grouped(model.sightings.frames, len(quaternions))
+    order, starts = _group_by_frame(model.observers.frames, len(quaternions))
     for frame, (T, quaternion) in enumerate(zip(T_camera_world, quaternions, strict=True)):
         yield _line(frame + 1, *quaternion, *T[:3, 3], 1, image_name(frame))
         seen = order[starts[frame] : starts[frame + 1]]
@@ -87,16 +87,16 @@ def _images(model: Model) -> Iterator[str]:
 
 def _points(model: Model) -> Iterator[str]:
     yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, (IMAGE_ID, POINT2D_IDX)"
-    frames = model.sightings.frames
-    order, starts = _grouped(frames, len(model.T_world_camera))
+    frames = model.observers.frames
+    order, starts = _group_by_frame(frames, len(model.T_world_camera))
     places = np.empty(len(frames), np.int64)  # of each point in the list of its image
     places[order] = np.arange(len(frames)) - starts[frames[order]]
     for point, (position, grey) in enumerate(zip(model.cloud.points, model.cloud.grey, strict=True)):
-        yield _line(point + 1, *position, grey, grey, grey, _UNKNOWN, frames[point] + 1, places[point])
+        yield _line(point + 1, *position, grey, grey, grey, _UNKNOWN_ERROR, frames[point] + 1, places[point])
 
 
-def _grouped(frames: NDArray[np.int32], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Points (M,) frame by frame, and where each of so many frames begins and the last one ends (count + 1,)."""
+def _group_by_frame(frames: NDArray[np.int32], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the points (M,) sorted by frame, and the first index of each frame, (count + 1,)."""
     order = np.argsort(frames, kind="stable")
     return order, np.searchsorted(frames[order], np.arange(count + 1))
 

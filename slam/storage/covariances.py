@@ -1,8 +1,8 @@
-"""`covariances.npz`: how sure each pose of a run is.
+"""`covariances.npz`: covariance of each pose of a run.
 
-Arrays `odometry` and `corrected`, (N, 6, 6) float64: covariance of the right perturbation `T_world_camera @ exp(xi)`
-of each pose in the trajectory file of that name, in the camera's own frame, rotation before translation (rad, m),
-the first pose held. The position's covariance in the world is `R @ C[3:, 3:] @ R.T` with R of the pose.
+Arrays `odometry` and `corrected`, (N, 6, 6) float64: covariance of the right perturbation `T_world_camera @ exp(xi)` of
+each pose in the trajectory file of that name, in the camera frame, rotation before translation (rad, m), with the first
+pose held fixed. The covariance of a position in the world is `R @ C[3:, 3:] @ R.T`, with R of the pose.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ from slam.storage.atomic import atomic_writer
 
 
 def write_covariances(path: Path, record: RunRecord) -> None:
-    """Write covariances.npz; an estimate whose covariances are not known is left out.
+    """Write covariances.npz; an estimate without covariances is left out.
 
     Raises:
         OutputError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""The lines of a g2o file as numbers, each one checked: complaints name the file, the line and the remedy."""
+"""Parser of g2o files: every line is checked, and errors name the file, the line and the remedy."""
 
 import re
 from collections.abc import Iterator
@@ -14,21 +14,21 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 UPPER = {dof: np.triu_indices(dof) for dof in (3, 6)}
-_ROUNDING = 1e-9  # of a negative eigenvalue, relative to the largest
-_SINGULAR = 1e-13  # least eigenvalue, relative to the largest, that solvers can use
-_UNIT_TOLERANCE = 0.01  # files round quaternions; more than this is damage
-_LARGEST_INFORMATION = 1e100  # whose square is a number still
-_LARGEST_ID = np.iinfo(np.int64).max
-_PASSED_OVER = "PRIOR"  # part of the names of factors that pull poses to absolute places
+_ROUNDING = 1e-9  # of a negative eigenvalue, relative to the largest one; also the size of a repaired eigenvalue
+_MIN_EIGENVALUE = 1e-13  # relative to the largest one: solvers cannot use less
+_UNIT_TOLERANCE = 0.01  # of the length of a quaternion: files round it, a larger error is damage
+_MAX_INFORMATION = 1e100  # whose square is still a finite number
+_MAX_ID = np.iinfo(np.int64).max
+_PRIOR = "PRIOR"  # part of the tags of factors on absolute positions, which are ignored
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a group's poses are written.
+    """Tags and sizes of the lines of planar or of spatial graphs.
 
     Attributes:
-        vertex, edge: the tags of its lines.
-        size: numbers of a pose.
+        vertex, edge: tags of pose lines and of edge lines.
+        size: count of numbers of a pose.
         dof: rows of an information matrix.
     """
 
@@ -39,7 +39,7 @@ class Kind:
 
     @classmethod
     def of(cls, name: str) -> "Kind":
-        """Kind of `SE2` or `SE3:QUAT`."""
+        """Return the kind of `SE2` or `SE3:QUAT`."""
         return cls(f"VERTEX_{name}", f"EDGE_{name}", *((3, 3) if name == "SE2" else (7, 6)))
 
 
@@ -48,18 +48,18 @@ _BY_TAG = {tag: kind for kind in KINDS for tag in (kind.vertex, kind.edge)}
 
 
 @dataclass(frozen=True)
-class GraphLines:
-    """What a file says, in the file's order of numbers.
+class ParsedGraph:
+    """The numbers of a g2o file, in the file's order.
 
     Attributes:
-        kind: plane or space.
-        vertex_ids: (N,).
-        vertices: (N, 3 or 7).
-        edge_ids: (M, 2).
-        edges: (M, 3 or 7).
-        information: (M, dof, dof), positive definite.
-        fixed: id of the pose that keeps its place, or None.
-        warnings: what was repaired or passed over.
+        kind: planar or spatial.
+        vertex_ids: ids of the poses, (N,).
+        vertices: numbers of the poses, (N, 3) or (N, 7).
+        edge_ids: ids that each edge joins, (M, 2).
+        edges: numbers of the relative poses, (M, 3) or (M, 7).
+        information: information matrices, (M, dof, dof), positive definite.
+        fixed: id of the pose that is held fixed, or None.
+        warnings: what was repaired or ignored.
     """
 
     kind: Kind
@@ -73,91 +73,87 @@ class GraphLines:
 
     @property
     def placed(self) -> bool:
-        """The file has poses, not edges alone."""
+        """Whether the file has poses, not only edges."""
         return len(self.vertex_ids) > 0
 
 
-class _Reader:
-    """Collects the numbers of one file's lines."""
+class _Table:
+    """The lines of one tag: ids of poses, then numbers, of which the first are a pose."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.kind: Kind | None = None
-        self.ids: list[int] = []
-        self.vertices: list[Array] = []
-        self.ends: list[tuple[int, int]] = []
-        self.edges: list[Array] = []
-        self.edge_lines: list[int] = []
-        self.fixed: int | None = None
-        self.priors: list[int] = []
+    def __init__(self, path: Path, tag: str, num_ids: int, num_numbers: int) -> None:
+        self.tag = tag
+        self._path, self._num_ids, self._num_numbers = path, num_ids, num_numbers
+        self._lines: list[int] = []
+        self._ids: list[list[int]] = []
+        self._numbers: list[list[float]] = []
 
-    def take(self, number: int, words: list[str]) -> None:
-        """Take one line in, or pass it over."""
-        if words[0] in _BY_TAG:
-            self._take_numbers(number, words)
-        elif words[0] == "FIX" and self.fixed is None and re.fullmatch(r"FIX \d{1,19}", " ".join(words)):
-            self.fixed = int(words[1])
-        elif _PASSED_OVER in words[0]:
-            self.priors.append(number)
-
-    def _take_numbers(self, number: int, words: list[str]) -> None:
-        kind = _BY_TAG[words[0]]
-        self.kind = self.kind or kind
-        if kind is not self.kind:
-            raise GraphError(
-                f"{self.path}, line {number}: expected {self.kind.vertex} or {self.kind.edge} as before, found "
-                f"{words[0]}; poses of the plane and of space do not mix, write two files"
-            )
-        if words[0] == kind.vertex:
-            ids, numbers = self._parsed(number, words, 1, kind.size)
-            self.ids.append(ids[0])
-            self.vertices.append(numbers)
-        else:
-            ids, numbers = self._parsed(number, words, 2, kind.size + kind.dof * (kind.dof + 1) // 2)
-            self.ends.append((ids[0], ids[1]))
-            self.edges.append(numbers)
-            self.edge_lines.append(number)
-
-    def _parsed(self, number: int, words: list[str], ids: int, size: int) -> tuple[list[int], Array]:
-        """Names of poses, and the numbers that follow them."""
-        where = f"{self.path}, line {number}: {words[0]}"
-        if len(words) - 1 != ids + size:
-            raise GraphError(f"{where} has {len(words) - 1} numbers, expected {ids + size}; was the file cut short?")
+    def add(self, line: int, words: list[str]) -> None:
+        """Parse one line."""
+        where, count = f"{self._path}, line {line}: {self.tag}", self._num_ids + self._num_numbers
+        if len(words) - 1 != count:
+            raise GraphError(f"{where} has {len(words) - 1} numbers, expected {count}; was the file cut short?")
         try:
-            names, numbers = [int(word) for word in words[1 : ids + 1]], np.array([*map(float, words[ids + 1 :])])
+            ids = [int(word) for word in words[1 : self._num_ids + 1]]
+            numbers = [float(word) for word in words[self._num_ids + 1 :]]
         except ValueError as error:
-            raise GraphError(f"{where} expected numbers, found others: {error}; mend that line") from error
-        if not all(abs(name) <= _LARGEST_ID for name in names):
-            raise GraphError(f"{where} expected names of poses up to {_LARGEST_ID}, found others; mend that line")
-        self._check_finite(where, numbers)
-        return names, numbers
+            raise GraphError(f"{where} expected numbers, found others: {error}; correct that line") from error
+        if max(map(abs, ids)) > _MAX_ID:
+            raise GraphError(f"{where} expected ids of poses up to {_MAX_ID}, found others; correct that line")
+        self._lines.append(line)
+        self._ids.append(ids)
+        self._numbers.append(numbers)
 
-    def _check_finite(self, where: str, numbers: Array) -> None:
-        flat = self.kind is KINDS[0]
-        length = 1.0 if flat else float(np.linalg.norm(numbers[3:7]))
-        if not np.isfinite(numbers).all() or abs(length - 1.0) > _UNIT_TOLERANCE:
-            quaternion = "" if flat else f" and a unit quaternion, its length is {length:.6g}"
-            raise GraphError(f"{where} expected finite numbers{quaternion}; mend that line")
+    def where(self, row: int) -> str:
+        """Return file and line of a row, for messages."""
+        return f"{self._path}, line {self._lines[row]}"
+
+    def arrays(self) -> tuple[Ids, Array]:
+        """Return ids (N, 1 or 2) and numbers (N, K) of all lines, checked to be finite with unit quaternions."""
+        ids = np.array(self._ids, np.int64).reshape(-1, self._num_ids)
+        numbers = np.array(self._numbers).reshape(-1, self._num_numbers)
+        is_planar = _BY_TAG[self.tag] is KINDS[0]
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are refused below
+            lengths = np.ones(len(numbers)) if is_planar else np.linalg.norm(numbers[:, 3:7], axis=1)
+            is_valid = np.isfinite(numbers).all(axis=1) & (np.abs(lengths - 1.0) <= _UNIT_TOLERANCE)
+        for row in np.flatnonzero(~is_valid)[:1]:
+            quaternion = "" if is_planar else f" and a unit quaternion, its length is {lengths[row]:.6g}"
+            raise GraphError(f"{self.where(row)}: {self.tag} expected finite numbers{quaternion}; correct that line")
+        return ids, numbers
 
 
-def read_lines_of(path: Path) -> GraphLines:
-    """Read and check the lines of a g2o file.
+def parse_g2o(path: Path) -> ParsedGraph:
+    """Parse and check a g2o file.
 
     Raises:
         GraphError: see `slam.storage.g2o.read_g2o`.
     """
-    reader = _Reader(path)
-    for number, words in _lines(path):
-        reader.take(number, words)
-    if reader.kind is None:
+    tables: dict[str, _Table] = {}
+    fixed, priors = None, []
+    for line, words in _read_words(path):
+        tag = words[0]
+        if tag in _BY_TAG:
+            tables = tables or _make_tables(path, _BY_TAG[tag])
+            if tag not in tables:
+                raise GraphError(
+                    f"{path}, line {line}: expected {' or '.join(tables)} as before, found {tag}; poses of the plane"
+                    " and of space do not mix, write two files"
+                )
+            tables[tag].add(line, words)
+        elif fixed is None and re.fullmatch(r"FIX \d{1,19}", " ".join(words)):
+            fixed = int(words[1])
+        elif _PRIOR in tag:
+            priors.append(f"{path}, line {line}")
+    if not tables:
         raise GraphError(
             f"{path}: expected VERTEX_SE2, VERTEX_SE3:QUAT, EDGE_SE2 or EDGE_SE3:QUAT lines, found none; "
             "is this a pose graph in g2o format?"
         )
-    return _checked(reader, reader.kind)
+    ignored = [f"{priors[0]}: {len(priors)} priors are ignored"] if priors else []
+    vertices, edges = tables.values()
+    return _check_graph(path, vertices, edges, fixed, ignored)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _read_words(path: Path) -> Iterator[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -168,76 +164,80 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield number, words
 
 
-def _checked(reader: _Reader, kind: Kind) -> GraphLines:
-    vertices = np.array(reader.vertices).reshape(-1, kind.size)
-    edges = np.array(reader.edges).reshape(-1, kind.size + len(UPPER[kind.dof][0]))
-    ids, ends = np.array(reader.ids, np.int64), np.array(reader.ends, np.int64).reshape(-1, 2)
-    _check_ids(reader.path, ids)
+def _make_tables(path: Path, kind: Kind) -> dict[str, _Table]:
+    edge_size = kind.size + len(UPPER[kind.dof][0])
+    return {
+        kind.vertex: _Table(path, kind.vertex, 1, kind.size),
+        kind.edge: _Table(path, kind.edge, 2, edge_size),
+    }
+
+
+def _check_graph(
+    path: Path, vertex_table: _Table, edge_table: _Table, fixed: int | None, ignored: list[str]
+) -> ParsedGraph:
+    kind = _BY_TAG[vertex_table.tag]
+    (ids, vertices), (ends, edges) = vertex_table.arrays(), edge_table.arrays()
+    _check_unique(path, ids[:, 0])
     if len(ids):
-        _check_ends(reader, kind, ids, ends)
-    information, kept, warnings = _mended(reader, edges[:, kind.size :], ends)
-    if reader.priors:
-        warnings.append(f"{reader.path}, line {reader.priors[0]}: {len(reader.priors)} priors are passed over")
-    return GraphLines(
-        kind, ids, vertices, ends[kept], edges[kept, : kind.size], information, reader.fixed, tuple(warnings)
-    )
+        _check_ends(edge_table, kind, ids[:, 0], ends)
+    information, is_kept, warnings = _repair_information(edge_table, edges[:, kind.size :], ends)
+    return ParsedGraph(
+        kind, ids[:, 0], vertices, ends[is_kept], edges[is_kept, : kind.size], information, fixed,
+        (*warnings, *ignored),
+    )  # fmt: skip
 
 
-def _check_ids(path: Path, ids: Ids) -> None:
-    known, counts = np.unique(ids, return_counts=True)
+def _check_unique(path: Path, ids: Ids) -> None:
+    unique, counts = np.unique(ids, return_counts=True)
     if len(counts) and counts.max() > 1:
-        twice = known[counts.argmax()]
+        twice = unique[counts.argmax()]
         raise GraphError(f"{path}: pose {twice} is there {counts.max()} times, expected once; remove the others")
 
 
-def _check_ends(reader: _Reader, kind: Kind, ids: Ids, ends: Ids) -> None:
-    lost = np.flatnonzero(~np.isin(ends, ids).all(axis=1))
-    if lost.size:
-        missing = next(int(end) for end in ends[lost[0]] if end not in ids)
+def _check_ends(table: _Table, kind: Kind, ids: Ids, ends: Ids) -> None:
+    for row in np.flatnonzero(~np.isin(ends, ids).all(axis=1))[:1]:
+        missing = next(int(end) for end in ends[row] if end not in ids)
         raise GraphError(
-            f"{reader.path}, line {reader.edge_lines[lost[0]]}: expected poses with a {kind.vertex} line, found "
+            f"{table.where(row)}: expected poses with a {kind.vertex} line, found "
             f"an edge to {missing}, which has none; add it, or leave out all poses"
         )
 
 
-def _mended(reader: _Reader, upper: Array, ends: Ids) -> tuple[Array, NDArray[np.bool_], list[str]]:
-    """Information of the edges that say something, which those are, and what was said about the others."""
-    beyond = np.flatnonzero(np.abs(upper).max(axis=1, initial=0.0) > _LARGEST_INFORMATION)
-    if beyond.size:
+def _repair_information(table: _Table, upper: Array, ends: Ids) -> tuple[Array, NDArray[np.bool_], list[str]]:
+    """Return the information of usable edges, which edges those are, and warnings about the others."""
+    for row in np.flatnonzero(np.abs(upper).max(axis=1, initial=0.0) > _MAX_INFORMATION)[:1]:
         raise GraphError(
-            f"{reader.path}, line {reader.edge_lines[beyond[0]]}: expected information up to {_LARGEST_INFORMATION:g}, "
-            "found more; mend that line"
+            f"{table.where(row)}: expected information up to {_MAX_INFORMATION:g}, found more; correct that line"
         )
     information = _symmetric(upper)
     spectrum = np.linalg.eigvalsh(information) if len(information) else np.ones((0, 1))
     largest = np.abs(spectrum).max(axis=1)
-    negative = np.flatnonzero(spectrum[:, 0] < -_ROUNDING * largest)
-    if negative.size:
-        i, j = ends[negative[0]]
+    for row in np.flatnonzero(spectrum[:, 0] < -_ROUNDING * largest)[:1]:
+        i, j = ends[row]
         raise GraphError(
-            f"{reader.path}, line {reader.edge_lines[negative[0]]}: the information of edge {i} {j} has a negative "
-            "eigenvalue, expected none; are its numbers the upper triangle by rows?"
+            f"{table.where(row)}: the information of edge {i} {j} has a negative eigenvalue, expected none; are its"
+            " numbers the upper triangle by rows?"
         )
-    selves, empty = ends[:, 0] == ends[:, 1], largest == 0
-    flat = ~selves & ~empty & (spectrum[:, 0] < _SINGULAR * largest)
-    lift = np.where(flat, _ROUNDING * largest, 0.0)
+    is_loop_to_itself, is_empty = ends[:, 0] == ends[:, 1], largest == 0
+    is_kept = ~is_loop_to_itself & ~is_empty
+    is_singular = is_kept & (spectrum[:, 0] < _MIN_EIGENVALUE * largest)
+    lift = np.where(is_singular, _ROUNDING * largest, 0.0)
     information = information + lift[:, None, None] * np.eye(information.shape[1])
-    told = (
-        (selves, "joins a pose to itself and is left out"),
-        (empty & ~selves, "has zero information and is left out"),
-        (flat, "has no information in some direction; a billionth of its largest is put there"),
+    problems = (
+        (is_loop_to_itself, "joins a pose to itself and is left out"),
+        (is_empty & ~is_loop_to_itself, "has zero information and is left out"),
+        (is_singular, "has no information in some direction; a billionth of its largest is put there"),
     )
     warnings = [
-        f"{reader.path}, line {reader.edge_lines[np.flatnonzero(which)[0]]}: an edge {what} ({which.sum()} such edges)"
-        for which, what in told
+        f"{table.where(int(np.argmax(which)))}: an edge {what} ({which.sum()} such edges)"
+        for which, what in problems
         if which.any()
     ]
-    kept = ~selves & ~empty
-    return information[kept], kept, warnings
+    return information[is_kept], is_kept, warnings
 
 
 def _symmetric(upper: Array) -> Array:
-    """Matrices (M, dof, dof) of their upper triangles by rows (M, dof (dof + 1) / 2)."""
+    """Return the symmetric matrices (M, dof, dof) of upper triangles by rows (M, dof (dof + 1) / 2)."""
     dof = 3 if upper.shape[1] == 6 else 6
     rows, columns = UPPER[dof]
     out = np.zeros((len(upper), dof, dof))

@@ -1,7 +1,7 @@
-"""`landmarks.npz`: what the points of a run's maps do not say themselves, which frame saw each and through what camera.
+"""`landmarks.npz`: the frame that observed each point of a run's maps, and the camera.
 
-Arrays `frames`, (M,) int32, of the M points of map_before.ply and map_after.ply in their order; `intrinsics`, (4,)
-fx, fy, cx, cy, pixels; `size`, (2,) width and height.
+Arrays: `frames`, (M,) int32, one for each of the M points of map_before.ply and map_after.ply, in their order;
+`intrinsics`, (4,), fx, fy, cx, cy, pixels; `size`, (2,), width and height, pixels.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ _REMEDY = "make the run again with: revisit run SOURCE --out DIR"
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """Which frame saw each landmark, through what camera.
+class LandmarkObservers:
+    """The frame that observed each landmark, and the camera.
 
     Attributes:
-        frames: (M,) index of the frame.
-        intrinsics: (4,) fx, fy, cx, cy, pixels; (0, 0) is the centre of the first pixel.
-        size: (2,) width and height, pixels.
+        frames: index of the frame, (M,).
+        intrinsics: fx, fy, cx, cy, (4,), pixels; (0, 0) is the centre of the first pixel.
+        size: width and height, (2,), pixels.
     """
 
     frames: NDArray[np.int32]
@@ -33,7 +33,7 @@ class Sightings:
     size: NDArray[np.int32]
 
 
-def write_sightings(path: Path, frames: NDArray[np.int32], camera: PinholeCamera) -> None:
+def write_landmark_observers(path: Path, frames: NDArray[np.int32], camera: PinholeCamera) -> None:
     """Write landmarks.npz.
 
     Raises:
@@ -45,7 +45,7 @@ def write_sightings(path: Path, frames: NDArray[np.int32], camera: PinholeCamera
         np.savez_compressed(file, frames=frames, intrinsics=intrinsics, size=size)
 
 
-def read_sightings(path: Path) -> Sightings:
+def read_landmark_observers(path: Path) -> LandmarkObservers:
     """Read landmarks.npz.
 
     Raises:
@@ -54,14 +54,14 @@ def read_sightings(path: Path) -> Sightings:
     try:
         arrays = [read_array(path, name) for name in ("frames", "intrinsics", "size")]
     except ValueError as error:
-        raise DataError(f"{path}: expected what saw the landmarks of a run, found {error}; {_REMEDY}") from None
+        raise DataError(f"{path}: expected the observers of a run's landmarks, found {error}; {_REMEDY}") from None
     kinds = [None if array is None else (array.dtype.str, array.ndim) for array in arrays]
     frames, intrinsics, size = arrays
     if frames is None or intrinsics is None or size is None or kinds != [("<i4", 1), ("<f8", 1), ("<i4", 1)]:
         raise DataError(f"{path}: expected the arrays frames, intrinsics and size, found others; {_REMEDY}")
     if intrinsics.shape != (4,) or size.shape != (2,) or not _is_camera(intrinsics, size) or (frames < 0).any():
         raise DataError(f"{path}: expected a camera, and frames from 0 on, found others; {_REMEDY}")
-    return Sightings(frames, intrinsics, size)
+    return LandmarkObservers(frames, intrinsics, size)
 
 
 def _is_camera(intrinsics: NDArray[np.float64], size: NDArray[np.int32]) -> bool:

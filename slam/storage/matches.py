@@ -20,7 +20,7 @@ _NEEDED = MATCH_COLUMNS[:3]
 
 
 def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
-    """Write matches.csv: a line for each belief; no match, and inliers that were not counted, are empty cells.
+    """Write matches.csv, a line for each belief; a missing match and uncounted inliers are empty cells.
 
     Raises:
         OutputError: the file cannot be written.
@@ -29,7 +29,7 @@ def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
 
 
 def write_curve(path: Path, curve: PrecisionRecall | None) -> None:
-    """Write precision_recall.csv: a line for each threshold, falling; only the header where there is no curve.
+    """Write precision_recall.csv, a line for each threshold, descending; without a curve only the header.
 
     Raises:
         OutputError: the file cannot be written.
@@ -54,11 +54,11 @@ def write_matrix(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 def read_matches(path: Path) -> tuple[Belief, ...]:
     """Read beliefs, by query, from matches.csv or any table with the columns query, match and score.
 
-    Where a table does not say that a match was accepted or verified, it was.
+    A table without the column accepted or verified counts all its matches as such.
 
     Raises:
-        DataError: missing file, other columns, a cell that is no number, a match that is not earlier than its
-            query, two lines for one query.
+        DataError: the file is missing, columns are missing, a cell is not a number, a match is not earlier than its
+            query, or a query has two lines.
     """
     beliefs: dict[int, Belief] = {}
     for number, row in _rows(path):
@@ -91,7 +91,7 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
 def _belief(where: str, row: dict[str, str]) -> Belief:
     query, match = _index(where, row, "query"), _index(where, row, "match") if row["match"] else None
     if match is not None and match >= query:
-        raise DataError(f"{where}: expected a match earlier than query {query}, found {match}; swap or mend them")
+        raise DataError(f"{where}: expected a match earlier than query {query}, found {match}; swap or correct them")
     verified = _truth_value(where, row, "verified")
     return Belief(
         query=query,
@@ -109,7 +109,7 @@ def _index(where: str, row: dict[str, str], name: str) -> int:
     except ValueError:
         value = -1.0
     if not (value >= 0 and math.isfinite(value) and value.is_integer()):
-        raise DataError(f"{where}: expected {name} to be a whole number from 0, found {row[name]!r}; mend that line")
+        raise DataError(f"{where}: expected {name} to be a whole number from 0, found {row[name]!r}; correct that line")
     return int(value)
 
 
@@ -119,7 +119,7 @@ def _score(where: str, cell: str) -> float:
     except ValueError:
         score = math.nan
     if not math.isfinite(score):
-        raise DataError(f"{where}: expected a finite score, found {cell!r}; mend that line")
+        raise DataError(f"{where}: expected a finite score, found {cell!r}; correct that line")
     return score
 
 
@@ -127,5 +127,5 @@ def _truth_value(where: str, row: dict[str, str], name: str) -> bool:
     cell = (row.get(name) or "true").strip().lower()
     values = {"true": True, "false": False, "1": True, "0": False}
     if cell not in values:
-        raise DataError(f"{where}: expected {name} to be true or false, found {row[name]!r}; mend that line")
+        raise DataError(f"{where}: expected {name} to be true or false, found {row[name]!r}; correct that line")
     return values[cell]

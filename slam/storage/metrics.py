@@ -1,4 +1,4 @@
-"""`metrics.json`: what was measured, as numbers or as null with a reason."""
+"""`metrics.json`: the measurements of a run; a missing value is null, with a note that gives the reason."""
 
 import json
 import math
@@ -18,12 +18,12 @@ _THEN = ("odometry", "online", "corrected", "loops", "places", "graph", "timing_
 
 
 def write_metrics(path: Path, metrics: Mapping[str, object]) -> None:
-    """Write metrics.json: SI units, null for what could not be computed.
+    """Write metrics.json: SI units, null for values that could not be computed.
 
     Args:
-        path: the file.
-        metrics: nested; "notes" maps the dotted name of a null ("odometry.t_rel_percent") to its reason. NaN
-            and infinity become null and get a note; numpy numbers and arrays become plain ones.
+        path: the file to write.
+        metrics: nested mappings; "notes" maps the dotted name of a null ("odometry.t_rel_percent") to its reason.
+            NaN and infinity become null and get a note; NumPy numbers and arrays become plain ones.
 
     Raises:
         OutputError: the file cannot be written.
@@ -33,7 +33,7 @@ def write_metrics(path: Path, metrics: Mapping[str, object]) -> None:
 
 
 def metrics_text(metrics: Mapping[str, object]) -> str:
-    """The JSON that `write_metrics` writes."""
+    """Return the JSON text that `write_metrics` writes."""
     found: dict[str, str] = {}
     plain = {key: _plain(value, key, found) for key, value in metrics.items() if key != "notes"}
     given = metrics.get("notes", {})

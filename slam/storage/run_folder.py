@@ -1,4 +1,4 @@
-"""The folder of one run: complete when it appears, and never at the cost of the run before it."""
+"""The result folder of a run: results appear all at once, and an earlier run is kept until then."""
 
 import shutil
 from dataclasses import dataclass
@@ -12,8 +12,7 @@ from slam.errors import OutputError
 STAGING = ".unfinished-"
 _EARLIER = ".earlier-"
 
-# Whatever the commands write. Only these go when a run is overwritten; other files were put there by somebody
-# else.
+# All files that the commands write. Only these are removed when a run is overwritten; others belong to the user.
 _RESULTS = """
 metrics.json config.toml run.log report.html recording.rrd before_after.png
 map.db trajectory_map.txt trajectory_map.tum frames.csv loops.csv loop_stages.csv loop_events.csv
@@ -23,23 +22,22 @@ trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
 pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz
 dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
 matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
-dense.rrd
+dense.html dense.rrd
 """
 RESULTS = frozenset(_RESULTS.split())
 
 
 @dataclass
 class RunFolder:
-    """Where results wait until the run is complete.
+    """Staging folder of a run's results, a context manager.
 
-    Results are written into `path`, a hidden folder inside `final`, and moved up by `commit`. Inside, not
-    beside: `final` may be a mounted volume that can neither be renamed nor have siblings. Used as a context
-    manager; a run that leaves the block without commit leaves `final` as it was. A caller that catches
-    KeyboardInterrupt inside the block can still commit what there is.
+    Results are written into `path`, a hidden folder inside `final`, and moved up by `commit`. It is inside and not
+    beside, as `final` may be a mounted volume that can neither be renamed nor have siblings. A block that ends without
+    commit leaves `final` as it was. A caller that catches KeyboardInterrupt inside the block can still commit.
 
     Attributes:
         final: the folder that the user named.
-        path: the folder to write into until commit; afterwards the same as `final`.
+        path: the folder to write into; the same as `final` after commit.
     """
 
     final: Path
@@ -58,8 +56,8 @@ class RunFolder:
             if path.exists() and not path.is_dir():
                 raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
             created = not path.exists()
-            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
-        except OSError as error:  # a name too long to be one, a folder that nobody may look into
+            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_staging(item)]
+        except OSError as error:  # a name that is too long, a folder without read permission
             raise OutputError(f"{path}: expected a folder, found: {error.strerror}; choose another") from error
         if held and not overwrite:
             what = "the results of a run" if "metrics.json" in held else f"other files ({held[0]}, ...)"
@@ -74,18 +72,18 @@ class RunFolder:
         return cls(path, staging, created)
 
     @classmethod
-    def go_on(cls, path: Path, staging: Path) -> Self:
-        """Take over what a run into `path` has left behind in `staging`."""
+    def reopen(cls, path: Path, staging: Path) -> Self:
+        """Reopen the staging folder that a stopped run into `path` has left."""
         return cls(path, staging, False, True)
 
     def keep(self) -> None:
-        """Leave what has been written where it is, whatever happens: a later run goes on with it."""
+        """Keep the staging folder even without commit, so that a later run can resume."""
         self._kept = True
 
     def commit(self) -> None:
-        """Move the results into place; the earlier run's go. Others stay, unless a result has their name.
+        """Move the results into place and remove those of an earlier run; other files stay, unless replaced.
 
-        Where a move fails everything moves back.
+        If a move fails, all moves are undone.
 
         Raises:
             OutputError: the results cannot be moved.
@@ -99,7 +97,7 @@ class RunFolder:
         except OSError as error:
             raise OutputError(f"{self.final}: cannot be replaced, {error.strerror}; close what uses it") from error
         shutil.rmtree(earlier, ignore_errors=True)
-        for left in unfinished(self.final):  # its own, and those of runs that this one has overtaken
+        for left in unfinished(self.final):  # of this run, and of earlier unfinished ones
             shutil.rmtree(left, ignore_errors=True)
         self.path = self.final
 
@@ -126,10 +124,10 @@ class RunFolder:
 
 
 def unfinished(path: Path) -> list[Path]:
-    """Folders of runs into `path` that have not ended, or were killed."""
+    """Return the staging folders of runs into `path` that are still running or were killed."""
     try:
         return sorted(path.glob(f"{STAGING}*")) if path.is_dir() else []
-    except OSError:  # a name that none can have
+    except OSError:  # not a valid file name
         return []
 
 
@@ -145,6 +143,6 @@ def _move_all(moves: list[tuple[Path, Path]]) -> None:
         raise
 
 
-def _is_ours(item: Path) -> bool:
-    # What a killed run left behind is no reason to refuse the next one.
+def _is_staging(item: Path) -> bool:
+    # Remains of a killed run are no reason to refuse the next one.
     return item.name.startswith((STAGING, _EARLIER))

@@ -1,6 +1,6 @@
-"""The tables of a run.
+"""The CSV tables of a run.
 
-`frames.csv` has a line for each frame, `loops.csv` is the ledger of every belief, `loop_stages.csv` holds what each
+`frames.csv` has a line for each frame, `loops.csv` is the loop log with a line for each belief, `loop_stages.csv` holds what each
 stage measured of it, and `loop_events.csv` the decisions of the online pose graph about verified loops. Unknown values
 (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
 """
@@ -30,16 +30,16 @@ _STAGE_SUFFIX = "_ms"
 
 @dataclass(frozen=True)
 class FrameTable:
-    """How each frame's motion was found and how long every stage took.
+    """The motion estimate of each frame, and the time of each stage.
 
     Attributes:
-        timestamps: (N,) seconds.
-        predicted: (N,) bool, motion extrapolated instead of measured.
-        reasons: N, why it was predicted; empty when measured.
-        inliers: (N,) int, tracks that agree with the motion.
-        tracks: (N,) int, all tracks.
-        residual_px: (N,) root mean square reprojection error of the inliers, pixels; NaN when predicted.
-        stage_ms: milliseconds of each stage, stage name to (N,); NaN where a stage did not run.
+        timestamps: times, (N,), seconds.
+        predicted: whether the motion was extrapolated instead of measured, (N,) bool.
+        reasons: reasons of the prediction, N texts; empty for measured motions.
+        inliers: counts of tracks that agree with the motion, (N,) int.
+        tracks: counts of all tracks, (N,) int.
+        residual_px: root mean square reprojection error of the inliers, (N,), pixels; NaN for predicted motions.
+        stage_ms: milliseconds of each stage, (N,); NaN for frames in which it did not run.
     """
 
     timestamps: Array
@@ -64,14 +64,14 @@ def write_frames(path: Path, table: FrameTable) -> None:
     columns = [table.timestamps, status, table.reasons, table.inliers, table.tracks, table.residual_px]
     columns += table.stage_ms.values()
     header = FRAME_COLUMNS + tuple(stage.replace(" ", "_") + _STAGE_SUFFIX for stage in table.stage_ms)
-    write_table(path, header, zip(range(len(table)), *map(_listed, columns), strict=True))
+    write_table(path, header, zip(range(len(table)), *map(_to_list, columns), strict=True))
 
 
 def read_frames(path: Path) -> FrameTable:
     """Read frames.csv.
 
     Raises:
-        DataError: missing file, other columns, a cell that cannot be read.
+        DataError: the file is missing, columns are missing, or a cell cannot be read.
     """
     header, rows = _read(path, FRAME_COLUMNS)
     stages = [name for name in header if name.endswith(_STAGE_SUFFIX)]
@@ -83,15 +83,15 @@ def read_frames(path: Path) -> FrameTable:
         timestamps=column("timestamp", _float, float),
         predicted=column("status", lambda cell: {"predicted": True, "measured": False}[cell], bool),
         reasons=tuple(row["reason"] for row in rows),
-        inliers=column("inliers", _whole, np.int64),
-        tracks=column("tracks", _whole, np.int64),
+        inliers=column("inliers", _integer, np.int64),
+        tracks=column("tracks", _integer, np.int64),
         residual_px=column("residual_px", _float, float),
         stage_ms={name.removesuffix(_STAGE_SUFFIX): column(name, _float, float) for name in stages},
     )
 
 
 def write_loops(path: Path, loops: Iterable[LoopRow]) -> None:
-    """Write loops.csv, one line for each row of the ledger.
+    """Write loops.csv, one line for each row of the loop log.
 
     Raises:
         OutputError: the file cannot be written.
@@ -103,13 +103,13 @@ def read_loops(path: Path) -> tuple[LoopRow, ...]:
     """Read loops.csv.
 
     Raises:
-        DataError: missing file, other columns, a cell that cannot be read.
+        DataError: the file is missing, columns are missing, or a cell cannot be read.
     """
     return _rows(path, LoopRow)
 
 
 def write_stages(path: Path, stages: Iterable[StageRow]) -> None:
-    """Write loop_stages.csv, one line for each row of the ledger.
+    """Write loop_stages.csv, one line for each row of the loop log.
 
     Raises:
         OutputError: the file cannot be written.
@@ -121,7 +121,7 @@ def read_stages(path: Path) -> tuple[StageRow, ...]:
     """Read loop_stages.csv.
 
     Raises:
-        DataError: missing file, other columns, a cell that cannot be read.
+        DataError: the file is missing, columns are missing, or a cell cannot be read.
     """
     return _rows(path, StageRow)
 
@@ -148,7 +148,7 @@ _Row = TypeVar("_Row", LoopRow, StageRow, LoopEventRow)
 
 
 def _rows(path: Path, kind: type[_Row]) -> tuple[_Row, ...]:
-    """All lines of a table whose columns are the fields of a kind of row."""
+    """Return all lines of a table whose columns are the fields of a row class."""
     names = tuple(field.name for field in fields(kind))
     return tuple(kind(**_cells(path, row, kind)) for row in _read(path, names)[1])  # type: ignore[arg-type]
 
@@ -165,12 +165,12 @@ def _cells(path: Path, row: dict[str, str], kind: type[_Row]) -> dict[str, objec
     return {field.name: _cell(path, row, field.name, readers[field.type]) for field in fields(kind)}
 
 
-def _listed(column: object) -> list[object]:
+def _to_list(column: object) -> list[object]:
     return column.tolist() if isinstance(column, np.ndarray) else list(column)  # type: ignore[call-overload]
 
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
-    """Write a table as CSV; cells as this module says.
+    """Write a table as CSV; cells as described in the module's docstring.
 
     Raises:
         OutputError: the file cannot be written.
@@ -188,7 +188,7 @@ def _text(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, float):
         return repr(float(value))
-    return " ".join(str(value).splitlines())  # one line a row, for grep and for readers that stumble over breaks
+    return " ".join(str(value).splitlines())  # one line per row, for grep and for readers that cannot parse line breaks
 
 
 def _read(path: Path, columns: Sequence[str]) -> tuple[Sequence[str], list[dict[str, str]]]:
@@ -212,7 +212,7 @@ def _cell(path: Path, row: dict[str, str], name: str, read: Callable[[str], obje
         raise DataError(f"{path}, row {where}: expected {name} as a run writes it, found {cell!r}; run again") from None
 
 
-def _whole(cell: str) -> int:
+def _integer(cell: str) -> int:
     value = int(cell)
     if abs(value) > np.iinfo(np.int64).max:
         raise ValueError(f"{cell}: beyond all bounds")

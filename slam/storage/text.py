@@ -1,4 +1,4 @@
-"""Text files of numbers, read with complaints that name the file and the line."""
+"""Reads text files of numbers; errors name the file and the line."""
 
 from pathlib import Path
 
@@ -9,13 +9,13 @@ from slam.errors import DataError
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a UTF-8 text file, without line ends.
+    """Return the lines of a UTF-8 text file, without line ends.
 
     Raises:
         DataError: the file is missing, a folder, not readable or not text.
     """
     try:
-        # utf-8-sig: some editors put a byte order mark in front, which float() does not take
+        # utf-8-sig: some editors write a byte order mark first, which float() rejects
         return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         raise DataError(f"{path}: expected this file, found none; check the path or copy it there") from None
@@ -29,7 +29,7 @@ def read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
     """Read a table (N, columns) of finite numbers separated by blanks; empty lines and # lines are skipped.
 
     Raises:
-        DataError: no line, a line with another count, a word that is no number, NaN or infinity.
+        DataError: the file is empty, or a line has another number of words, or a word that is not a finite number.
     """
     rows = [
         _numbers(path, number, line, columns)
@@ -51,5 +51,5 @@ def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
     except ValueError:
         raise DataError(f"{expected}, found {line.strip()[:60]!r}; copy the file again") from None
     if not np.isfinite(values).all():
-        raise DataError(f"{expected}, found {line.strip()[:60]!r}; mend that line")
+        raise DataError(f"{expected}, found {line.strip()[:60]!r}; correct that line")
     return values

@@ -1,8 +1,7 @@
-"""Trajectories in the two formats that every tool reads: KITTI poses and TUM.
+"""Trajectory files in the formats of KITTI and TUM, which most tools read.
 
-Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by
-row.
-TUM: `timestamp tx ty tz qx qy qz qw`. Numbers are written with as many digits as bring back the same double.
+Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by row. TUM:
+`timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again.
 """
 
 from pathlib import Path
@@ -17,8 +16,8 @@ from slam.storage.text import read_lines, read_numbers
 
 Array = NDArray[np.float64]
 
-FARTHEST_M = 1e12  # beyond the sun
-MAX_ROTATION_ERROR = 1e-2  # of R R^T - 1: files rounded to three digits pass, other matrices do not
+MAX_POSITION_M = 1e12  # farther than the sun: no position on earth
+MAX_ROTATION_ERROR = 1e-2  # largest element of R R^T - 1; files rounded to three digits are accepted
 
 
 def write_kitti(path: Path, poses: Array) -> None:
@@ -31,10 +30,10 @@ def write_kitti(path: Path, poses: Array) -> None:
 
 
 def read_kitti(path: Path) -> Array:
-    """Read T_world_camera (N, 4, 4), metres, from KITTI poses, exactly as they stand in the file.
+    """Read T_world_camera (N, 4, 4), metres, from KITTI poses, exactly as in the file.
 
     Raises:
-        DataError: missing file, a line without 12 finite numbers, a rotation that is none.
+        DataError: the file is missing, a line does not have 12 finite numbers, or a matrix is not a rotation.
     """
     rows = read_numbers(path, 12).reshape(-1, 3, 4)
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
@@ -60,10 +59,10 @@ def read_tum(path: Path) -> tuple[Array, Array]:
     Quaternions are normalised.
 
     Raises:
-        DataError: missing file, a line without 8 finite numbers, a quaternion of length zero.
+        DataError: the file is missing, a line does not have 8 finite numbers, or a quaternion has length zero.
     """
     rows = read_numbers(path, 8)
-    with np.errstate(over="ignore"):  # of lengths beyond all bounds, which are refused
+    with np.errstate(over="ignore"):  # of lengths that are refused below
         lengths = np.linalg.norm(rows[:, 4:], axis=1)
     wrong = (lengths < 1e-6) | ~np.isfinite(lengths)
     if wrong.any():
@@ -79,18 +78,18 @@ def read_tum(path: Path) -> tuple[Array, Array]:
 
 
 def check_positions(path: Path, positions: Array) -> None:
-    """Raise DataError where positions (N, 3), metres, are farther away than anything that was ever driven to."""
-    far = np.abs(positions).max(axis=1) > FARTHEST_M
+    """Raise DataError if positions (N, 3), metres, are impossibly far away."""
+    far = np.abs(positions).max(axis=1) > MAX_POSITION_M
     if far.any():
         at = int(np.argmax(far))
-        raise DataError(f"{path}, pose {at}: expected a position in metres, found {positions[at]}; mend that line")
+        raise DataError(f"{path}, pose {at}: expected a position in metres, found {positions[at]}; correct that line")
 
 
 def read_trajectory(path: Path) -> tuple[Array | None, Array]:
-    """Read KITTI poses or TUM, told apart by their numbers a line: times (N,) or None, and poses (N, 4, 4).
+    """Read KITTI poses or TUM, by the count of numbers per line: timestamps (N,) or None, and poses (N, 4, 4).
 
     Raises:
-        DataError: missing file, or neither 12 nor 8 numbers in its first line.
+        DataError: the file is missing, or its first line has neither 12 nor 8 numbers.
     """
     lines = (line.split() for line in read_lines(path) if not line.lstrip().startswith("#"))
     columns = len(next((words for words in lines if words), []))
@@ -103,7 +102,7 @@ def read_trajectory(path: Path) -> tuple[Array | None, Array]:
 
 def _write_rows(path: Path, rows: Array) -> None:
     with atomic_writer(path) as file:
-        # repr is the shortest text of the same double; no blank at the end of a line, which evo refuses
+        # repr is the shortest text of the same double; evo refuses a blank at the end of a line
         file.writelines(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 

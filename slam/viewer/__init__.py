@@ -1,1 +1,1 @@
-"""Watching a run: the rerun recording, or nothing at all."""
+"""Watching a run in the rerun viewer, live or from its recording."""

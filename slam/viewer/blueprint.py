@@ -1,4 +1,4 @@
-"""How the recording is laid out on the screen, so that one look tells what happened."""
+"""Layout of a recording in the rerun viewer: maps, camera image, latest loop and curves."""
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -15,9 +15,9 @@ _DARK = [16, 18, 22]
 
 
 def blueprint(width: int, height: int, positions: Array | None, dense: bool = False) -> rrb.Blueprint:
-    """Lay out map, camera image (width x height), latest loop and curves, and in front of them dense maps.
+    """Lay out map, camera image (width x height), latest loop and curves; with `dense` also a tab of dense maps.
 
-    The eye looks down on positions (N, 3), metres, or wherever rerun puts it where they are not known.
+    The 3D views look down on positions (N, 3), metres; without positions rerun chooses the viewpoint.
     """
     eye = None if positions is None or len(positions) < 2 else _overview(positions)
     whole = _map("Drive", ["+ /world/**", *_LIVE_ONLY], eye)
@@ -43,7 +43,7 @@ def blueprint(width: int, height: int, positions: Array | None, dense: bool = Fa
             *([_dense_maps(eye)] if dense else []),
             drive,
             before_after,
-            rrb.TextLogView(origin="loop/log", name="Loops in words"),
+            rrb.TextLogView(origin="loop/log", name="Loop log"),
             active_tab=0,
         ),
         rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),

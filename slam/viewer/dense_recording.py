@@ -1,4 +1,4 @@
-"""The dense map of a run as a second recording: opened together with the run's, both are one."""
+"""The dense map of a run as a second recording, which rerun shows as part of the run's own recording."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ _COLOURS = {"before": colours.ODOMETRY, "after": colours.CORRECTED}
 
 @dataclass(frozen=True)
 class PlacedMap:
-    """A dense map where a trajectory puts it.
+    """A dense map in the world frame of one trajectory.
 
     Attributes:
-        state: before or after.
-        surfaces: metres, world frame.
-        positions: (N, 3) metres, of the cameras.
+        state: `before` or `after` correction.
+        surfaces: surfaces of the submaps, metres, world frame.
+        positions: camera positions, (N, 3), metres.
     """
 
     state: str
@@ -38,21 +38,21 @@ class PlacedMap:
 
 
 def record_dense_map(path: Path, run: Path, camera: StereoCamera, maps: Iterable[PlacedMap]) -> None:
-    """Write maps into a recording that a viewer takes for more of the same run.
+    """Write dense maps into a recording file that has the identity of a run's recording.
 
     Args:
-        path: the file.
-        run: recording of the run.
-        camera: of its left images.
-        maps: the last one tells the viewer where to look.
+        path: the file to write.
+        run: the recording of the run.
+        camera: camera of its left images.
+        maps: dense maps; the positions of the last one set the viewpoint.
 
     Raises:
-        DataError: `run` is no recording.
+        DataError: `run` is not a recording.
         OutputError: the file cannot be written.
     """
     with replacing(path) as temporary:
-        temporary.touch()  # names what is wrong with the folder, which rerun does not
-        recording = more_of(run)
+        temporary.touch()  # says what is wrong with the folder, which rerun does not
+        recording = continue_recording(run)
         recording.set_sinks(rr.FileSink(str(temporary)))
         positions = np.empty((0, 3))
         for placed in maps:
@@ -67,22 +67,22 @@ def record_dense_map(path: Path, run: Path, camera: StereoCamera, maps: Iterable
             recording.disconnect()
 
 
-def more_of(path: Path) -> rr.RecordingStream:
-    """A stream that a viewer takes for more of the recording in a file.
+def continue_recording(path: Path) -> rr.RecordingStream:
+    """Return a stream with the application and recording id of a file: viewers show both as one recording.
 
     Raises:
-        DataError: the file holds none.
+        DataError: the file is not a recording.
     """
     try:
-        known = RrdReader(path).recordings()[0]
+        info = RrdReader(path).recordings()[0]
     except (OSError, ValueError, RuntimeError, IndexError) as error:
         raise DataError(f"{path}: expected a recording of the rerun viewer, {error}; make the run again") from error
-    return rr.RecordingStream(known.application_id, recording_id=known.recording_id, send_properties=False)
+    return rr.RecordingStream(info.application_id, recording_id=info.recording_id, send_properties=False)
 
 
 def _log(recording: rr.RecordingStream, placed: PlacedMap) -> None:
     root = f"world/dense_{placed.state}"
-    recording.log(f"{root}/way", shapes.line(_COLOURS[placed.state])(placed.positions), static=True)
+    recording.log(f"{root}/path", shapes.line_drawer(_COLOURS[placed.state])(placed.positions), static=True)
     for number, surface in enumerate(placed.surfaces):
         if len(surface.triangles):
-            recording.log(f"{root}/submap_{number:04d}", shapes.mesh(surface), static=True)
+            recording.log(f"{root}/submap_{number:04d}", shapes.draw_mesh(surface), static=True)

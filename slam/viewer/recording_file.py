@@ -1,79 +1,77 @@
-"""The file of a recording, on a disk that may fill up.
+"""The recording of a run on disk: whether there is room for it, and how the parts of a resumed run become one file.
 
-rerun's own writer dies where there is no room, and whoever flushes it then may wait for ever; even the process does not
-end. So it writes into a pipe that takes whatever comes, and the file is written here.
+rerun's own sink writes the file. It must not fill the disk: the results of the run come after it, and rerun can wait
+for ever where its writer has died of a full disk (docs/decisions/recordings.md).
 """
 
-import os
-import tempfile
-import threading
+import logging
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 from slam.errors import OutputError
-from slam.viewer.parts import join, set_aside
 
-_AT_ONCE = 1 << 16  # bytes: what a pipe holds
-_PATIENCE_S = 60.0  # for the rest, once nobody writes any more
+_LOG = logging.getLogger(__name__)
+
+# Kept free for the results that are written after the drive: the report alone may take 25 MB, a map 27 bytes a point.
+RESERVE_BYTES = 200_000_000
+_MERGE_TIMEOUT_S = 600.0  # a recording of several gigabytes takes a minute
 
 
-class RecordingFile:
-    """Keeps what is written into `pipe`, until there is no room; from then on it is thrown away.
+def has_room(recording: Path) -> bool:
+    """Return whether the disk of a recording has more than the reserve left.
 
-    What an earlier part of the same run has left at the path stays in front of it.
+    Raises:
+        OutputError: its folder is gone.
+    """
+    try:
+        return shutil.disk_usage(recording.parent).free > RESERVE_BYTES
+    except OSError as error:
+        raise _unwritable(recording, error) from error
 
-    Attributes:
-        pipe: path to write to, once.
+
+def rotate_recording(recording: Path) -> None:
+    """Make way for a new recording: what an earlier part of the run has left there is renamed.
 
     Raises:
         OutputError: the file cannot be written.
     """
+    try:
+        if recording.exists():
+            number = len(_parts(recording))
+            recording.rename(recording.with_name(f"{recording.stem}.part-{number:03d}{recording.suffix}"))
+        recording.touch()  # rerun would not say what is wrong with the folder
+    except OSError as error:
+        raise _unwritable(recording, error) from error
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            set_aside(path)
-            self._file = path.open("wb")
-            self._folder = tempfile.TemporaryDirectory(prefix="revisit-recording-")
-            self.pipe = Path(self._folder.name) / path.name
-            os.mkfifo(self.pipe)
-        except OSError as error:
-            raise OutputError(
-                f"{path}: cannot write the recording ({error.strerror}); choose another folder"
-            ) from error
-        self._problem: OSError | None = None
-        self._copying = threading.Thread(target=self._copy, name="recording", daemon=True)
-        self._copying.start()
 
-    def close(self) -> None:
-        """Wait for the rest, after the writer has closed the pipe.
+def merge_recordings(recording: Path) -> None:
+    """Merge the earlier parts of a recording into it; if that fails they stay, and can be opened together."""
+    parts = _parts(recording)
+    if not parts:
+        return
+    merged = recording.with_name(f".merged{recording.suffix}")
+    command = [_rerun(), "rrd", "merge", "--continue-on-error", "-o", str(merged), *map(str, (*parts, recording))]
+    try:
+        subprocess.run(command, check=True, capture_output=True, timeout=_MERGE_TIMEOUT_S)
+    except (OSError, subprocess.SubprocessError) as error:
+        _LOG.warning("the parts of the recording were not merged (%s); open them together with: rerun *.rrd", error)
+        merged.unlink(missing_ok=True)
+        return
+    merged.replace(recording)
+    for part in parts:
+        part.unlink()
 
-        Raises:
-            OutputError: there was no room; the file is gone.
-        """
-        self._copying.join(_PATIENCE_S)
-        self._folder.cleanup()
-        try:
-            self._file.close()
-        except OSError as error:
-            self._problem = self._problem or error
-        if self._problem is not None:
-            self._path.unlink(missing_ok=True)
-            raise OutputError(
-                f"{self._path.name}: expected room for the recording, found none ({self._problem.strerror}); it is left"
-                " out, make room"
-            ) from self._problem
-        join(self._path)
 
-    def _copy(self) -> None:
-        with self.pipe.open("rb", buffering=0) as pipe:
-            while data := pipe.read(_AT_ONCE):
-                self._keep(data)
+def _parts(recording: Path) -> list[Path]:
+    return sorted(recording.parent.glob(f"{recording.stem}.part-*{recording.suffix}"))
 
-    def _keep(self, data: bytes) -> None:
-        if self._problem is not None:
-            return
-        try:
-            self._file.write(data)
-        except OSError as error:
-            self._problem = error
-            self._path.unlink(missing_ok=True)  # room for what is written after it
+
+def _rerun() -> str:
+    beside = Path(sys.executable).with_name("rerun")
+    return str(beside) if beside.exists() else shutil.which("rerun") or "rerun"
+
+
+def _unwritable(recording: Path, error: OSError) -> OutputError:
+    return OutputError(f"{recording}: cannot write the recording ({error.strerror}); choose another folder")

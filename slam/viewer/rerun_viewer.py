@@ -1,11 +1,12 @@
 """A run as a rerun recording: written to a file, watched in a window, or in a browser on this machine.
 
-Entities: `world` (right, down, forward) with camera, tracks, trajectories, landmarks and loops; `loop` with
-the image pair of the latest accepted loop; `places` with the recogniser's matrix; `plots`. Timelines: `frame`
-and `time` (seconds since the first).
+Entities: `world` (x right, y down, z forward) with camera, tracks, trajectories, landmarks and loops; `loop` with the
+image pair of the latest accepted loop; `places` with the recogniser's matrix; `plots` with curves. Timelines: `frame`
+and `time` (seconds since the first frame).
 """
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -16,31 +17,40 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
 from place_recognition.evaluation.matrix import SimilarityMatrix
+from slam.errors import OutputError
 from slam.record import LoopRow, RunRecord
 from slam.report import colours
-from slam.report.alignment import anchored_truth, position_error
-from slam.report.reading import kept, rejected, scaled
+from slam.report.alignment import anchor_ground_truth, position_errors
+from slam.report.reading import is_scaled, kept, rejected
 from slam.viewer import shapes
 from slam.viewer.blueprint import blueprint
-from slam.viewer.growing import Growing
-from slam.viewer.listener import listen
-from slam.viewer.recording_file import RecordingFile
-from slam.viewer.viewer import ClosedLoop, Step
+from slam.viewer.growing import GrowingEntity
+from slam.viewer.listener import start_viewer
+from slam.viewer.recording_file import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
+from slam.viewer.viewer import FrameView, LoopView
 
 _LOG = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Mode = Literal["record", "native", "web"]
 
-_LANDMARKS = 150  # drawn for a key frame while driving
-_LINE_PART, _LANDMARKS_PART = 150, 1600
-_CAMERA_SIZE = 0.04  # distance at which the image hangs before the camera, of the size of the drive
-_CAMERA_LIMITS_M = (0.5, 4.0)
-_FLUSH_S = 5.0  # a viewer that does not take the rest by then is gone
+_MAX_LANDMARKS = 150  # drawn of each key frame while the drive goes on
+_MAX_LINE_ROWS, _MAX_LANDMARK_ROWS = 150, 1600  # of one part of a growing entity
+_IMAGE_DISTANCE = 0.04  # of the drawn image from its camera, as a share of the size of the drive
+_IMAGE_DISTANCE_LIMITS_M = (0.5, 4.0)
+_VIEWER_FLUSH_S = 5.0  # a viewer that has not taken the rest by then is gone
+_FILE_FLUSH_S = 60.0  # a slow disk needs some time, a dead writer would keep us waiting for ever
+_CURVES = {
+    "plots/inliers": colours.CORRECTED,
+    "plots/score": colours.ONLINE,
+    "plots/error/odometry": colours.ODOMETRY,
+    "plots/error/online": colours.ONLINE,
+    "plots/error/corrected": colours.CORRECTED,
+}
 
 
 class RerunViewer:
-    """Sends a run to rerun as it happens. Memory and file grow with the number of frames, not faster."""
+    """Sends a run to rerun while it happens. Memory and file grow linearly with the number of frames."""
 
     def __init__(
         self,
@@ -53,11 +63,11 @@ class RerunViewer:
         """Open the recording.
 
         Args:
-            path: the .rrd file to write; None for none.
-            camera: of the left images.
+            path: the .rrd file to write, or None to write no file.
+            camera: camera of the left images.
             ground_truth: T_world_camera (N, 4, 4), metres, in any world frame, or None.
             mode: `record` writes the file only; `native` opens a window and `web` serves a page as well.
-            run: names the run; what an earlier part of the same one has recorded in `path` stays in it.
+            run: unique name of the run; an earlier recording in `path` becomes its first part.
 
         Raises:
             OutputError: the file cannot be written or no viewer starts.
@@ -67,19 +77,21 @@ class RerunViewer:
         self._recording.set_log_tick_enabled(False)
         truth = None if ground_truth is None else inverse(ground_truth[0]) @ ground_truth
         self._positions = None if truth is None else truth[:, :3, 3]
-        self._listener = None if mode == "record" else listen(web=mode == "web")
-        self._camera, self._file = camera, None if path is None else RecordingFile(path)
-        self._connect()
+        self._viewer = None if mode == "record" else start_viewer(web=mode == "web")
+        if self._viewer is not None and self._viewer.page_url is not None:
+            _LOG.warning("watch the run at %s", self._viewer.page_url)
+        self._camera, self._path = camera, path
+        self._open_file()
         self._send_blueprint(self._positions)
         self._log_scenery()
         self._first_time: float | None = None
-        self._odometry = Growing(self._recording, "world/odometry", shapes.line(colours.ODOMETRY), _LINE_PART)
-        self._corrected = Growing(self._recording, "world/corrected", shapes.line(colours.CORRECTED), _LINE_PART)
-        self._landmarks = Growing(self._recording, "world/landmarks", shapes.dots, _LANDMARKS_PART)
+        self._odometry = self._growing("world/odometry", shapes.line_drawer(colours.ODOMETRY), _MAX_LINE_ROWS)
+        self._corrected = self._growing("world/corrected", shapes.line_drawer(colours.CORRECTED), _MAX_LINE_ROWS)
+        self._landmarks = self._growing("world/landmarks", shapes.draw_landmarks, _MAX_LANDMARK_ROWS)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
 
-    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
-        """Show what was known when an earlier run stopped."""
+    def restore(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Show the state of a resumed run: trajectories (N, 4, 4), metres, and loops (query, match, accepted)."""
         self._first_time = float(timestamps[0])
         self._set_time(len(timestamps) - 1, float(timestamps[-1]))
         self._odometry.replace(odometry[:, :3, 3])
@@ -88,39 +100,41 @@ class RerunViewer:
             self._loops[closed].append((query, match))
         self._log_loops(poses)
 
-    def step(self, step: Step) -> None:
-        """Show one frame."""
-        self._set_time(step.index, step.timestamp)
-        log, T = self._recording.log, step.T_world_camera
+    def show_frame(self, view: FrameView) -> None:
+        """Show one frame; the file ends here if the disk is short of room."""
+        if self._path is not None and not has_room(self._path):
+            self._close_file(f"{self._path.name}: it ends before frame {view.index}")
+        self._set_time(view.index, view.timestamp)
+        log, T = self._recording.log, view.T_world_camera
         log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-        log("world/camera/image", shapes.jpeg(step.image))
-        log("world/camera/image/tracks", shapes.tracks(step))
-        self._odometry.append(step.T_world_camera_odometry[None, :3, 3])
+        log("world/camera/image", shapes.encode_jpeg(view.image))
+        log("world/camera/image/tracks", shapes.draw_tracks(view))
+        self._odometry.append(view.T_world_camera_odometry[None, :3, 3])
         self._corrected.append(T[None, :3, 3])
-        if step.landmarks_world is not None:
-            self._landmarks.append(shapes.some(step.landmarks_world, _LANDMARKS))
-        self._log_curves(step)
+        if view.landmarks_world is not None:
+            self._landmarks.append(shapes.subsample(view.landmarks_world, _MAX_LANDMARKS))
+        self._log_curves(view)
 
-    def loop(self, closed: ClosedLoop, poses: Array) -> None:
-        """Show the fate of a proposed loop, and with poses the trajectory and all loops so far on it."""
-        self._loops[closed.accepted].append((closed.query, closed.match))
-        level = "INFO" if closed.accepted else "WARN"
-        words = f"{'closed' if closed.accepted else 'rejected'} {closed.query} - {closed.match}: {closed.reason}"
-        self._recording.log("loop/log", rr.TextLog(words, level=level))
+    def show_loop(self, view: LoopView, poses: Array) -> None:
+        """Show the outcome of a proposed loop; with poses also the trajectory and all loops so far."""
+        self._loops[view.accepted].append((view.query, view.match))
+        level = "INFO" if view.accepted else "WARN"
+        message = f"{'closed' if view.accepted else 'rejected'} {view.query} - {view.match}: {view.reason}"
+        self._recording.log("loop/log", rr.TextLog(message, level=level))
         if len(poses):
             self._log_loops(poses)
             self._corrected.replace(poses[:, :3, 3])
-        if closed.accepted:
-            self._log_matched("loop/query", closed.image_query, closed.pixels_query)
-            self._log_matched("loop/match", closed.image_match, closed.pixels_match)
+        if view.accepted:
+            self._log_matched("loop/query", view.image_query, view.pixels_query)
+            self._log_matched("loop/match", view.image_match, view.pixels_match)
 
-    def matrix(self, matrix: SimilarityMatrix) -> None:
-        """Show what the recogniser thinks of all pairs of images so far."""
+    def show_matrix(self, matrix: SimilarityMatrix) -> None:
+        """Show the similarity matrix of the recogniser."""
         if len(matrix.values):
-            self._recording.log("places/matrix", shapes.matrix(matrix))
+            self._recording.log("places/matrix", shapes.render_matrix(matrix))
 
     def finish(self, record: RunRecord) -> None:
-        """Show the final trajectories, loops and maps, and the errors over the whole drive."""
+        """Show the final trajectories, loops, maps and position errors."""
         if not len(record.timestamps):
             return
         self._set_time(len(record.timestamps), float(record.timestamps[-1]))
@@ -129,37 +143,66 @@ class RerunViewer:
         self._corrected.conclude(record.corrected[:, :3, 3])
         self._loops = {True: _pairs(kept(record)), False: _pairs(rejected(record))}
         self._log_loops(record.corrected)
-        self._recording.log("world/map_before", shapes.cloud(record.map_before, colours.ODOMETRY))
-        self._recording.log("world/map_after", shapes.cloud(record.map_after, "#ffffff"))
+        self._recording.log("world/map_before", shapes.draw_cloud(record.map_before, colours.ODOMETRY))
+        self._recording.log("world/map_after", shapes.draw_cloud(record.map_after, "#ffffff"))
         self._log_errors(record)
-        if self._listener is None:  # someone who watches has turned the eye to his liking
+        if self._viewer is None:  # whoever watches has chosen a viewpoint, which a new blueprint would reset
             self._send_blueprint(record.corrected[:, :3, 3])
 
     def close(self) -> None:
-        """Write out what is pending; a web page's server ends with it, a window stays.
+        """Write what is pending; a web server ends with it, a window stays open.
 
         Raises:
-            OutputError: the file could not be written to the end, and is gone.
+            OutputError: the file could not be written to its end and was removed.
         """
         try:
-            self._recording.flush(timeout_sec=_FLUSH_S)
-        except RuntimeError:
-            _LOG.warning("the viewer was closed before the run ended")
+            # Never disconnect() alone: it waits without limit, and rerun may have lost its writer to a full disk.
+            self._recording.flush(timeout_sec=_FILE_FLUSH_S if self._viewer is None else _VIEWER_FLUSH_S)
+        except RuntimeError as error:
+            self._give_up(error)
         finally:
             self._recording.disconnect()
-            if self._listener is not None:
-                self._listener.stop()
-        if self._file is not None:
-            self._file.close()
+            if self._viewer is not None:
+                self._viewer.stop()
+        if self._path is not None:
+            merge_recordings(self._path)
+
+    def _give_up(self, error: RuntimeError) -> None:
+        """Handle a flush that failed: the viewer was closed, or the file cannot be written."""
+        if self._viewer is not None:
+            _LOG.warning("the viewer was closed before the run ended")
+        elif self._path is not None:
+            self._path.unlink(missing_ok=True)
+            raise OutputError(
+                f"{self._path.name}: expected room for the recording, found none; it is left out, make room"
+            ) from error
+
+    def _growing(self, path: str, draw: Callable[[Array], object], max_rows: int) -> GrowingEntity:
+        return GrowingEntity(self._recording, path, draw, max_rows)
+
+    def _open_file(self) -> None:
+        if self._path is not None and not has_room(self._path):
+            self._close_file(f"{self._path.name}: it is left out")
+            return
+        if self._path is not None:
+            rotate_recording(self._path)
+        self._connect()
+
+    def _close_file(self, consequence: str) -> None:
+        """End the file while there is room for its end, and go on without it."""
+        _LOG.warning(
+            "%s, as the disk has less than %.0f MB left for the results; make room", consequence, RESERVE_BYTES / 1e6
+        )
+        self._path = None
+        self._connect()
 
     def _connect(self) -> None:
         sinks: list[object] = []
-        if self._file is not None:
-            sinks.append(rr.FileSink(str(self._file.pipe)))
-        if self._listener is not None:
-            sinks.append(rr.GrpcSink(self._listener.address))
-        if sinks:
-            self._recording.set_sinks(*sinks)
+        if self._path is not None:
+            sinks.append(rr.FileSink(str(self._path)))
+        if self._viewer is not None:
+            sinks.append(rr.GrpcSink(self._viewer.data_url))
+        self._recording.set_sinks(*sinks)  # with none at all, what is logged is dropped
 
     def _send_blueprint(self, positions: Array | None) -> None:
         self._recording.send_blueprint(blueprint(self._camera.width, self._camera.height, positions))
@@ -169,24 +212,24 @@ class RerunViewer:
         log("world", rr.ViewCoordinates.RDF, static=True)
         pinhole = rr.Pinhole(
             image_from_camera=camera.K, resolution=[camera.width, camera.height],
-            camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=self._camera_size(),
+            camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=self._image_distance_m(),
         )  # fmt: skip
         log("world/camera/image", pinhole, static=True)
         if self._positions is not None:
-            log("world/ground_truth", shapes.dashes(self._positions), static=True)
+            log("world/ground_truth", shapes.draw_dashed_line(self._positions), static=True)
         for path, colour in _CURVES.items():
             log(
                 path,
                 rr.SeriesLines(colors=colours.rgb(colour), widths=1.5, names=path.split("/")[-1]),
                 static=True,
             )
-        dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="taken for a revisit")
+        dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="accepted as a revisit")
         log("plots/score/accepted", dots, static=True)
 
-    def _camera_size(self) -> float:
+    def _image_distance_m(self) -> float:
         if self._positions is None:
-            return float(np.mean(_CAMERA_LIMITS_M))
-        return float(np.clip(_CAMERA_SIZE * np.ptp(self._positions, axis=0).max(), *_CAMERA_LIMITS_M))
+            return float(np.mean(_IMAGE_DISTANCE_LIMITS_M))
+        return float(np.clip(_IMAGE_DISTANCE * np.ptp(self._positions, axis=0).max(), *_IMAGE_DISTANCE_LIMITS_M))
 
     def _set_time(self, index: int, timestamp: float) -> None:
         if self._first_time is None:
@@ -194,34 +237,34 @@ class RerunViewer:
         self._recording.set_time("frame", sequence=index)
         self._recording.set_time("time", duration=timestamp - self._first_time)
 
-    def _log_curves(self, step: Step) -> None:
+    def _log_curves(self, view: FrameView) -> None:
         log = self._recording.log
-        log("plots/inliers", rr.Scalars(float(np.count_nonzero(step.inliers))))
-        for name, milliseconds in step.stage_ms.items():
+        log("plots/inliers", rr.Scalars(float(np.count_nonzero(view.inliers))))
+        for name, milliseconds in view.stage_ms.items():
             if np.isfinite(milliseconds):
                 log(f"plots/stages/{rr.escape_entity_path_part(name)}", rr.Scalars(milliseconds))
-        if np.isfinite(step.score):
-            log("plots/score", rr.Scalars(step.score))
-            if step.accepted:
-                log("plots/score/accepted", rr.Scalars(step.score))
+        if np.isfinite(view.score):
+            log("plots/score", rr.Scalars(view.score))
+            if view.accepted:
+                log("plots/score/accepted", rr.Scalars(view.score))
 
     def _log_loops(self, poses: Array) -> None:
         for accepted, name, colour in (
             (True, "accepted", colours.ACCEPTED),
             (False, "rejected", colours.REJECTED),
         ):
-            arrows, ends = shapes.loops(self._loops[accepted], poses, colour)
+            arrows, ends = shapes.draw_loops(self._loops[accepted], poses, colour)
             self._recording.log(f"world/loops/{name}", arrows)
             self._recording.log(f"world/loops/{name}/queries", ends)
 
     def _log_matched(self, path: str, image: NDArray[np.uint8] | None, pixels: Array) -> None:
         if image is not None:
-            # half the size in each direction: a quarter of the bytes, and enough to judge a pair
-            self._recording.log(path, shapes.jpeg(np.ascontiguousarray(image[::2, ::2])))
-            self._recording.log(f"{path}/inliers", shapes.matches(pixels / 2))
+            # half the size in each direction: a quarter of the bytes, and enough to compare the two images
+            self._recording.log(path, shapes.encode_jpeg(np.ascontiguousarray(image[::2, ::2])))
+            self._recording.log(f"{path}/inliers", shapes.draw_matches(pixels / 2))
 
     def _log_errors(self, record: RunRecord) -> None:
-        truth = anchored_truth(record)
+        truth = anchor_ground_truth(record)
         if truth is None:
             return
         seconds = record.timestamps - record.timestamps[0]
@@ -230,17 +273,8 @@ class RerunViewer:
             rr.TimeColumn("time", duration=seconds),
         ]
         for name in ("odometry", "online", "corrected"):
-            error = position_error(getattr(record, name), truth, scaled(record.metrics, name))
+            error = position_errors(getattr(record, name), truth, is_scaled(record.metrics, name))
             self._recording.send_columns(f"plots/error/{name}", times, rr.Scalars.columns(scalars=error))
-
-
-_CURVES = {
-    "plots/inliers": colours.CORRECTED,
-    "plots/score": colours.ONLINE,
-    "plots/error/odometry": colours.ODOMETRY,
-    "plots/error/online": colours.ONLINE,
-    "plots/error/corrected": colours.CORRECTED,
-}
 
 
 def _pairs(rows: list[LoopRow]) -> list[tuple[int, int]]:

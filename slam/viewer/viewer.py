@@ -1,4 +1,4 @@
-"""What a run shows while it drives, and the viewer that shows nothing."""
+"""What a run shows while it drives (frames, loops, matrix), the viewer protocol, and the viewer that shows nothing."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,22 +13,22 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Step:
-    """One frame of the chain, as far as a viewer may show it.
+class FrameView:
+    """What a viewer shows of one frame.
 
     Attributes:
-        index: frame, from 0.
-        timestamp: seconds.
-        image: (H, W) uint8, left camera.
-        T_world_camera_odometry: (4, 4) by odometry alone, metres.
-        T_world_camera: (4, 4) the online estimate, metres.
-        pixels_previous, pixels_current: (N, 2) tracks in the previous and this left image, pixels.
-        inliers: (N,) bool, tracks that agree with the motion.
-        predicted: the motion was extrapolated.
-        landmarks_world: (M, 3) landmarks of a new key frame, online estimate, metres; else None.
+        index: index of the frame, from 0.
+        timestamp: time, seconds.
+        image: left image, (H, W) uint8.
+        T_world_camera_odometry: pose by odometry alone, (4, 4), metres.
+        T_world_camera: pose of the online estimate, (4, 4), metres.
+        pixels_previous, pixels_current: tracks in the previous and in this left image, (N, 2), pixels.
+        inliers: tracks that agree with the motion, (N,) bool.
+        predicted: whether the motion was extrapolated instead of measured.
+        landmarks_world: landmarks of a new key frame by the online estimate, (M, 3), metres; else None.
         stage_ms: milliseconds of each stage that ran.
-        score: the recogniser's latest, on its own scale.
-        accepted: whether the recogniser takes that for a revisit.
+        score: latest score of the recogniser, on its own scale.
+        accepted: whether the recogniser accepted its latest match as a revisit.
     """
 
     index: int
@@ -47,15 +47,15 @@ class Step:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
-    """A match that the recogniser proposed, and what became of it.
+class LoopView:
+    """What a viewer shows of a proposed loop, closed or rejected.
 
     Attributes:
         query, match: frame indices.
-        image_query, image_match: (H, W) uint8; None where an image is no longer at hand.
-        pixels_query, pixels_match: (K, 2) matches that agree with the relative pose, pixels.
-        accepted: geometry and back end took it for a loop.
-        reason: the verdict in plain words.
+        image_query, image_match: left images, (H, W) uint8; None if they are not shown.
+        pixels_query, pixels_match: matches that agree with the relative pose, (K, 2), pixels.
+        accepted: whether geometry and back end accepted the loop.
+        reason: explanation of the decision, in words.
     """
 
     query: int
@@ -71,30 +71,30 @@ class ClosedLoop:
 class Viewer(Protocol):
     """Shows a run. It never changes what the run computes."""
 
-    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
-        """Show what was known when an earlier run stopped that is now gone on with; called before the first step.
+    def restore(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+        """Show the state in which a resumed run was stopped; called before the first frame.
 
         Args:
-            timestamps: (N,) seconds.
-            odometry: T_world_camera (N, 4, 4) by odometry alone, metres.
-            poses: (N, 4, 4) by all that was known.
-            loops: query, match, and whether it was closed.
+            timestamps: times of its frames, (N,), seconds.
+            odometry: T_world_camera by odometry alone, (N, 4, 4), metres.
+            poses: T_world_camera of the online estimate, (N, 4, 4), metres.
+            loops: query, match, and whether the loop was closed.
         """
         ...
 
-    def step(self, step: Step) -> None:
+    def show_frame(self, view: FrameView) -> None:
         """Show one frame; frames come in order."""
         ...
 
-    def loop(self, closed: ClosedLoop, poses: Array) -> None:
-        """Show the fate of a proposed loop, and the online trajectory (N, 4, 4), metres, after it.
+    def show_loop(self, view: LoopView, poses: Array) -> None:
+        """Show the outcome of a proposed loop, and the online trajectory (N, 4, 4), metres, after it.
 
-        Poses (0, 4, 4) leave the trajectory as it is shown: to copy a long one for every loop is dear.
+        Poses (0, 4, 4) leave the trajectory as it is shown: copying a long one for every loop costs too much.
         """
         ...
 
-    def matrix(self, matrix: SimilarityMatrix) -> None:
-        """Show what the recogniser thinks of all pairs of images so far."""
+    def show_matrix(self, matrix: SimilarityMatrix) -> None:
+        """Show the similarity matrix of the recogniser: query by earlier image."""
         ...
 
     def finish(self, record: RunRecord) -> None:
@@ -102,23 +102,23 @@ class Viewer(Protocol):
         ...
 
     def close(self) -> None:
-        """Write out what is pending and let go of files and connections; called once, also after an error."""
+        """Write what is pending and close files and connections; called once, also after an error."""
         ...
 
 
 class NullViewer:
     """Shows nothing."""
 
-    def recall(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
+    def restore(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
         """Do nothing."""
 
-    def step(self, step: Step) -> None:
+    def show_frame(self, view: FrameView) -> None:
         """Do nothing."""
 
-    def loop(self, closed: ClosedLoop, poses: Array) -> None:
+    def show_loop(self, view: LoopView, poses: Array) -> None:
         """Do nothing."""
 
-    def matrix(self, matrix: SimilarityMatrix) -> None:
+    def show_matrix(self, matrix: SimilarityMatrix) -> None:
         """Do nothing."""
 
     def finish(self, record: RunRecord) -> None:

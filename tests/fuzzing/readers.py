@@ -25,7 +25,7 @@ from slam.parts import read_checked_config
 from slam.simulation.routes import read_plan
 from slam.storage.calibration import read_calibration
 from slam.storage.g2o import Graph, read_g2o
-from slam.storage.landmarks import read_sightings
+from slam.storage.landmarks import read_landmark_observers
 from slam.storage.matches import read_matches
 from slam.storage.metrics import read_metrics
 from slam.storage.tables import read_events, read_frames, read_loops, read_stages
@@ -234,7 +234,8 @@ READERS: dict[str, Reader] = {
         made.files_of(b"PK\x03\x04"), share=2),
     "array in matrix.npz": Reader("m.npz", _at("m.npz", read_similarities), lambda: valid.array_files(valid.TRUTH / 2),
         made.array_files(), dressed=_zipped("similarity"), share=2),
-    "landmarks.npz": Reader("l.npz", _at("l.npz", read_sightings), valid.sightings, made.files_of(b"PK\x03\x04")),
+    "landmarks.npz": Reader("l.npz", _at("l.npz", read_landmark_observers), valid.observers,
+        made.files_of(b"PK\x03\x04")),
     "frames.csv": _table("frames.csv", read_frames),
     "loops.csv": _table("loops.csv", read_loops),
     "loop_events.csv": _table("loop_events.csv", read_events),

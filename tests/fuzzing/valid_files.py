@@ -16,7 +16,7 @@ from slam.config import RunConfig, to_toml
 from slam.mapping.ply import write_cloud
 from slam.record import PointCloud
 from slam.storage.calibration import write_calibration
-from slam.storage.landmarks import write_sightings
+from slam.storage.landmarks import write_landmark_observers
 from slam.storage.tables import FrameTable, write_events, write_frames, write_loops, write_stages
 from slam.storage.trajectory import write_kitti, write_tum
 
@@ -198,9 +198,9 @@ def arrays(name: str, value: np.ndarray) -> list[bytes]:
     return [plain.getvalue(), small.getvalue()]
 
 
-def sightings() -> list[bytes]:
+def observers() -> list[bytes]:
     camera = StereoCamera(10, 10, 8, 6, 0.5, *SIZE)
-    return [written("a.npz", lambda path: write_sightings(path, np.array([0, 0, 2], np.int32), camera))]
+    return [written("a.npz", lambda path: write_landmark_observers(path, np.array([0, 0, 2], np.int32), camera))]
 
 
 def array_files(*values: np.ndarray) -> list[bytes]:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from slam import cli
 from slam.errors import DataError
-from slam.explain import explain
+from slam.explain import explain_loop
 from slam.record import LoopEventRow, LoopRow, StageRow
 from slam.storage.metrics import write_metrics
 from slam.storage.tables import write_events, write_loops, write_stages
@@ -46,65 +46,66 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def stage(said: str, name: str) -> str:
-    """What is told of one stage."""
-    (line,) = (line for line in said.splitlines() if line.strip().startswith(name))
+def stage(text: str, name: str) -> str:
+    """The explanation of one stage."""
+    (line,) = (line for line in text.splitlines() if line.strip().startswith(name))
     return line.strip().removeprefix(name).strip()
 
 
-def test_a_closed_loop_is_told_stage_by_stage_with_its_numbers(run: Path) -> None:
-    said = explain(run, 40)
-    assert said.startswith("Frame 40 with frame 7: closed.")
-    assert stage(said, "recogniser") == "tracked-words: score 12.5, taken for a revisit"
-    assert stage(said, "epipolar proof") == "60 matches agree with one epipolar geometry, enough"
-    assert "80 of 120 landmark matches agree" in stage(said, "relative pose")
-    assert "0.50 right, 0.25 up, 3.00 back m and turned 2.50 deg" in stage(said, "relative pose")
-    assert "one sigma 0.031 m, 0.110 deg" in stage(said, "relative pose")
-    assert stage(said, "drift gate") == "passed: drift explains 4.0 m"
-    assert stage(said, "while driving") == "frame 40: waits"
-    assert "frame 42: joined" in said
-    assert "weight 0.97, residual 1.40 sigma" in stage(said, "final map")
-    assert stage(said, "ground truth") == "a true revisit"
+def test_a_closed_loop_is_explained_stage_by_stage_with_its_numbers(run: Path) -> None:
+    text = explain_loop(run, 40)
+    assert text.startswith("Frame 40 with frame 7: closed.")
+    assert stage(text, "recogniser") == "tracked-words: score 12.5, accepted as a revisit"
+    assert stage(text, "epipolar check") == "60 matches agree with one epipolar geometry, enough"
+    assert "80 of 120 landmark matches agree" in stage(text, "relative pose")
+    assert "0.50 right, 0.25 up, 3.00 back m and turned 2.50 deg" in stage(text, "relative pose")
+    assert "one sigma 0.031 m, 0.110 deg" in stage(text, "relative pose")
+    assert stage(text, "drift gate") == "passed: drift explains 4.0 m"
+    assert stage(text, "while driving") == "frame 40: waits"
+    assert "frame 42: joined" in text
+    assert "weight 0.97, residual 1.40 sigma" in stage(text, "final map")
+    assert stage(text, "ground truth") == "a true revisit"
 
 
 def test_a_belief_that_was_not_accepted_stops_at_the_recogniser(run: Path) -> None:
-    said = explain(run, 20)
-    assert "not closed" in said
-    assert "below the recogniser's threshold" in stage(said, "recogniser")
-    assert stage(said, "epipolar proof") == "5 matches agree with one epipolar geometry, too few"
-    assert [stage(said, name) for name in ("drift gate", "while driving", "final map")] == ["was not asked"] * 3
+    text = explain_loop(run, 20)
+    assert "not closed" in text
+    assert "below the recogniser's threshold" in stage(text, "recogniser")
+    assert stage(text, "epipolar check") == "5 matches agree with one epipolar geometry, too few"
+    assert [stage(text, name) for name in ("drift gate", "while driving", "final map")] == ["not reached"] * 3
 
 
-def test_a_match_that_geometry_does_not_prove_says_why(run: Path) -> None:
-    assert "9 landmarks agree with one relative pose, expected at least 20" in stage(explain(run, 30), "relative pose")
+def test_a_match_that_geometry_does_not_verify_has_a_reason(run: Path) -> None:
+    relative_pose = stage(explain_loop(run, 30), "relative pose")
+    assert "9 landmarks agree with one relative pose, expected at least 20" in relative_pose
 
 
-def test_a_loop_that_the_gate_refuses_says_by_how_much(run: Path) -> None:
-    said = explain(run, 50)
-    assert stage(said, "drift gate") == "refused: drift does not explain 40.0 m"
-    assert "left out: 9.5 sigma" in stage(said, "final map")
+def test_a_loop_that_the_gate_rejects_is_explained_with_its_distance(run: Path) -> None:
+    text = explain_loop(run, 50)
+    assert stage(text, "drift gate") == "rejected: drift does not explain 40.0 m"
+    assert "left out: 9.5 sigma" in stage(text, "final map")
 
 
 def test_another_match_than_the_best_is_answered_with_the_best(run: Path) -> None:
-    said = explain(run, 40, 2)
-    assert "best match for frame 40 was 7, not 2" in said
-    assert "Frame 2 was the match of 20" in said
-    assert "Frame 40 with frame 7: closed." in said
-    assert explain(run, 40, 7) == explain(run, 40)
+    text = explain_loop(run, 40, 2)
+    assert "best match for frame 40 was 7, not 2" in text
+    assert "Frame 2 was the match of 20" in text
+    assert "Frame 40 with frame 7: closed." in text
+    assert explain_loop(run, 40, 7) == explain_loop(run, 40)
 
 
 def test_a_frame_without_a_belief_is_answered_with_its_neighbours(run: Path) -> None:
-    said = explain(run, 33)
-    assert "found no earlier frame" in said
-    assert "20 (not accepted), 30 (not proved by geometry), 40 (closed)" in said
+    text = explain_loop(run, 33)
+    assert "found no earlier frame" in text
+    assert "20 (not accepted), 30 (not verified by geometry), 40 (closed)" in text
 
 
-def test_a_run_without_any_match_says_so(run: Path, tmp_path: Path) -> None:
+def test_a_run_without_any_match_is_explained(run: Path, tmp_path: Path) -> None:
     (tmp_path / "metrics.json").write_bytes((run / "metrics.json").read_bytes())
     write_loops(tmp_path / "loops.csv", [])
     write_stages(tmp_path / "loop_stages.csv", [])
     write_events(tmp_path / "loop_events.csv", [])
-    assert "none for any frame of this run" in explain(tmp_path, 3)
+    assert "No frame of this run has a match" in explain_loop(tmp_path, 3)
 
 
 @pytest.mark.parametrize(
@@ -118,12 +119,12 @@ def test_a_run_without_any_match_says_so(run: Path, tmp_path: Path) -> None:
 )
 def test_frames_that_are_not_in_the_run_are_errors(run: Path, query: int, match: int | None, message: str) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
-        explain(run, query, match)
+        explain_loop(run, query, match)
 
 
 def test_a_folder_without_a_run_is_an_error_with_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"nowhere: expected the folder of a run .* revisit run SOURCE --out"):
-        explain(tmp_path / "nowhere", 3)
+        explain_loop(tmp_path / "nowhere", 3)
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "loop_stages.csv", "loop_events.csv"])
@@ -132,10 +133,10 @@ def test_a_missing_file_is_named(run: Path, tmp_path: Path, name: str) -> None:
         if file.name != name:
             (tmp_path / file.name).write_bytes(file.read_bytes())
     with pytest.raises(DataError, match=re.escape(name)):
-        explain(tmp_path, 40)
+        explain_loop(tmp_path, 40)
 
 
 def test_the_command_prints_what_is_to_tell(run: Path) -> None:
     result = CliRunner().invoke(cli.app, ["explain", str(run), "40"])
     assert result.exit_code == 0
-    assert result.output.rstrip("\n") == explain(run, 40)
+    assert result.output.rstrip("\n") == explain_loop(run, 40)

@@ -4,18 +4,20 @@ import os
 import re
 import resource
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
+from odometry.camera import StereoCamera
 from place_recognition.map.record_file import SpillFile
 from slam import cli, run
 from slam.errors import OutputError
 from slam.storage.metrics import read_metrics
-from slam.viewer.recording_file import RecordingFile
+from slam.viewer import recording_file, rerun_viewer
 
 from .datasets.layouts import taken, write_folders
 
@@ -80,30 +82,50 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+def disk_of(free: int) -> Callable[[object], tuple[int, int, int]]:
+    """Stand for shutil.disk_usage on a disk with so many bytes left."""
+    usage = shutil.disk_usage("/")
+    return lambda _folder: usage._replace(free=free)
+
+
 def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
-    recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert revisit(recording, "--out", tmp_path / "whole", "--no-map") == 0
-    sizes = {item.name: item.stat().st_size for item in (tmp_path / "whole").iterdir()}
-    largest = max(size for name, size in sizes.items() if name != "recording.rrd")
-    assert sizes["recording.rrd"] > 1.2 * largest
-    capfd.readouterr()
-    with largest_file(int(1.1 * largest)):
-        assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
-    assert "recording.rrd: expected room for the recording" in " ".join(capfd.readouterr().err.split())
-    assert {item.name for item in (tmp_path / "out").iterdir()} == set(sizes) - {"recording.rrd"}
+    names = {item.name for item in (tmp_path / "whole").iterdir()}
+    assert "recording.rrd" in names
+    monkeypatch.setattr(recording_file.shutil, "disk_usage", disk_of(recording_file.RESERVE_BYTES))
+    assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
+    assert "recording.rrd: it is left out, as the disk has less than 200 MB left" in caplog.text
+    assert {item.name for item in (tmp_path / "out").iterdir()} == names - {"recording.rrd"}
     assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
 
 
-def test_whoever_writes_a_recording_never_waits_for_a_full_disk(tmp_path: Path) -> None:
-    with largest_file(100_000):
-        for size, fits in ((1000, True), (1 << 22, False)):
-            file = RecordingFile(tmp_path / "recording.rrd")
-            with file.pipe.open("wb") as pipe:
-                pipe.write(bytes(size))
-            with nullcontext() if fits else pytest.raises(OutputError, match=r"recording\.rrd: expected room"):
-                file.close()
-            assert (tmp_path / "recording.rrd").exists() == fits
+def test_a_disk_that_fills_up_ends_the_recording_and_what_there_is_can_be_read(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    free = iter([2, 2, 2, 2])  # of the reserve: at the start, then for each frame
+    monkeypatch.setattr(recording_file, "has_room", has_room := lambda _path: next(free, 0) > 1)
+    monkeypatch.setattr(rerun_viewer, "has_room", has_room)
+    assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
+    assert "recording.rrd: it ends before frame 3, as the disk has less than 200 MB left" in caplog.text
+    chunks = RrdReader(tmp_path / "out" / "recording.rrd").stream()
+    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/world/camera") == 3
+    assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
+
+
+def test_a_recording_that_cannot_be_written_to_its_end_is_removed_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = rerun_viewer.RerunViewer(tmp_path / "recording.rrd", StereoCamera(120.0, 120.0, 79.5, 29.5, 0.5, 160, 60))
+
+    def fail(timeout_sec: float) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(viewer._recording, "flush", fail)
+    with pytest.raises(OutputError, match=r"recording\.rrd: expected room for the recording, found none"):
+        viewer.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_temporary_disk_that_is_full_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

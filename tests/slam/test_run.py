@@ -129,12 +129,12 @@ def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path,
     assert metrics["memory_mb"]["place recognition"] == metrics["places"]["map_bytes"] / 1e6
     assert all(0 < held < metrics["peak_memory_mb"] for held in metrics["memory_mb"].values() if held is not None)
     # and each loop that was proposed has its images, with where they agree
-    evidence = json.loads(re.search(r'id="evidence">(.*?)</script>', report)[1])
-    kept = [row for row in evidence["rows"] if row["fate"] == "kept"]
+    details = json.loads(re.search(r'id="loop-details">(.*?)</script>', report)[1])
+    kept = [row for row in details["rows"] if row["outcome"] == "kept"]
     assert len(kept) == metrics["loops"]["kept"]
-    assert all({str(row["query"]), str(row["match"])} <= set(evidence["pictures"]) for row in evidence["rows"])
+    assert all({str(row["query"]), str(row["match"])} <= set(details["pictures"]) for row in details["rows"])
     assert all(len(row["lines"]) >= 4 * 20 for row in kept)
-    assert max(max(row["lines"]) for row in kept) < evidence["width"]
+    assert max(max(row["lines"]) for row in kept) < details["width"]
 
 
 def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):

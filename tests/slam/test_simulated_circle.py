@@ -12,10 +12,10 @@ from scipy.io import savemat
 from typer.testing import CliRunner
 
 from slam import cli
-from slam.dense_command import RESULTS, DenseOptions, map_densely, read_run
+from slam.dense_command import RESULTS, DenseOptions, build_dense_map, read_run
 from slam.errors import ConfigError, DataError, OutputError
 from slam.evaluation.trajectory import umeyama
-from slam.mapping.dense_map import DenseMapper, choose_frames
+from slam.mapping.dense_map import DenseMapper, group_key_frames
 from slam.mapping.submaps import SubmapStore
 from slam.run import RunOptions, run_pipeline
 from slam.simulation import DriveSpec
@@ -84,7 +84,7 @@ def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
 
 def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.geometry.RaycastingScene, tmp_path: Path):
     run, store = read_run(circle), SubmapStore(tmp_path)
-    groups = choose_frames(run.odometry, run.key_frames, 20)
+    groups = group_key_frames(run.odometry, run.key_frames, 20)
     chosen = [groups[1], groups[-2]]  # one of each lap
     assert list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, chosen, store))[-1] == len(
         [*chosen[0], *chosen[1]]
@@ -92,7 +92,7 @@ def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.ge
     truth = run.drive.ground_truth
     assert truth is not None
     poses = umeyama(run.corrected[:, :3, 3], truth[:, :3, 3]).apply_poses(run.corrected)
-    points = np.concatenate([surface.points for surface in store.placed(poses)]).astype(np.float32)
+    points = np.concatenate([surface.points for surface in store.surfaces_in_world(poses)]).astype(np.float32)
     distances = town.compute_distance(open3d.core.Tensor(points)).numpy()
     assert len(points) > 10000
     assert np.median(distances) < 0.1
@@ -120,34 +120,30 @@ def short(circle: Path, tmp_path: Path) -> Path:
 
 def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(short: Path):
     before = {path.name for path in short.iterdir()}
-    assert "key frames in 2 submaps" in map_densely(DenseOptions(short), QUIET)
+    assert "key frames in 2 submaps" in build_dense_map(DenseOptions(short), QUIET)
     assert {path.name for path in short.iterdir()} - before == set(RESULTS) - {"dense.rrd"}  # nothing was recorded
     clouds = {name: open3d.io.read_point_cloud(short / name) for name in RESULTS if name.endswith(".ply")}
     assert len(clouds["dense_before.ply"].points) == len(clouds["mesh_after.ply"].points) > 1000
     first = (short / "mesh_after.ply").read_bytes()
     with pytest.raises(OutputError, match="dense map already; give --overwrite"):
-        map_densely(DenseOptions(short), QUIET)
-    map_densely(DenseOptions(short, overwrite=True), QUIET)
+        build_dense_map(DenseOptions(short), QUIET)
+    build_dense_map(DenseOptions(short, overwrite=True), QUIET)
     assert (short / "mesh_after.ply").read_bytes() == first
 
 
-def test_the_dense_map_is_shown_in_the_report_and_beside_the_recording(circle: Path, short: Path):
-    shutil.copy(circle / "report.html", short)
+def test_the_dense_map_has_a_page_to_which_the_report_links_and_a_recording(circle: Path, short: Path):
+    assert '<a href="dense.html">' in (circle / "report.html").read_text(encoding="utf-8")
     RerunViewer(short / "recording.rrd", read_run(short).drive.camera).close()
-    assert map_densely(DenseOptions(short), QUIET).endswith("dense.rrd, report.html")
-    assert (short / "report.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
+    assert build_dense_map(DenseOptions(short), QUIET).endswith("dense.html, dense.rrd")
+    assert (short / "dense.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
     assert (short / "dense.rrd").stat().st_size > 1_000_000
 
 
-def test_a_report_and_a_recording_of_no_use_cost_no_map(short: Path, capsys: pytest.CaptureFixture[str]):
-    for name in ("report.html", "recording.rrd"):
-        (short / name).write_text("not ours")
-    map_densely(DenseOptions(short), Console(stderr=True))
-    said = capsys.readouterr().err.splitlines()
-    assert [line.partition(": expected")[0] for line in said] == [
-        f"not shown there: {short / name}" for name in ("report.html", "recording.rrd")
-    ]
-    assert (short / "report.html").read_text() == "not ours"
+def test_a_damaged_recording_costs_no_map(short: Path, capsys: pytest.CaptureFixture[str]):
+    (short / "recording.rrd").write_text("not ours")
+    build_dense_map(DenseOptions(short), Console(stderr=True))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"no dense.rrd: {short / 'recording.rrd'}: expected a recording of the rerun viewer")
     assert {path.name for path in short.iterdir()} >= set(RESULTS) - {"dense.rrd"}
 
 
@@ -156,10 +152,10 @@ def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, sho
     calibration = other / "sequences" / "00" / "calib.txt"
     calibration.write_text(calibration.read_text().replace("3.59", "3.49"))
     with pytest.raises(DataError, match=r"other: expected the pair that .* was made with, found another camera"):
-        map_densely(DenseOptions(short, other), QUIET)
+        build_dense_map(DenseOptions(short, other), QUIET)
     (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(DataError, match="found 40, 1, 40 and"):
-        map_densely(DenseOptions(short), QUIET)
+        build_dense_map(DenseOptions(short), QUIET)
 
 
 CHEAP = ("check", "doctor", "evaluate", "explain", "export")
@@ -198,4 +194,4 @@ def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monke
 
 def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
     with pytest.raises(ConfigError, match="--voxel-size, --max-depth: expected positive numbers"):
-        map_densely(DenseOptions(tmp_path, voxel_m=0.0), QUIET)
+        build_dense_map(DenseOptions(tmp_path, voxel_m=0.0), QUIET)

@@ -1,4 +1,4 @@
-// Before and after, side by side: zoomed and moved together, with the frame under the pointer marked in both.
+// The maps before and after, zoomed and moved together, with the frame under the pointer marked in both.
 (() => {
   const SVG = document.querySelector("svg").namespaceURI;
   const CLOSEST = 64; // times
@@ -15,13 +15,13 @@
     const data = JSON.parse(figure.querySelector("script").textContent);
     const [x, y, width, height] = data.box;
     const svg = figure.querySelector("svg");
-    // What lies inside the map moves into a drawing of its own, which can show any part of itself.
+    // The contents of the map move into an inner drawing, whose view box can show any part of them.
     const contents = Array.from(svg.querySelectorAll('[id*="-inside-"], [id*="-axes_1"] > image'));
     const inner = draw("svg", { x, y, width, height, class: "inside", preserveAspectRatio: "none" }, svg);
     const ticks = draw("g", { class: "ticks" }, svg);
     const marker = draw("circle", { r: 5, class: "marker", visibility: "hidden" }, svg);
     inner.append(...contents);
-    for (const dot of inner.querySelectorAll("use")) { // stays as large as it is, see the style sheet
+    for (const dot of inner.querySelectorAll("use")) { // the style sheet keeps its size on the screen
       dot.style.transformOrigin = `${dot.getAttribute("x")}px ${dot.getAttribute("y")}px`;
     }
     return { figure, svg, inner, ticks, marker, ...data };
@@ -158,7 +158,7 @@
     const bar = document.createElement("div");
     bar.className = "bar";
     map.readout = document.createElement("output");
-    map.readout.textContent = "Point at the way to see its frames. To zoom: the buttons, or the wheel once the map was pressed.";
+    map.readout.textContent = "Point at the path to see its frames. Zoom with the buttons, or click the map and use the wheel.";
     map.closer = control(map, "+", "Zoom in", () => zoom(1.5));
     map.farther = control(map, "\u2212", "Zoom out", () => zoom(1 / 1.5));
     map.all = control(map, "All", "Show all", () => zoom(0));
@@ -173,7 +173,7 @@
     });
     pane.addEventListener("wheel", (event) => {
       const at = under(map, event);
-      if (!at || !(event.ctrlKey || document.activeElement === pane)) return; // a page that scrolls is not held up
+      if (!at || !(event.ctrlKey || document.activeElement === pane)) return; // the wheel scrolls the page unless the map has the focus
       event.preventDefault();
       zoom(Math.exp(-event.deltaY / 300), at);
     }, { passive: false });

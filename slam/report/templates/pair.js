@@ -1,12 +1,12 @@
-// What a row of the ledger opens: its two images with the matches between them, and what each stage said.
+// The details of a row of the loop log: its two images with the matches between them, and the decision of each stage.
 (() => {
   const dialog = document.getElementById("pair");
   if (!dialog) return;
   const part = (name) => document.getElementById(`pair-${name}`);
   const SVG = document.querySelector("svg").namespaceURI;
   const GAP = 0.015; // between the images, of their width
-  let evidence = null; // read when a row is opened for the first time: it is most of the page
-  let ledger = null;
+  let details = null; // read when a row is opened for the first time: it is most of the page
+  let table = null;
   let current = null;
 
   const draw = (name, attributes, parent) => {
@@ -17,11 +17,11 @@
   };
 
   const drawing = (found) => {
-    const { width, height, pictures } = evidence;
+    const { width, height, pictures } = details;
     if (!(found.query in pictures && found.match in pictures)) return null;
     const below = height + GAP * width;
-    const label = `${found.caption} Lines join what both images show.`;
-    const svg = draw("svg", { viewBox: `0 0 ${width} ${below + height}`, role: "img", "aria-label": label, class: found.fate });
+    const label = `${found.caption} Lines join matching points of the two images.`;
+    const svg = draw("svg", { viewBox: `0 0 ${width} ${below + height}`, role: "img", "aria-label": label, class: found.outcome });
     [[found.query, 0], [found.match, below]].forEach(([frame, y]) => {
       draw("image", { href: `data:image/webp;base64,${pictures[frame]}`, y, width, height, preserveAspectRatio: "none" }, svg);
     });
@@ -34,34 +34,34 @@
     return svg;
   };
 
-  const tell = (lines) => lines.flatMap(([stage, words]) => {
-    const term = document.createElement("dt"), said = document.createElement("dd");
+  const describe = (lines) => lines.flatMap(([stage, words]) => {
+    const term = document.createElement("dt"), description = document.createElement("dd");
     term.textContent = stage;
-    said.textContent = words;
-    return [term, said];
+    description.textContent = words;
+    return [term, description];
   });
 
   const show = (row) => {
     current = row;
-    evidence ??= JSON.parse(document.getElementById("evidence").textContent);
-    const found = evidence.rows[row.dataset.row];
+    details ??= JSON.parse(document.getElementById("loop-details").textContent);
+    const found = details.rows[row.dataset.row];
     const svg = drawing(found);
     part("title").textContent = found.title;
     part("drawing").replaceChildren(...(svg ? [svg] : []));
     part("caption").textContent = found.caption;
-    part("told").replaceChildren(...tell(found.told));
+    part("stages").replaceChildren(...describe(found.stages));
     part("previous").disabled = !neighbour(-1);
     part("next").disabled = !neighbour(1);
     if (!dialog.open) dialog.showModal();
   };
   const neighbour = (step) => {
-    const rows = ledger.shown();
+    const rows = table.shown();
     return rows[rows.indexOf(current) + step];
   };
   const go = (step) => { if (neighbour(step)) show(neighbour(step)); };
 
   document.addEventListener("revisit:open", (event) => {
-    ledger = event.detail;
+    table = event.detail;
     show(event.target);
   });
   part("previous").addEventListener("click", () => go(-1));
@@ -71,5 +71,5 @@
     if (step) go(step);
   });
   dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
-  dialog.addEventListener("close", () => ledger.focus(current));
+  dialog.addEventListener("close", () => table.focus(current));
 })();

@@ -1,4 +1,4 @@
-// A table sorted by its headings. Gives its rows, kept in the order shown; tells `sorted` after each change.
+// Makes a table sortable by its headings. Returns its rows in the order shown; calls `sorted` after each change.
 const sortable = (table, sorted) => {
   const body = table.tBodies[0];
   const rows = Array.from(body.rows);

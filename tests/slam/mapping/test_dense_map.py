@@ -10,10 +10,10 @@ import pytest
 from odometry import se3
 from slam.errors import OutputError
 from slam.keyframes import KeyFrameConfig
-from slam.mapping.dense_map import Odometry, choose_frames
+from slam.mapping.dense_map import OdometryTrajectory, group_key_frames
 from slam.mapping.fusion import Surface
 from slam.mapping.submaps import Submap, SubmapStore
-from slam.mapping.surface_file import write_surfaces
+from slam.mapping.surface_file import write_mesh
 
 from .scenes import ahead
 
@@ -38,7 +38,7 @@ def test_a_corrected_graph_moves_each_submap_with_its_anchor_and_rewrites_nothin
     store = filled(tmp_path, (2, 5))
     files = {path: path.read_bytes() for path in tmp_path.iterdir()}
     before, after = poses(1, 6), poses(2, 6)
-    for submap, old, new in zip(store, store.placed(before), store.placed(after), strict=True):
+    for submap, old, new in zip(store, store.surfaces_in_world(before), store.surfaces_in_world(after), strict=True):
         T_after_before = after[submap.anchor] @ se3.inverse(before[submap.anchor])
         np.testing.assert_allclose(new.points, se3.transform(T_after_before, old.points), atol=1e-12)
         np.testing.assert_array_equal(new.triangles, submap.surface.triangles)
@@ -53,10 +53,10 @@ def test_a_folder_that_is_gone_is_named(tmp_path: Path) -> None:
 def test_a_drive_is_cut_into_submaps_and_none_reaches_across_a_frame_that_measured_nothing() -> None:
     predicted = np.zeros(12, dtype=bool)
     predicted[[5, 6]] = True
-    odometry = Odometry(ahead(*range(12)), predicted)
-    assert choose_frames(odometry, KeyFrameConfig(), 4) == [[0, 1, 2], [3, 4], [7, 8, 9], [10, 11]]
+    odometry = OdometryTrajectory(ahead(*range(12)), predicted)
+    assert group_key_frames(odometry, KeyFrameConfig(), 4) == [[0, 1, 2], [3, 4], [7, 8, 9], [10, 11]]
     every_second = KeyFrameConfig(min_distance_m=2.0)
-    assert choose_frames(odometry, every_second, 4) == [[0, 2, 4], [7, 9, 11]]
+    assert group_key_frames(odometry, every_second, 4) == [[0, 2, 4], [7, 9, 11]]
 
 
 def test_one_submap_at_a_time_is_in_memory(tmp_path: Path) -> None:
@@ -66,20 +66,20 @@ def test_one_submap_at_a_time_is_in_memory(tmp_path: Path) -> None:
     store, seen = filled(tmp_path, (0, 1, 2, 3)), []
 
     def watched() -> Iterator[Surface]:
-        for placed in store.placed(poses(0, 4)):
+        for placed in store.surfaces_in_world(poses(0, 4)):
             seen.append(weakref.ref(placed.points))
             yield placed
             assert sum(reference() is not None for reference in seen) <= 2
 
-    write_surfaces(tmp_path / "map.ply", watched, with_triangles=True)
+    write_mesh(tmp_path / "map.ply", watched, with_triangles=True)
     assert len(seen) == 3 * 4
 
 
 @pytest.mark.parametrize("with_triangles", [False, True])
 def test_another_program_reads_what_is_written(tmp_path: Path, with_triangles: bool) -> None:
     store, path = filled(tmp_path, (0, 1)), tmp_path / "map.ply"
-    write_surfaces(path, lambda: store.placed(poses(3, 2)), with_triangles=with_triangles)
-    placed = list(store.placed(poses(3, 2)))
+    write_mesh(path, lambda: store.surfaces_in_world(poses(3, 2)), with_triangles=with_triangles)
+    placed = list(store.surfaces_in_world(poses(3, 2)))
     cloud = open3d.io.read_point_cloud(path)
     np.testing.assert_allclose(cloud.points, np.concatenate([part.points for part in placed]), atol=1e-6)
     grey = np.concatenate([part.grey for part in placed])
@@ -91,5 +91,5 @@ def test_another_program_reads_what_is_written(tmp_path: Path, with_triangles: b
 
 
 def test_a_drive_that_shows_nothing_is_an_empty_file(tmp_path: Path) -> None:
-    write_surfaces(tmp_path / "map.ply", lambda: iter(()), with_triangles=True)
+    write_mesh(tmp_path / "map.ply", lambda: iter(()), with_triangles=True)
     assert b"element vertex 0\n" in (tmp_path / "map.ply").read_bytes()

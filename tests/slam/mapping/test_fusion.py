@@ -8,16 +8,16 @@ import pytest
 
 from odometry import se3
 from slam.errors import RevisitError
-from slam.mapping.fusion import FusionConfig, Surface, Volume
+from slam.mapping.fusion import FusionConfig, Surface, TsdfVolume
 
 from .scenes import CAMERA_HEIGHT, ahead, seen
 
 
 def fused(poses: np.ndarray, config: FusionConfig | None = None) -> Surface:
-    volume = Volume(config or FusionConfig())
+    volume = TsdfVolume(config or FusionConfig())
     for T in poses:
         volume.integrate(seen(T), T)
-    return volume.surface()
+    return volume.extract_surface()
 
 
 def test_road_and_wall_come_out_where_they_are() -> None:
@@ -36,10 +36,10 @@ def test_road_and_wall_come_out_where_they_are() -> None:
 def test_it_does_not_matter_where_the_anchor_stands() -> None:
     """The field lies on other voxels then, and so the same plane is met at other points."""
     T_anchor_first = se3.exp(np.array([0.1, 0.7, -0.2, 3.0, -1.0, 2.0]))
-    volume = Volume(FusionConfig())
+    volume = TsdfVolume(FusionConfig())
     for T in ahead(*range(8)):
         volume.integrate(seen(T), T_anchor_first @ T)
-    points = volume.surface().moved(se3.inverse(T_anchor_first)).points
+    points = volume.extract_surface().transform(se3.inverse(T_anchor_first)).points
     off = np.minimum(np.abs(points[:, 1] - CAMERA_HEIGHT), np.abs(points[:, 0] + 4.0))
     assert np.median(off) < 0.02
 
@@ -52,13 +52,13 @@ def test_what_too_few_images_saw_is_left_out() -> None:
 
 def test_a_thing_that_moves_on_leaves_nothing() -> None:
     """A car 8 m ahead that drives as fast as we do: each place has seen it in fewer images than a point needs."""
-    volume, poses = Volume(FusionConfig()), ahead(*range(0, 20, 2))
+    volume, poses = TsdfVolume(FusionConfig()), ahead(*range(0, 20, 2))
     for T in poses:
         image = seen(T)
         depth = image.depth.copy()
         depth[80:130, 270:350] = 8.0
         volume.integrate(replace(image, depth=depth), T)
-    x, y, _ = volume.surface().points.T
+    x, y, _ = volume.extract_surface().points.T
     assert not ((np.abs(x) < 1.0) & (y < CAMERA_HEIGHT - 0.5)).any()
 
 
@@ -86,11 +86,11 @@ def test_grey_is_what_the_images_show() -> None:
 
 def test_nothing_seen_is_an_empty_surface() -> None:
     image = seen(np.eye(4))
-    volume = Volume(FusionConfig())
+    volume = TsdfVolume(FusionConfig())
     volume.integrate(replace(image, depth=np.zeros_like(image.depth)), np.eye(4))
-    surface = volume.surface()
+    surface = volume.extract_surface()
     assert surface.points.shape == surface.triangles.shape == (0, 3)
-    assert surface.moved(np.eye(4)).points.shape == (0, 3)
+    assert surface.transform(np.eye(4)).points.shape == (0, 3)
 
 
 @pytest.mark.parametrize("voxel_m", [0.0, -1.0, np.nan, np.inf])
@@ -102,4 +102,4 @@ def test_a_config_that_cannot_work_is_refused(voxel_m: float) -> None:
 def test_where_open3d_does_not_load_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(RevisitError, match=r"open3d: .*; type: revisit doctor"):
-        Volume(FusionConfig())
+        TsdfVolume(FusionConfig())

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from odometry import se3
-from slam.mapping.fusion import FusionConfig, Volume
-from slam.mapping.occupancy import FREE, OCCUPIED, UNKNOWN, Grid, draw_grid, write_grid
+from slam.mapping.fusion import FusionConfig, TsdfVolume
+from slam.mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, build_occupancy_grid, write_occupancy_grid
 from slam.mapping.submaps import Submap, SubmapStore
 
 from .scenes import ahead, seen
@@ -20,10 +20,10 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> SubmapStore:
     """One submap of the street, anchored at its fourth camera, frame 7."""
     poses = ahead(*range(8))
     T_anchor_camera = se3.inverse(poses[3]) @ poses
-    volume, store = Volume(FusionConfig()), SubmapStore(tmp_path_factory.mktemp("submaps"))
+    volume, store = TsdfVolume(FusionConfig()), SubmapStore(tmp_path_factory.mktemp("submaps"))
     for T_world_camera, T in zip(poses, T_anchor_camera, strict=True):
         volume.integrate(seen(T_world_camera), T)
-    store.add(Submap(7, np.arange(4, 12), T_anchor_camera, volume.surface()))
+    store.add(Submap(7, np.arange(4, 12), T_anchor_camera, volume.extract_surface()))
     return store
 
 
@@ -43,7 +43,7 @@ def read(path: Path) -> tuple[np.ndarray, dict]:
 
 
 def test_road_is_free_and_the_wall_is_not_where_the_map_says(store: SubmapStore, tmp_path: Path) -> None:
-    write_grid(tmp_path / "occupancy.yaml", draw_grid(store, trajectory(ahead(3.0)[0])))
+    write_occupancy_grid(tmp_path / "occupancy.yaml", build_occupancy_grid(store, trajectory(ahead(3.0)[0])))
     occupied, said = read(tmp_path / "occupancy.yaml")
 
     def at(forward: float, left: float) -> float:
@@ -60,7 +60,7 @@ def test_road_is_free_and_the_wall_is_not_where_the_map_says(store: SubmapStore,
 def test_the_grid_follows_the_corrected_trajectory(store: SubmapStore) -> None:
     """A quarter turn to the left, and 10 m ahead: what was ahead is to the left."""
     turned = se3.pose(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 10.0]))
-    here, there = draw_grid(store, trajectory(np.eye(4))), draw_grid(store, trajectory(turned))
+    here, there = build_occupancy_grid(store, trajectory(np.eye(4))), build_occupancy_grid(store, trajectory(turned))
     counts = [[int((grid.cells == value).sum()) for value in (FREE, OCCUPIED)] for grid in (here, there)]
     assert here.cells.shape == pytest.approx(there.cells.shape[::-1], abs=1)
     assert counts[0] == pytest.approx(counts[1], rel=0.1)
@@ -71,11 +71,11 @@ def test_the_grid_follows_the_corrected_trajectory(store: SubmapStore) -> None:
 
 def test_levels_are_those_of_map_saver_and_mean_what_they_should(tmp_path: Path) -> None:
     cells = np.array([[FREE, OCCUPIED], [UNKNOWN, FREE]], dtype=np.uint8)
-    write_grid(tmp_path / "g.yaml", Grid(cells, 0.5, np.array([-1.0, 2.0])))
+    write_occupancy_grid(tmp_path / "g.yaml", OccupancyGrid(cells, 0.5, np.array([-1.0, 2.0])))
     occupied, said = read(tmp_path / "g.yaml")
     np.testing.assert_array_equal(occupied, [[np.nan, 0.0], [0.0, 1.0]])
     assert said["origin"] == [-1.0, 2.0, 0.0]
 
 
 def test_no_submap_is_a_grid_of_one_unknown_cell(tmp_path: Path) -> None:
-    assert draw_grid(SubmapStore(tmp_path), np.eye(4)[None]).cells.tolist() == [[UNKNOWN]]
+    assert build_occupancy_grid(SubmapStore(tmp_path), np.eye(4)[None]).cells.tolist() == [[UNKNOWN]]

@@ -1,7 +1,6 @@
-"""Clouds survive their files, with Open3D and without."""
+"""Point clouds come back from their files, and Open3D reads them too."""
 
 import resource
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,14 +39,11 @@ def test_every_brightness_comes_back(file: Path) -> None:
     np.testing.assert_array_equal(read_cloud(file).grey, grey)
 
 
-def test_without_open3d_the_same_cloud_is_written(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud = cloud_of(0, 100)
+def test_comments_in_the_header_are_passed_over(file: Path) -> None:
+    cloud = cloud_of(0, 10)
     write_cloud(file, cloud)
-    with_open3d = file.read_bytes().replace(b"comment Created by Open3D\n", b"")
-    with monkeypatch.context() as without:
-        without.setitem(sys.modules, "open3d", None)
-        write_cloud(file, cloud)
-    assert file.read_bytes() == with_open3d
+    file.write_bytes(file.read_bytes().replace(b"1.0\n", b"1.0\ncomment Created by Open3D\n"))
+    np.testing.assert_array_equal(read_cloud(file).points, cloud.points)
 
 
 def test_the_file_is_binary_and_nothing_else_is_left(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam.mapping.fusion import Surface
-from slam.mapping.top_view import Window, seen_from_above
+from slam.mapping.top_view import PlaneWindow, render_birds_eye_view
 
-WINDOW = Window(left=-3.0, top=4.0, cell_m=0.5, shape=(10, 12))
+WINDOW = PlaneWindow(left=-3.0, top=4.0, cell_m=0.5, shape=(10, 12))
 POINTS = arrays(np.float64, st.tuples(st.integers(0, 60), st.just(3)), elements=st.floats(-6, 6, width=32))
 
 
@@ -19,7 +19,7 @@ def surface(points: np.ndarray) -> Surface:
 @given(POINTS, POINTS)
 def test_each_cell_shows_the_highest_of_its_points(first: np.ndarray, second: np.ndarray):
     surfaces = [surface(first), surface(second)]
-    view = seen_from_above(iter(surfaces), WINDOW)
+    view = render_birds_eye_view(iter(surfaces), WINDOW)
     highest: dict[tuple[int, int], float] = {}
     greys: dict[tuple[int, int, float], set[int]] = {}
     for part in surfaces:
@@ -35,7 +35,7 @@ def test_each_cell_shows_the_highest_of_its_points(first: np.ndarray, second: np
 
 
 def test_x_is_to_the_right_and_z_up():
-    view = seen_from_above([surface(np.array([[2.9, 0.0, 3.9]], np.float32))], WINDOW)
+    view = render_birds_eye_view([surface(np.array([[2.9, 0.0, 3.9]], np.float32))], WINDOW)
     assert np.argwhere(np.isfinite(view.height)).tolist() == [[0, 11]]
 
 
@@ -43,7 +43,7 @@ def test_a_window_holds_all_positions_with_their_margin_and_never_too_many_cells
     rng = np.random.default_rng(0)
     for size in (0.0, 10.0, 5000.0):
         positions = size * rng.random((50, 3))
-        window = Window.around(positions, 25.0, 0.2)
+        window = PlaneWindow.around(positions, 25.0, 0.2)
         corners = positions[:, None] + np.array([[-24.9, 0, -24.9], [24.9, 0, 24.9]])
         assert window.contains(window.cells(corners.reshape(-1, 3))).all()
         assert max(window.shape) <= 1201

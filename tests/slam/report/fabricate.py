@@ -12,10 +12,10 @@ from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
 from slam.mapping.fusion import Surface
-from slam.mapping.occupancy import Grid
-from slam.mapping.top_view import TopView, Window, seen_from_above
+from slam.mapping.occupancy import OccupancyGrid
+from slam.mapping.top_view import BirdsEyeView, PlaneWindow, render_birds_eye_view
 from slam.record import LoopEventRow, LoopRow, MatchedPixels, PointCloud, RunRecord, StageRow
-from slam.report.dense_section import Overview, show_dense_map
+from slam.report.dense_section import DenseOverview, write_dense_page
 
 RADIUS = 40.0
 LAP = 100
@@ -45,7 +45,7 @@ def cloud(poses, rng):
     return PointCloud(points, rng.integers(0, 255, len(points)).astype(np.uint8))
 
 
-def ledger(frames):
+def loop_log(frames):
     rows = []
     for query in range(LAP + 5, frames, 5):
         truth = query % 15 != 0
@@ -92,7 +92,7 @@ def record(frames=200, seed=3):
     times["optimise"][::2] = np.nan
     return RunRecord(
         "fabricated circle", np.arange(frames) / 10, odometry, online, corrected, truth,
-        np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), ledger(frames), times,
+        np.arange(frames) % 70 == 69, rng.integers(80, 400, frames), loop_log(frames), times,
         cloud(odometry, rng), cloud(corrected, rng), metrics(frames),
     )  # fmt: skip
 
@@ -171,19 +171,19 @@ def noise(seed):
 
 def dense_window(record):
     positions = np.concatenate([record.odometry, record.corrected])[:, :3, 3]
-    return Window.around(positions, 25.0, 0.5)
+    return PlaneWindow.around(positions, 25.0, 0.5)
 
 
 def top_view(height):
-    return TopView(height, np.full(height.shape, 127, np.uint8))
+    return BirdsEyeView(height, np.full(height.shape, 127, np.uint8))
 
 
-def show_dense(report, record, grid=None):
-    """Put a dense map of the record's landmarks into its report."""
+def write_dense(path, record, grid=None):
+    """Write the page of a dense map of the record's landmarks."""
     window, maps = dense_window(record), []
     for state, poses, points in (
         ("before", record.odometry, record.map_before), ("after", record.corrected, record.map_after)
     ):  # fmt: skip
         surface = Surface(points.points, points.grey, np.zeros((0, 3), np.int32))
-        maps.append(Overview(state, seen_from_above([surface], window), poses[:, :3, 3]))
-    show_dense_map(report, maps, window, grid or Grid(np.full((30, 50), 205, np.uint8), 0.5, np.zeros(2)))
+        maps.append(DenseOverview(state, render_birds_eye_view([surface], window), poses[:, :3, 3]))
+    write_dense_page(path, maps, window, grid or OccupancyGrid(np.full((30, 50), 205, np.uint8), 0.5, np.zeros(2)))

@@ -1,7 +1,7 @@
 """How large the report of a long drive is, how long it takes to write, and how long a browser takes to open it.
 
 Run from the root: `python -m tests.slam.report.measure_size [FOLDER_OF_IMAGES]`. The drive is fabricated: 5,000
-frames, and 2,000 rows in the ledger that show 4,000 different images. The images are noise that compresses like
+frames, and 2,000 rows in the loop log that show 4,000 different images. The images are noise that compresses like
 photographs, or those of a folder, one after the other, shifted so that each is different.
 """
 
@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slam.record import LoopRow, RunRecord
-from slam.report.evidence import album
+from slam.report.evidence import make_album
 from slam.report.page import write_report
 
 from . import fabricate
@@ -30,7 +30,7 @@ RUNS = 3
 
 
 def long_drive() -> RunRecord:
-    """Fabricate a drive whose ledger shows as many different images as it can; every seventh loop is none."""
+    """Fabricate a drive whose loop log shows as many different images as it can; every seventh loop is none."""
     rows = []
     for query in np.linspace(FRAMES // 2, FRAMES - 1, ROWS).astype(int).tolist():
         true = query % 7 > 0
@@ -53,7 +53,7 @@ def seconds_to_open(shown: Browser, path: Path) -> tuple[float, float]:
     for _ in range(RUNS):
         opened.append(shown.open(path))
         start = time.perf_counter()
-        shown.run("document.querySelector('#ledger .open').click()")
+        shown.run("document.querySelector('#loop-log .open').click()")
         pairs.append(time.perf_counter() - start)
     return min(opened), min(pairs)
 
@@ -63,7 +63,7 @@ def main() -> None:
     images = folder_images(Path(sys.argv[1])) if len(sys.argv) > 1 else fabricate.street
     record = long_drive()
     table = Table("what", "measured", title=f"A report of {FRAMES} frames and {ROWS} rows")
-    pictured = album(record.loops, images)
+    pictured = make_album(record.loops, images)
     table.add_row("rows with their images", str(sum(map(pictured.shows, record.loops))))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "report.html"

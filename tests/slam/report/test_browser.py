@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from slam.report.alignment import position_error
+from slam.report.alignment import position_errors
 from slam.report.page import write_report
 from slam.report.reading import MISSING
-from slam.telling import told
+from slam.telling import describe_stages
 
 from . import fabricate
 from .browser import NO_BROWSER, browser, has_browser
@@ -35,7 +35,7 @@ CONTRAST = """
         const colour = getComputedStyle(node).backgroundColor;
         return colour.startsWith("rgba") ? behind(node.parentElement) : colour;
     };
-    const words = "h1, p, dt, dd, caption, figcaption, .fate, td, button:enabled";
+    const words = "h1, p, dt, dd, caption, figcaption, .outcome, td, button:enabled";
     return [...document.querySelectorAll(words)].map((node) => {
         const both = [luminance(getComputedStyle(node).color), luminance(behind(node))].sort((a, b) => a - b);
         return (both[1] + 0.05) / (both[0] + 0.05);
@@ -63,8 +63,7 @@ def driven():
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Path:
     file = tmp_path_factory.mktemp("report") / "a <b> 'report' улица.html"
-    write_report(WHOLE, file, fabricate.street, {NAME: NAME})
-    fabricate.show_dense(file, WHOLE)
+    write_report(WHOLE, file, fabricate.street, {NAME: NAME}, "dense.html")
     return file
 
 
@@ -87,9 +86,9 @@ def test_a_page_that_loads_something_and_one_that_fails_would_be_noticed(driven,
 
 
 def column(page, number: int) -> list[str]:
-    """The cells of a column of the ledger, of the rows that are shown."""
+    """The cells of a column of the loop log, of the rows that are shown."""
     return page.run(
-        "return [...document.querySelectorAll('#ledger tbody tr:not([hidden])')]"
+        "return [...document.querySelectorAll('#loop-log tbody tr:not([hidden])')]"
         ".map((row) => row.cells[arguments[0]].textContent)",
         number,
     )
@@ -109,30 +108,30 @@ def row_of(query: int):
 
 def open_row(page, query: int) -> None:
     choose(page, "")
-    click(page, "#ledger .open", [row.query for row in WHOLE.loops].index(query))
+    click(page, "#loop-log .open", [row.query for row in WHOLE.loops].index(query))
 
 
-def choose(page, fate: str) -> None:
+def choose(page, outcome: str) -> None:
     page.run(
-        "const fate = document.querySelector('#fate');"
-        "fate.value = arguments[0]; fate.dispatchEvent(new Event('change'))",
-        fate,
+        "const outcome = document.querySelector('#outcome');"
+        "outcome.value = arguments[0]; outcome.dispatchEvent(new Event('change'))",
+        outcome,
     )
 
 
 def test_a_heading_sorts_by_size_up_and_down_with_what_is_missing_last(page):
-    click(page, "#ledger th button", 6)
-    assert page.run("return document.querySelectorAll('#ledger th')[6].ariaSort") == "ascending"
+    click(page, "#loop-log th button", 6)
+    assert page.run("return document.querySelectorAll('#loop-log th')[6].ariaSort") == "ascending"
     known = sum(np.isfinite(row.weight) for row in WHOLE.loops if row.accepted)
     assert MISSING not in column(page, 6)[:known]
-    click(page, "#ledger th button", 0)
-    click(page, "#ledger th button", 0)
-    assert page.run("return document.querySelectorAll('#ledger th')[0].ariaSort") == "descending"
+    click(page, "#loop-log th button", 0)
+    click(page, "#loop-log th button", 0)
+    assert page.run("return document.querySelectorAll('#loop-log th')[0].ariaSort") == "descending"
     queries = [int(cell) for cell in column(page, 0)]
     assert queries == sorted((row.query for row in WHOLE.loops if row.accepted), reverse=True)
 
 
-def test_the_ledger_is_filtered_by_fate_and_by_words(page):
+def test_the_loop_log_is_filtered_by_outcome_and_by_words(page):
     choose(page, "kept")
     kept = [row for row in WHOLE.loops if row.in_graph]
     assert column(page, 0) == [str(row.query) for row in kept]
@@ -143,7 +142,7 @@ def test_the_ledger_is_filtered_by_fate_and_by_words(page):
     assert column(page, 0) == ["20"]
 
 
-def test_a_row_opens_its_images_with_its_matches_and_its_story(page):
+def test_a_row_opens_its_images_with_its_matches_and_each_stage(page):
     open_row(page, 110)
     row, (pair,) = row_of(110), [pair for pair in WHOLE.matched if pair.query == 110]
     sizes = page.driver.execute_async_script(
@@ -164,7 +163,7 @@ def test_a_row_opens_its_images_with_its_matches_and_its_story(page):
     np.testing.assert_allclose(ends, expected, atol=0.51)
     stage = next(stage for stage in WHOLE.stages if stage.query == 110)
     events = [event for event in WHOLE.events if event.query == 110]
-    assert text(page, "#pair-told") == "".join(f"{name}{words}" for name, words in told(NAME, row, stage, events))
+    assert text(page, "#pair-stages") == "".join(f"{name}{words}" for name, words in describe_stages(NAME, row, stage, events))
     assert text(page, "#pair-title") == "Frame 110 with frame 10: closed."
 
 
@@ -175,12 +174,12 @@ def test_a_rejected_row_shows_what_geometry_found_and_an_unlikely_one_that_none_
     open_row(page, 20)
     assert page.run("return document.querySelectorAll('#pair image').length") == 2
     assert page.run("return document.querySelectorAll('#pair line').length") == 0
-    assert "none is known that agrees with one geometry" in text(page, "#pair-caption")
+    assert "none agree with one geometry" in text(page, "#pair-caption")
 
 
 def test_keys_alone_walk_the_rows_open_one_go_on_and_come_back(page):
-    assert page.run("return document.querySelectorAll('#ledger .open[tabindex=\"0\"]').length") == 1
-    page.run("document.querySelector('#ledger').closest('.scroll').focus()")
+    assert page.run("return document.querySelectorAll('#loop-log .open[tabindex=\"0\"]').length") == 1
+    page.run("document.querySelector('#loop-log').closest('.scroll').focus()")
     page.press(*[Keys.TAB] * 11)  # past the headings
     page.press(Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ENTER)
     assert text(page, "#pair-title").startswith("Frame 115")
@@ -195,7 +194,7 @@ def test_keys_alone_walk_the_rows_open_one_go_on_and_come_back(page):
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_frame_under_the_pointer_is_named_with_its_error_in_both_maps_at_any_zoom(page, number):
-    errors = [position_error(poses, WHOLE.ground_truth)[-1] for poses in (WHOLE.odometry, WHOLE.corrected)]
+    errors = [position_errors(poses, WHOLE.ground_truth)[-1] for poses in (WHOLE.odometry, WHOLE.corrected)]
     page.run("document.querySelectorAll('.pane')[arguments[0]].focus()", number)
     for _ in range(3):
         page.run(END_OF_WAY, number)
@@ -229,13 +228,19 @@ def test_maps_zoom_together_by_button_key_and_wheel_and_show_all_again(page):
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_pictures_of_the_dense_map_keep_their_colours(page, theme):
-    page.theme(theme)
-    shown = page.run(
+def test_the_page_of_the_dense_map_keeps_its_colours_and_loads_nothing(driven, tmp_path, theme):
+    fabricate.write_dense(tmp_path / "dense.html", WHOLE)
+    driven.theme(theme)
+    driven.screen(1280, 900)
+    driven.open(tmp_path / "dense.html")
+    shown = driven.run(
         "return [...document.querySelectorAll('#dense image')].map((image) => "
         "[getComputedStyle(image).filter, image.getBoundingClientRect().width > 300])"
     )
     assert shown == [["none", True]] * 3
+    assert min(driven.run(CONTRAST)) >= READABLE
+    assert driven.loaded() == [(tmp_path / "dense.html").as_uri()]
+    assert driven.complaints() == []
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -256,7 +261,7 @@ def test_a_phone_shows_everything_without_scrolling_aside(page):
         "return [...document.querySelectorAll('main > section')]"
         ".map((part) => { part.scrollIntoView(); return part.scrollWidth - part.clientWidth; })"
     )
-    assert wider == [0] * 7
+    assert wider == [0] * 6
     open_row(page, 110)
     left, right, inner, outer = page.run(
         "const box = document.querySelector('#pair'), { left, right } = box.getBoundingClientRect();"
@@ -271,5 +276,5 @@ def test_names_are_text_wherever_they_stand(page):
     assert text(page, "h1") == NAME
     assert page.driver.title == f"{NAME} {MISSING} Revisit"
     open_row(page, 110)
-    assert text(page, "#pair-told dd").startswith(NAME)
+    assert text(page, "#pair-stages dd").startswith(NAME)
     assert page.run("return document.querySelectorAll('main b:not(.funnel b), dialog b').length") == 0

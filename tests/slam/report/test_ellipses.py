@@ -8,8 +8,8 @@ import pytest
 from odometry import se3
 from slam.evaluation.trajectory import Similarity
 from slam.report.ellipses import confidence_ellipses
-from slam.report.figures import before_after
-from slam.report.maps import plan_view
+from slam.report.figures import draw_before_after
+from slam.report.maps import draw_interactive_map
 
 from . import fabricate
 
@@ -57,11 +57,11 @@ def test_every_drive_gets_some_and_not_too_many(frames: int) -> None:
 def test_both_pictures_show_them_where_they_are_known() -> None:
     whole = fabricate.record()
     sure = replace(whole, odometry_covariances=covariances(200), corrected_covariances=covariances(200, (0.1,) * 3))
-    labels = [text.get_text() for text in before_after(sure).legends[0].get_texts()]
+    labels = [text.get_text() for text in draw_before_after(sure).legends[0].get_texts()]
     assert "95 % confidence" in labels
-    assert "95 % confidence" not in [text.get_text() for text in before_after(whole).legends[0].get_texts()]
-    (ax,) = plan_view(sure, "odometry").axes
-    (plain,) = plan_view(whole, "odometry").axes
+    assert "95 % confidence" not in [text.get_text() for text in draw_before_after(whole).legends[0].get_texts()]
+    (ax,) = draw_interactive_map(sure, "odometry").axes
+    (plain,) = draw_interactive_map(whole, "odometry").axes
     outlines = [len(path.vertices) for lines in ax.collections for path in lines.get_paths()]
     assert outlines.count(48) == 24
     assert ax.get_xlim() == plain.get_xlim()

@@ -17,6 +17,7 @@ from slam.report.figures import new_figure, save_png
 from slam.report.place_figures import plot_precision_recall
 
 STREET = "街"
+FAMILY = "Noto Sans CJK SC"  # one of the fallback families
 
 
 def block(side: int):
@@ -27,21 +28,22 @@ def block(side: int):
 
 @pytest.fixture
 def font(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Install a font whose only letter is a black block."""
+    """Install a font of a fallback family whose only letter is a black block."""
     builder = FontBuilder(1000, isTTF=True)
     builder.setupGlyphOrder([".notdef", "street"])
     builder.setupCharacterMap({ord(STREET): "street"})
     builder.setupGlyf({".notdef": block(10), "street": block(900)})
     builder.setupHorizontalMetrics({".notdef": (1000, 0), "street": (1000, 0)})
     builder.setupHorizontalHeader(ascent=900, descent=-100)
-    builder.setupNameTable({"familyName": "Block", "styleName": "Regular"})
+    builder.setupNameTable({"familyName": FAMILY, "styleName": "Regular"})
     builder.setupOS2(), builder.setupPost()
     builder.save(tmp_path / "block.ttf")
-    monkeypatch.setattr(font_manager.fontManager, "ttflist", [*font_manager.fontManager.ttflist])
+    others = [entry for entry in font_manager.fontManager.ttflist if entry.name not in letters.FALLBACK_FAMILIES]
+    monkeypatch.setattr(font_manager.fontManager, "ttflist", others)
     font_manager.fontManager.addfont(tmp_path / "block.ttf")
-    letters._fonts_with.cache_clear()
-    yield "Block"
-    letters._fonts_with.cache_clear()
+    letters._installed.cache_clear()
+    yield FAMILY
+    letters._installed.cache_clear()
 
 
 def drawn(title: str, path: Path) -> np.ndarray:
@@ -64,11 +66,19 @@ def test_a_letter_that_no_font_has_is_a_box_and_no_warning(tmp_path: Path):
         assert (drawn("\U0001f30d \ue000 a", tmp_path / "x.png") < 0.9).any()
 
 
-def test_usual_letters_need_no_other_font(font: str):
+def test_usual_letters_are_drawn_as_without_other_fonts(tmp_path: Path, request: pytest.FixtureRequest):
+    letters._installed.cache_clear()
+    before = drawn("Straße, улица, ὁδός", tmp_path / "before.png")
+    request.getfixturevalue("font")
+    np.testing.assert_array_equal(drawn("Straße, улица, ὁδός", tmp_path / "after.png"), before)
+
+
+def test_only_installed_families_are_asked_for(font: str):
     figure = new_figure(1.0, 1.0)
-    text = figure.suptitle("Straße, улица, ὁδός")
-    letters.choose_fonts(figure)
-    assert font not in text.get_fontfamily()
+    text = figure.suptitle("a")
+    own = text.get_fontfamily()
+    letters.set_font_fallbacks(figure)
+    assert text.get_fontfamily() == [*own, font]
 
 
 def test_a_font_file_that_is_damaged_is_passed_over(font: str, tmp_path: Path):

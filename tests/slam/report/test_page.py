@@ -82,12 +82,12 @@ def test_a_hostile_name_is_shown_as_text(name, tmp_path):
     hostile = replace(WHOLE, name=name, loops=rows, metrics=metrics, stage_ms=stages)
     page = Page(written(hostile, tmp_path, config={name: {name: name}}))
     assert page.text.count(" ".join(name.split())) > len(rows)
-    assert [attrs for tag, attrs in page.tags if tag == "script"] == [DATA, DATA, {**DATA, "id": "evidence"}, {}]
+    assert [attrs for tag, attrs in page.tags if tag == "script"] == [DATA, DATA, {**DATA, "id": "loop-details"}, {}]
     assert not any(tag == "b" and attrs for tag, attrs in page.tags)
 
 
-def test_the_ledger_has_one_row_for_each_of_the_record(whole):
-    assert sum("data-fate" in attrs for _, attrs in Page(whole).tags) == len(WHOLE.loops)
+def test_the_loop_log_has_one_row_for_each_of_the_record(whole):
+    assert sum("data-outcome" in attrs for _, attrs in Page(whole).tags) == len(WHOLE.loops)
 
 
 def test_what_is_not_known_is_a_dash_with_its_reason(whole):

@@ -8,7 +8,7 @@ import pytest
 from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
 from place_recognition.recognizer import Belief
-from slam.report.figures import png, save_png
+from slam.report.figures import render_png, save_png
 from slam.report.place_figures import plot_places, plot_precision_recall, reduce_to_cells
 from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
 
@@ -53,7 +53,7 @@ def test_there_is_a_panel_for_each_matrix_the_detections_and_the_truth(
     assert len(panels) == len(stages) + 1 + (truth is not None)
     labels = [text.get_text() for text in panels[len(stages)].get_legend().get_texts()]
     assert labels == (["accepted"] if truth is None else ["true (1)", "false (1)"])
-    assert png(figure).startswith(b"\x89PNG")
+    assert render_png(figure).startswith(b"\x89PNG")
 
 
 def test_a_drive_in_which_nothing_was_compared_can_be_drawn(tmp_path: Path) -> None:
@@ -97,4 +97,4 @@ def test_the_latex_has_a_column_for_each_data_set_and_nothing_unescaped() -> Non
 
 def test_the_table_can_be_drawn() -> None:
     assert len([ax for ax in plot_table(TABLE).axes if ax.get_title() in DATASETS]) == len(DATASETS)
-    assert png(plot_table(TABLE)).startswith(b"\x89PNG")
+    assert render_png(plot_table(TABLE)).startswith(b"\x89PNG")

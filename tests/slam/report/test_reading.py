@@ -5,8 +5,8 @@ import pytest
 from rich.console import Console
 
 from slam.record import LoopRow
-from slam.report.reading import MISSING, note, stage_times, text, value, verdict
-from slam.report.tables import summary
+from slam.report.reading import MISSING, find_note, format_value, loop_outcome, metric_value, stage_times
+from slam.report.tables import summary_table
 
 from . import fabricate
 
@@ -15,21 +15,21 @@ WHOLE = fabricate.record()
 
 def printed(record) -> str:
     console = Console(width=140, record=True, file=io.StringIO())
-    console.print(summary(record))
+    console.print(summary_table(record))
     return console.export_text()
 
 
 def test_values_are_found_by_their_dotted_key():
-    assert value({"a": {"b": 3}}, "a.b") == 3
-    assert value({"a": None}, "a.b") is None
-    assert value({"a": float("nan")}, "a") is None
+    assert metric_value({"a": {"b": 3}}, "a.b") == 3
+    assert metric_value({"a": None}, "a.b") is None
+    assert metric_value({"a": float("nan")}, "a") is None
 
 
 def test_a_note_on_a_group_holds_for_its_values():
     metrics = {"notes": {"odometry": "no ground truth", "odometry.ate_m": "one pose"}}
-    assert note(metrics, "odometry.ate_m") == "one pose"
-    assert note(metrics, "odometry.t_rel_percent") == "no ground truth"
-    assert note(metrics, "corrected.ate_m") == ""
+    assert find_note(metrics, "odometry.ate_m") == "one pose"
+    assert find_note(metrics, "odometry.t_rel_percent") == "no ground truth"
+    assert find_note(metrics, "corrected.ate_m") == ""
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_a_note_on_a_group_holds_for_its_values():
     [(None, MISSING), (float("inf"), MISSING), (1.234, "1.23 m"), (7, "7 m"), (True, "yes")],
 )
 def test_values_are_written_for_people(found, shown):
-    assert text(found, 2, " m") == shown
+    assert format_value(found, 2, " m") == shown
 
 
 def test_shares_of_the_stages_add_up_and_the_sum_is_no_stage():
@@ -57,8 +57,8 @@ def test_frames_in_which_a_stage_did_not_run_do_not_count():
     [(True, True, True, "kept"), (True, True, False, "dropped"), (True, False, False, "unverified"),
      (False, False, False, "unlikely")],
 )  # fmt: skip
-def test_the_fate_of_a_match_is_one_word(accepted, verified, in_graph, word):
-    assert verdict(LoopRow(9, 1, 0.5, accepted, verified=verified, in_graph=in_graph)) == word
+def test_the_outcome_of_a_match_is_one_word(accepted, verified, in_graph, word):
+    assert loop_outcome(LoopRow(9, 1, 0.5, accepted, verified=verified, in_graph=in_graph)) == word
 
 
 def test_the_summary_names_estimates_errors_loops_and_speed():
@@ -68,7 +68,7 @@ def test_the_summary_names_estimates_errors_loops_and_speed():
         "0.83",
         "SE(3)",
         "19 proposed, 13 verified, 13 kept",
-        "21.3 a second",
+        "21.3 per second",
         "read ",
     ):
         assert words in shown

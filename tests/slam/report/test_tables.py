@@ -6,8 +6,8 @@ from dataclasses import replace
 from rich.console import Console
 
 from slam.record import RunRecord
-from slam.report.page import render
-from slam.report.tables import summary
+from slam.report.page import render_report
+from slam.report.tables import summary_table
 
 from .fabricate import record
 
@@ -20,7 +20,7 @@ def judged() -> RunRecord:
 
 def shown(drive: RunRecord) -> str:
     page = io.StringIO()
-    Console(width=200, file=page).print(summary(drive))
+    Console(width=200, file=page).print(summary_table(drive))
     return page.getvalue()
 
 
@@ -33,5 +33,5 @@ def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
 
 
 def test_the_report_shows_the_recogniser_by_itself():
-    page = " ".join(render(judged(), None, {}).split())
+    page = " ".join(render_report(judged(), None, {}).split())
     assert "R@P100 0.875, average precision 0.938." in page

@@ -11,7 +11,7 @@ from slam import cli
 from slam.errors import DataError
 from slam.mapping.landmarks import LandmarkMap
 from slam.mapping.ply import write_cloud
-from slam.storage.landmarks import read_sightings, write_sightings
+from slam.storage.landmarks import read_landmark_observers, write_landmark_observers
 from slam.storage.trajectory import write_tum
 
 CAMERA = StereoCamera(200.0, 210.0, 80.5, 60.25, 0.5, 160, 120)
@@ -39,7 +39,7 @@ def run(tmp_path: Path, poses: np.ndarray, landmarks: LandmarkMap) -> Path:
     folder.mkdir()
     write_tum(folder / "trajectory_corrected.tum", np.arange(4.0), poses)
     write_cloud(folder / "map_after.ply", landmarks.cloud(poses))
-    write_sightings(folder / "landmarks.npz", landmarks.frames, CAMERA)
+    write_landmark_observers(folder / "landmarks.npz", landmarks.frames, CAMERA)
     return folder
 
 
@@ -105,7 +105,7 @@ def test_a_model_that_is_there_stays_unless_told_otherwise(run: Path, capsys: py
 
 
 def test_landmarks_of_another_run_are_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_sightings(run / "landmarks.npz", np.array([0, 9], np.int32), CAMERA)
+    write_landmark_observers(run / "landmarks.npz", np.array([0, 9], np.int32), CAMERA)
     assert export(run) == 1
     assert "landmarks.npz: expected a frame, up to 3, for each of 5 landmarks, found 2" in capsys.readouterr().err
     assert not run.with_name("run_corrected_colmap").exists()
@@ -113,9 +113,9 @@ def test_landmarks_of_another_run_are_refused(run: Path, capsys: pytest.CaptureF
 
 def test_sightings_come_back_and_others_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "landmarks.npz"
-    write_sightings(path, np.array([0, 0, 5], np.int32), CAMERA)
-    read = read_sightings(path)
+    write_landmark_observers(path, np.array([0, 0, 5], np.int32), CAMERA)
+    read = read_landmark_observers(path)
     assert (read.frames.tolist(), read.intrinsics.tolist()) == ([0, 0, 5], [200.0, 210.0, 80.5, 60.25])
     np.savez(path, frames=np.array([-1], np.int32), intrinsics=read.intrinsics, size=read.size)
     with pytest.raises(DataError, match=r"landmarks\.npz: expected a camera, and frames from 0 on"):
-        read_sightings(path)
+        read_landmark_observers(path)

@@ -54,7 +54,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=25, deadline=None)
 @given(rows=st.lists(loop_rows, max_size=5))
-def test_the_ledger_comes_back(file: Path, rows: list[LoopRow]) -> None:
+def test_the_loop_log_comes_back(file: Path, rows: list[LoopRow]) -> None:
     write_loops(file, rows)
     assert [comparable(row) for row in read_loops(file)] == [comparable(row) for row in rows]
 
@@ -75,7 +75,7 @@ def test_frames_come_back(file: Path, count: int) -> None:
     np.testing.assert_equal(dict(read.stage_ms), dict(expected.stage_ms))
 
 
-def test_the_ledger_has_the_documented_columns(file: Path) -> None:
+def test_the_loop_log_has_the_documented_columns(file: Path) -> None:
     write_loops(file, [])
     columns = "query,match,score,accepted,matches,inliers,verified,in_graph,weight,residual,truth,reason"
     assert file.read_text() == columns + "\n"
@@ -143,7 +143,7 @@ HEADER = ",".join(tables.LOOP_COLUMNS)
         (HEADER + "\n7,2\n", r"loops.csv, row 7: expected accepted as a run writes it, found ''"),
     ],
 )
-def test_a_damaged_ledger_is_named(tmp_path: Path, text: str, message: str) -> None:
+def test_a_damaged_loop_log_is_named(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "loops.csv").write_text(text)
     with pytest.raises(DataError, match=message):
         read_loops(tmp_path / "loops.csv")

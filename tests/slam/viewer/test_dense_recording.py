@@ -8,7 +8,7 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
-from slam.mapping.fusion import NOTHING, Surface
+from slam.mapping.fusion import EMPTY_SURFACE, Surface
 from slam.viewer.dense_recording import PlacedMap, record_dense_map
 from slam.viewer.rerun_viewer import RerunViewer
 
@@ -35,12 +35,12 @@ def test_a_viewer_takes_both_files_for_one_recording(run: Path, tmp_path: Path):
 
 
 def test_each_submap_is_there_in_both_states_and_none_is_empty(run: Path, tmp_path: Path):
-    record_dense_map(tmp_path / "dense.rrd", run, CAMERA, maps(TRIANGLE, NOTHING, TRIANGLE))
+    record_dense_map(tmp_path / "dense.rrd", run, CAMERA, maps(TRIANGLE, EMPTY_SURFACE, TRIANGLE))
     paths = {piece.entity_path for piece in RrdReader(tmp_path / "dense.rrd").stream()}
     assert {path for path in paths if path.startswith("/world")} == {
         f"/world/dense_{state}/{name}"
         for state in ("before", "after")
-        for name in ("way", "submap_0000", "submap_0002")
+        for name in ("path", "submap_0000", "submap_0002")
     }
 
 

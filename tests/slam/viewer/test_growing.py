@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from slam.viewer.growing import Growing
+from slam.viewer.growing import GrowingEntity
 
 
 class Log:
@@ -33,7 +33,7 @@ def log():
 
 @pytest.fixture
 def growing(log):
-    return Growing(log, "line", lambda rows: rows, size=10)
+    return GrowingEntity(log, "line", lambda rows: rows, max_rows=10)
 
 
 def test_all_rows_are_shown_at_any_time(log, growing):

@@ -26,8 +26,8 @@ def bound_addresses(ports):
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to list who listens")
 def test_the_web_viewer_listens_on_this_machine_alone_and_stops_with_the_run():
-    served = listener.listen(web=True)
-    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page.address)}
+    served = listener.start_viewer(web=True)
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.data_url, served.page_url)}
     assert bound_addresses(ports) == {"127.0.0.1"}
     served.stop()
     assert bound_addresses(ports) == set()
@@ -38,17 +38,40 @@ def test_a_window_without_a_display_is_an_error_with_a_remedy(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(OutputError, match=r"no DISPLAY; use --view web"):
-        listener.listen(web=False)
+        listener.start_viewer(web=False)
 
 
-def test_the_viewer_is_told_to_report_to_nobody_and_to_ask_nobody():
-    assert listener._private()["CI"] == "true"
-    assert listener._private()["HTTPS_PROXY"] == "http://127.0.0.1:9"
+def test_the_window_reports_nothing_and_asks_for_no_releases(monkeypatch):
+    started = {}
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(listener.subprocess, "Popen", lambda command, **how: started.update(how, command=command))
+    monkeypatch.setattr(listener, "_wait_until_listening", lambda process, ports: None)
+    assert listener.start_viewer(web=False).page_url is None
+    assert started["env"]["CI"] == "true"
+    assert started["env"]["HTTPS_PROXY"] == "http://127.0.0.1:9"
+    assert started["command"][started["command"].index("--bind") + 1] == "127.0.0.1"
+
+
+def test_a_viewer_that_ends_at_once_is_an_error_with_its_code(monkeypatch):
+    monkeypatch.setattr(listener, "_command", lambda ports, files: [sys.executable, "-c", "raise SystemExit(3)"])
+    with pytest.raises(OutputError, match=r"ended at once with code 3"):
+        listener.start_viewer(web=True)
+
+
+def test_a_viewer_that_never_listens_is_an_error_and_is_ended(monkeypatch):
+    monkeypatch.setattr(
+        listener, "_command", lambda ports, files: [sys.executable, "-c", "import time; time.sleep(60)"]
+    )
+    monkeypatch.setattr(listener, "_START_TIMEOUT_S", 0.2)
+    with pytest.raises(OutputError, match=r"expected a viewer on port \d+ within 0 s"):
+        listener.start_viewer(web=True)
 
 
 def test_a_run_is_opened_with_its_dense_map(tmp_path, monkeypatch):
     opened = []
-    monkeypatch.setattr(listener, "listen", lambda web, files: opened.append((web, [path.name for path in files])))
+    monkeypatch.setattr(
+        listener, "start_viewer", lambda web, files: opened.append((web, [path.name for path in files]))
+    )
     with pytest.raises(DataError, match=r"expected the folder of a run with a recording\.rrd, found none"):
         listener.open_recording(tmp_path, web=True)
     (tmp_path / "recording.rrd").touch()
@@ -62,7 +85,7 @@ def test_a_run_is_opened_with_its_dense_map(tmp_path, monkeypatch):
 def test_a_recording_is_served_on_this_machine_alone_until_the_viewer_ends(tmp_path):
     RerunViewer(tmp_path / "recording.rrd", StereoCamera(120.0, 120.0, 79.5, 29.5, 0.5, 160, 60)).close()
     served = listener.open_recording(tmp_path, web=True)
-    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.address, served.page.address)}
+    ports = {int(url.split(":")[2].split("/")[0]) for url in (served.data_url, served.page_url)}
     assert bound_addresses(ports) == {"127.0.0.1"}
     served.process.terminate()
     served.wait()
@@ -70,6 +93,6 @@ def test_a_recording_is_served_on_this_machine_alone_until_the_viewer_ends(tmp_p
 
 
 def test_memory_is_limited():
-    command = listener._command(True, 1, 2)
+    command = listener._command([1, 2], [])
     assert command[command.index("--memory-limit") + 1] == "2GB"
     assert command[command.index("--server-memory-limit") + 1] == "512MB"

@@ -7,7 +7,7 @@ from place_recognition.evaluation.matrix import SimilarityMatrix
 from slam.errors import OutputError
 from slam.viewer import shapes
 from slam.viewer.rerun_viewer import RerunViewer
-from slam.viewer.viewer import ClosedLoop, NullViewer, Step
+from slam.viewer.viewer import FrameView, LoopView, NullViewer
 
 from ..report import fabricate
 
@@ -22,9 +22,9 @@ ALWAYS = {
 }  # fmt: skip
 
 
-def step(record, index, rng):
+def frame_view(record, index, rng):
     pixels = rng.uniform([0, 0], [160, 60], (50, 2))
-    return Step(
+    return FrameView(
         index, float(record.timestamps[index]), rng.integers(0, 255, (60, 160)).astype(np.uint8),
         record.odometry[index], record.online[index], pixels, pixels + 1.0, rng.random(50) < 0.8, False,
         rng.normal(size=(40, 3)) if index % 5 == 0 else None, {"read": 1.5, "verify / prove": float("nan")},
@@ -36,13 +36,13 @@ def drive(viewer, record, seed=1):
     rng = np.random.default_rng(seed)
     rows = {row.query: row for row in record.loops if row.accepted}
     for index in range(len(record.timestamps)):
-        viewer.step(step(record, index, rng))
+        viewer.show_frame(frame_view(record, index, rng))
         if index in rows:
             image, pixels = np.full((60, 160), 90, np.uint8), rng.uniform(0, 60, (12, 2))
             row = rows[index]
-            closed = ClosedLoop(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
-            viewer.loop(closed, record.online[: index + 1])
-    viewer.matrix(SimilarityMatrix(rng.random((len(rows), len(rows)), np.float32)))
+            closed = LoopView(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
+            viewer.show_loop(closed, record.online[: index + 1])
+    viewer.show_matrix(SimilarityMatrix(rng.random((len(rows), len(rows)), np.float32)))
     viewer.finish(record)
     viewer.close()
 
@@ -81,7 +81,7 @@ def test_errors_are_known_for_each_frame(chunks):
     assert rows(chunks, "/plots/error/odometry") == FRAMES + 1  # and how the curve looks
 
 
-def test_without_ground_truth_nothing_is_said_of_it(tmp_path):
+def test_without_ground_truth_none_is_shown(tmp_path):
     record = fabricate.without_truth(fabricate.record(30))
     paths = {piece.entity_path for piece in recorded(tmp_path, record, None)}
     assert "/world/ground_truth" not in paths
@@ -114,9 +114,9 @@ def test_a_loop_without_poses_leaves_the_lines_as_they_are(tmp_path):
     viewer = RerunViewer(tmp_path / "r.rrd", CAMERA)
     record = fabricate.record(FRAMES)
     for index in range(3):
-        viewer.step(step(record, index, np.random.default_rng(index)))
+        viewer.show_frame(frame_view(record, index, np.random.default_rng(index)))
     nothing = np.empty((0, 2))
-    viewer.loop(ClosedLoop(2, 0, None, None, nothing, nothing, True, "x"), np.empty((0, 4, 4)))
+    viewer.show_loop(LoopView(2, 0, None, None, nothing, nothing, True, "x"), np.empty((0, 4, 4)))
     viewer.close()
     chunks = list(chunk.RrdReader(tmp_path / "r.rrd").stream())
     assert rows(chunks, "/world/corrected") == 3
@@ -130,7 +130,7 @@ def test_a_revisit_shows_in_the_matrix_however_many_images_share_a_cell(size):
     rows_, columns = np.tril_indices(size, -1)
     values[rows_, columns] = 1.0
     values[size - 1, size // 3] = 50.0
-    data = shapes.matrix(SimilarityMatrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
+    data = shapes.render_matrix(SimilarityMatrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
     image = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image.shape[0] == image.shape[1] <= 500
     if size > 1:

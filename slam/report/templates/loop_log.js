@@ -1,24 +1,24 @@
-// The table of loops: sorted by its headings, filtered by fate and words; its rows open by a button in their first cell.
+// The table of loops: sorted by its headings, filtered by outcome and text; a button in the first cell opens a row.
 (() => {
-  const table = document.getElementById("ledger");
+  const table = document.getElementById("loop-log");
   if (!table) return;
   const body = table.tBodies[0];
   const rows = sortable(table, () => enter(shown()[0]));
 
   const form = document.getElementById("filters");
-  const fate = document.getElementById("fate");
-  const words = document.getElementById("words");
+  const outcome = document.getElementById("outcome");
+  const search = document.getElementById("words");
   const count = document.getElementById("count");
   const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
   const shown = () => rows.filter((row) => !row.hidden);
 
   const fits = (row) => {
-    if (fate.value === "proposed") return "proposed" in row.dataset;
-    return fate.value === "" || row.dataset.fate === fate.value;
+    if (outcome.value === "accepted") return "accepted" in row.dataset;
+    return outcome.value === "" || row.dataset.outcome === outcome.value;
   };
   const filter = () => {
-    const wordsNow = words.value.trim().toLowerCase();
-    for (const row of rows) row.hidden = !(fits(row) && texts.get(row).includes(wordsNow));
+    const wanted = search.value.trim().toLowerCase();
+    for (const row of rows) row.hidden = !(fits(row) && texts.get(row).includes(wanted));
     const left = shown();
     count.textContent = `${left.length} of ${rows.length} rows`;
     enter(left[0]);
@@ -56,7 +56,7 @@
     focus(there[Math.min(Math.max(wanted, 0), there.length - 1)]);
   });
   body.addEventListener("click", (event) => {
-    if (window.getSelection().type === "Range") return; // someone copies words
+    if (window.getSelection().type === "Range") return; // text is being selected
     const row = event.target.closest("tr");
     focus(row);
     row.dispatchEvent(new CustomEvent("revisit:open", { bubbles: true, detail: { shown, focus } }));
@@ -64,8 +64,8 @@
 
   form.hidden = false;
   form.addEventListener("submit", (event) => event.preventDefault());
-  fate.addEventListener("change", filter);
-  words.addEventListener("input", filter);
-  if (rows.some((row) => "proposed" in row.dataset)) fate.value = "proposed";
+  outcome.addEventListener("change", filter);
+  search.addEventListener("input", filter);
+  if (rows.some((row) => "accepted" in row.dataset)) outcome.value = "accepted";
   filter();
 })();
