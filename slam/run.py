@@ -211,7 +211,7 @@ class Pipeline:
             log.info("%d frames in %.1f s", len(record.timestamps), result.wall_seconds)
             write_results(folder.path, record, result)
             folder.commit()
-        results.print(summary(record))
+        results.print(summary_table(record))
         results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
         return result.interrupted
 

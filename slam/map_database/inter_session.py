@@ -53,11 +53,11 @@ class SessionFeatures(FeatureCache):
         """Extractor of the cache."""
         return self._cache.extractor
 
-    def give(self, image_id: int, features: LocalFeatures) -> None:
+    def put(self, image_id: int, features: LocalFeatures) -> None:
         """Put the features of a frame of the session into the cache."""
         self._cache.put(self._first_image + image_id, features)
 
-    def of(self, image_id: int, image: Image) -> LocalFeatures:
+    def get(self, image_id: int, image: Image) -> LocalFeatures:
         """Features of a frame of the session."""
         return self._cache.get(self._first_image + image_id, image)
 

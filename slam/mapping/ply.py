@@ -63,4 +63,4 @@ def read_cloud(path: Path) -> PointCloud:
     vertices = np.frombuffer(body, _VERTEX)
     if not np.isfinite(vertices["point"]).all():
         raise DataError(f"{path}: expected finite points, found others; export the map again")
-    return Cloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
+    return PointCloud(vertices["point"].copy(), np.rint(vertices["colour"].mean(axis=1)).astype(np.uint8))
