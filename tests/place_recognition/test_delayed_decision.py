@@ -8,18 +8,18 @@ from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsens
 from place_recognition.belief.proof import VerificationResult
 from place_recognition.belief.verdicts import DelayedDecision
 from place_recognition.image_processing.features import LocalFeatures
-from place_recognition.map.route import Route
+from place_recognition.map.route import ImageHistory
 from place_recognition.recognizer import Belief
 
 IMAGES = 120
 MAX_GAP_IMAGES = 2  # of the gap filler
 
 
-def make_route() -> Route:
+def make_route() -> ImageHistory:
     """A route of images with twenty features each."""
     ones = np.ones(20, np.float32)
     features = LocalFeatures(np.zeros((20, 2), np.float32), ones, ones, np.full((20, 4), 0.5, np.float32))
-    route = Route()
+    route = ImageHistory()
     for k in range(IMAGES):
         route.add(k, features, float("nan"))
     return route

@@ -41,7 +41,7 @@ def test_an_object_counts_as_a_minimal_sample_and_no_more():
     assert count_surplus_inliers(np.concatenate([car, car + np.float32([500, 0])]), 60.0) == 2 * (60 - 7)
 
 
-def verifier(store: ImageStore, max_verified: int = 4) -> CandidateVerifier:
+def verifier(store: FeatureStore, max_verified: int = 4) -> CandidateVerifier:
     return CandidateVerifier(store, CandidateVerificationConfig(max_verified=max_verified), ConsistencyConfig())
 
 

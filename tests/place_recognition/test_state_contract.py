@@ -17,7 +17,7 @@ from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.word_index import ExactWordIndex
 from place_recognition.map.word_tree import HybridWordIndex, WordTree
 from place_recognition.map.word_vectors import WordVector
-from place_recognition.paradigms.catalogue import PARADIGMS, build
+from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
 from place_recognition.recognizer import Belief
 
 
@@ -42,7 +42,7 @@ def name(request):
 
 
 def make(name, rows=None):
-    return build(name, FeatureCache(RememberingSurf()), rows=rows)
+    return make_recognizer(name, FeatureCache(RememberingSurf()), rows=rows)
 
 
 def observe(recognizer, images, first=0):
@@ -126,7 +126,7 @@ def test_a_restored_index_finds_the_same_words(index, count):
 @pytest.mark.parametrize("images", [0, 2, 7])
 def test_a_restored_store_has_the_same_features_in_memory_and_on_disk(images):
     rng = np.random.default_rng(0)
-    one, other = FeatureStore(5, in_memory=3), ImageStore(5, in_memory=3)
+    one, other = FeatureStore(5, in_memory=3), FeatureStore(5, in_memory=3)
     for _ in range(images):
         some = rng.random((5, 2)).astype(np.float32)
         one.add(LocalFeatures(100 * some, 1 + some[:, 0], some[:, 1], unit_vectors(rng, 5, 8)))
@@ -154,7 +154,7 @@ def test_a_restored_inverted_index_gives_the_same_cosines():
 
 
 def test_a_restored_matrix_goes_on_though_rows_were_merged():
-    rng, one, other = np.random.default_rng(2), MatrixRecorder(8), MatrixRows(8)
+    rng, one, other = np.random.default_rng(2), MatrixRecorder(8), MatrixRecorder(8)
     rows = [(k, np.arange(k), rng.random(k)) for k in range(1, 30)]
     for row in rows[:20]:
         one.add(*row)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import LocalFeatures, SharedFeatures
+from place_recognition.image_processing.features import LocalFeatures, FeatureCache
 from place_recognition.recognizer import Belief
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import Landmarks, LoopClosure, Rejection
+from slam.loop_closing import FrameLandmarks, LoopClosure, Rejection
 from slam.map_database.inter_session import (
     SessionFeatures,
     SessionLoopCloser,
@@ -23,7 +23,7 @@ from slam.system import LoopCandidate
 FIRST = 40  # number of the first image of the session
 START = SessionStart(FIRST, 1000.0)
 IMAGE = np.zeros((2, 3), np.uint8)
-NOTHING = Landmarks(
+NOTHING = FrameLandmarks(
     np.empty((0, 2), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.uint8), np.empty((0, 8), np.float16)
 )
 
@@ -58,11 +58,11 @@ class MapLoopCloser:
     def __init__(self) -> None:
         self.asked: list[tuple[int, ...]] = []
 
-    def add_frame(self, index: int, left: np.ndarray, right: np.ndarray | None) -> Landmarks:
+    def add_frame(self, index: int, left: np.ndarray, right: np.ndarray | None) -> FrameLandmarks:
         self.asked.append((index,))
         return NOTHING
 
-    def restore_frame(self, index: int, landmarks: Landmarks) -> None:
+    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         self.asked.append((index,))
 
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
@@ -170,11 +170,11 @@ class NoExtractor:
 
 
 def test_the_feature_cache_of_the_map_counts_all_images():
-    cache = SharedFeatures(NoExtractor())
+    cache = FeatureCache(NoExtractor())
     session = SessionFeatures(cache, FIRST)
     ones = np.ones(1, np.float32)
     features = LocalFeatures(np.ones((1, 2), np.float32), ones, ones, np.ones((1, 8), np.float32))
-    session.give(3, features)
-    assert cache.of(43, IMAGE) is features
-    assert session.of(3, IMAGE) is features
+    session.put(3, features)
+    assert cache.evenly(43, IMAGE) is features
+    assert session.evenly(3, IMAGE) is features
     assert (session.kind, session.extractor) == (cache.kind, cache.extractor)
