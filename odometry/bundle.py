@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.bundle_equations import accumulate
+from odometry.kernels.mono_bundle_adjustment import build_normal_equations
 from odometry.camera import within_sight
 from odometry.lens import COEFFICIENTS, Lens, LensConfig
 from odometry.points import Points, Seen, Sightings, settled
@@ -177,7 +177,7 @@ class _Problem:
     def step(self, sigma: float, memory: float) -> None:
         """One step with the noise level sigma, pixels."""
         s, points = self._sightings, self._points
-        H, b, self.chi2, rows, offset, self._trust = accumulate(
+        H, b, self.chi2, rows, offset, self._trust = build_normal_equations(
             intrinsics(self._prior), (s.first, s.frame, s.places), (self._state, points.depth, np.zeros(len(points))),
             self.poses, self._states, self.lens, (_LIMIT * sigma**2, memory, 1.0),
         )  # fmt: skip

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.bundle import Bundle, intrinsics
-from odometry.bundle_equations import accumulate
+from odometry.kernels.mono_bundle_adjustment import build_normal_equations
 from odometry.mono_tracks import Tracks
 from odometry.points import Points, settled
 
@@ -96,7 +96,7 @@ class _Problem:
     def step(self, T_map_frame: Array, sigma: float) -> Array:
         """Step (6,) of the pose (4, 4) with the noise level sigma, pixels."""
         poses = np.concatenate([self._poses, T_map_frame[None]])
-        H, b, chi2, rows, offset, _ = accumulate(
+        H, b, chi2, rows, offset, _ = build_normal_equations(
             intrinsics(self._lens), self._sightings, (self._state, self._points.depth, self._points.trust),
             poses, self._states, self._lens.coefficients, (_LIMIT * sigma**2, 0.0, _EXACT),
         )  # fmt: skip

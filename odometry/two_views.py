@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.calibration import COEFFICIENTS, Calibration
 from odometry.camera import within_sight
-from odometry.normal_equations import accumulate
+from odometry.kernels.two_view_adjustment import build_normal_equations
 
 Array = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ class _Problem:
 
     def _linearise(self, sigma: float) -> tuple[Array, Array]:
         """Sum up the normal equations (21, 21), (21,); keeps what the depths need."""
-        H, b, self._chi2, self._depth_rows, self._depth_offset = accumulate(
+        H, b, self._chi2, self._depth_rows, self._depth_offset = build_normal_equations(
             self._camera, self._pixels, self._inverse_depth,
             self._T_second_first, self._calibration, _LIMIT * sigma**2,
         )  # fmt: skip
@@ -205,7 +205,7 @@ class _Problem:
 
     def _information(self, points: NDArray[np.bool_]) -> Array:
         """Hessian (21, 21) of some of the points, all with weight one, pixels squared."""
-        H, *_ = accumulate(
+        H, *_ = build_normal_equations(
             self._camera, self._pixels[points], self._inverse_depth[points],
             self._T_second_first, self._calibration, np.inf,
         )  # fmt: skip

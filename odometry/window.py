@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from odometry import se3
 from odometry.calibration import Calibration
 from odometry.camera import StereoCamera, within_sight
-from odometry.window_equations import accumulate
+from odometry.kernels.sliding_window import build_normal_equations
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -128,7 +128,7 @@ class SlidingWindow:
         poses = self._poses
         for _ in range(self._config.iterations):
             scale = _LIMIT * self._noise_px**2
-            H, b, chi2, rows, offset = accumulate(intrinsics, sightings, depths, poses, scale)
+            H, b, chi2, rows, offset = build_normal_equations(intrinsics, sightings, depths, poses, scale)
             change = np.zeros(len(b))
             change[6:] = np.linalg.solve(H[6:, 6:] / scale + _DAMPING * np.eye(len(b) - 6), -b[6:] / scale)
             depths = within_sight(depths - offset - rows @ change)
