@@ -13,14 +13,14 @@ import numpy as np
 from odometry_drives import Array, Drive, StageTimes, chained, measure, way
 
 from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
-from odometry.bundle import Bundle
+from odometry.bundle import MonoBundle
 from slam.evaluation.trajectory import trajectory_errors
 
 STAGES = (
-    (mono_tracks, "detect", "detection"),
-    (mono_tracks, "follow", "following"),
-    (mono_locating, "place", "motion"),
-    (Bundle, "add", "bundle"),
+    (mono_tracks, "detect_corners", "detection"),
+    (mono_tracks, "track_points", "following"),
+    (mono_locating, "estimate_pose", "motion"),
+    (MonoBundle, "add", "bundle"),
 )
 _PARTS = 8
 

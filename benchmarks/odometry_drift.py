@@ -15,14 +15,14 @@ from odometry import Motion, StereoOdometry, front_end, locating, se3
 from odometry.window import SlidingWindow
 
 STAGES = (
-    (front_end, "detect", "detection"),
+    (front_end, "detect_corners", "detection"),
     (front_end, "match_right", "left to right, new"),
-    (front_end, "follow", "following"),
+    (front_end, "track_points", "following"),
     (front_end, "refine_right", "left to right, old"),
     (locating, "estimate_motion", "motion"),
     (SlidingWindow, "refine", "window"),
     (locating, "ransac_motion", "ransac"),
-    (locating, "associate", "descriptors"),
+    (locating, "match_descriptors", "descriptors"),
 )
 LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
 

@@ -24,9 +24,9 @@ from odometry.camera import StereoCamera
 
 Array = NDArray[np.float64]
 
-LENS = lens.COEFFICIENTS  # of both cameras
-FIELD = 6  # 1, x, y, x², xy, y² of the ray (x, y, 1), for each of the two axes of the rectification
-COEFFICIENTS = LENS + 2 * FIELD
+NUM_DISTORTION = lens.NUM_COEFFICIENTS  # of both cameras
+NUM_RECTIFICATION = 6  # 1, x, y, x², xy, y² of the ray (x, y, 1), for each of the two axes of the rectification
+NUM_COEFFICIENTS = NUM_DISTORTION + 2 * NUM_RECTIFICATION
 _ITERATIONS = 15  # of a fixed point whose error falls tenfold or more in each: distortion changes slowly over the image
 
 
@@ -40,7 +40,7 @@ class CalibrationConfig:
         offset_px: standard deviation of a constant rectification error, pixels.
         slope_px: standard deviation of one that grows with the ray, pixels at 45 degrees.
         curvature_px: the same for one that grows with its square.
-        repeats: frames in which one track is seen, so that its error is not counted anew in each.
+        frames_per_track: frames in which one track is seen, so that its error is not counted anew in each.
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
 
     """
@@ -50,7 +50,7 @@ class CalibrationConfig:
     offset_px: float = 1.0
     slope_px: float = 3.0
     curvature_px: float = 10.0
-    repeats: float = 4.0
+    frames_per_track: float = 4.0
     drift_px: float = 0.003
 
     def prior(self) -> Array:
@@ -78,17 +78,17 @@ class Calibration:
     @classmethod
     def unknown(cls, camera: StereoCamera, config: CalibrationConfig) -> "Calibration":
         """Nothing learned yet."""
-        return cls(camera, np.zeros(COEFFICIENTS), config.prior())
+        return cls(camera, np.zeros(NUM_COEFFICIENTS), config.prior())
 
-    def straighten(self, pixels: Array) -> Array:
+    def undistort(self, pixels: Array) -> Array:
         """Where a lens without distortion would show pixels (N, 2) of either image."""
-        return lens.straighten(self.camera, self.coefficients[:LENS], pixels)
+        return lens.undistort(self.camera, self.coefficients[:NUM_DISTORTION], pixels)
 
-    def perfect(self, pixels_left: Array, pixels_right: Array) -> tuple[Array, Array]:
+    def rectify(self, pixels_left: Array, pixels_right: Array) -> tuple[Array, Array]:
         """Where a perfect pair would show matches, (N, 2) pixels left and right."""
-        return self.straighten(pixels_left), self.straighten(pixels_right) - self._field(pixels_left)
+        return self.undistort(pixels_left), self.undistort(pixels_right) - self._field(pixels_left)
 
-    def seen(self, pixels: Array) -> tuple[Array, Array]:
+    def unrectify(self, pixels: Array) -> tuple[Array, Array]:
         """Where this pair shows what is far away and a perfect pair shows at pixels (N, 2): left and right (N, 2).
 
         The inverse of `perfect` where there is no disparity.
@@ -96,30 +96,30 @@ class Calibration:
         left = self._distort(pixels)
         return left, self._distort(pixels + self._field(left))
 
-    def correct(self, pixels_left: Array, disparity: Array) -> Array:
+    def correct_disparity(self, pixels_left: Array, disparity: Array) -> Array:
         """Disparity (N,), pixels, that a perfect pair would have shown at pixels (N, 2) of the left image."""
         pixels_right = np.stack([pixels_left[:, 0] - disparity, pixels_left[:, 1]], axis=1)
-        left, right = self.perfect(pixels_left, pixels_right)
+        left, right = self.rectify(pixels_left, pixels_right)
         return left[:, 0] - right[:, 0]
 
-    def learned(self, coefficients: Array, information: Array, config: CalibrationConfig) -> "Calibration":
+    def update(self, coefficients: Array, information: Array, config: CalibrationConfig) -> "Calibration":
         """Take over coefficients (15,) with the information (15, 15) that one frame gave about them."""
-        known = np.linalg.inv(self.covariance) + information / config.repeats
-        covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(COEFFICIENTS)
+        known = np.linalg.inv(self.covariance) + information / config.frames_per_track
+        covariance = np.linalg.inv(known) + config.drift_px**2 * np.eye(NUM_COEFFICIENTS)
         return Calibration(self.camera, coefficients, 0.5 * (covariance + covariance.T))
 
     def _distort(self, pixels: Array) -> Array:
         """Undo `straighten`, of pixels (N, 2)."""
         distorted = pixels
         for _ in range(_ITERATIONS):
-            distorted = distorted + pixels - self.straighten(distorted)
+            distorted = distorted + pixels - self.undistort(distorted)
         return distorted
 
     def _field(self, pixels_left: Array) -> Array:
         """Rectification errors (N, 2), column and row, pixels, of the matches of pixels (N, 2) of the left image."""
         x, y = self._rays(pixels_left)
         terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-        return terms @ self.coefficients[LENS:].reshape(2, FIELD).T
+        return terms @ self.coefficients[NUM_DISTORTION:].reshape(2, NUM_RECTIFICATION).T
 
     def _rays(self, pixels: Array) -> tuple[Array, Array]:
         """Slopes (N,), (N,) of the rays of pixels (N, 2)."""

@@ -86,6 +86,6 @@ _NEAREST = 0.3  # m; nothing is seen closer
 _FARTHEST = 1e6  # m; as good as infinity
 
 
-def within_sight(inverse_depth: Array) -> Array:
+def clamp_inverse_depth(inverse_depth: Array) -> Array:
     """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
     return np.clip(inverse_depth, 1.0 / _FARTHEST, 1.0 / _NEAREST)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 
 
-def in_light_of(model: Image, image: Image) -> Image:
+def match_brightness(model: Image, image: Image) -> Image:
     """An image with the mean and the contrast of another, (H, W) uint8."""
     (mean, deviation), (mean_model, deviation_model) = (cv2.meanStdDev(each) for each in (image, model))
     gain = float(deviation_model[0, 0] / max(deviation[0, 0], 1.0))

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry.light import in_light_of
-from odometry.tracking import TrackingConfig, detect, follow, inside
+from odometry.light import match_brightness
+from odometry.tracking import TrackingConfig, detect_corners, is_inside, track_points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -15,7 +15,7 @@ Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Tracks:
+class MonoTracks:
     """What one image shows of the points that are followed.
 
     Attributes:
@@ -30,19 +30,21 @@ class Tracks:
     image: Image
     ids: Indices
     pixels: Array
-    key_pixels: Array
-    key_image: Image
+    reference_pixels: Array
+    reference_image: Image
 
     def __len__(self) -> int:
         return len(self.ids)
 
-    def only(self, chosen: Mask) -> "Tracks":
+    def select(self, chosen: Mask) -> "MonoTracks":
         """Return some of the points, chosen by (N,) bool."""
-        return replace(self, ids=self.ids[chosen], pixels=self.pixels[chosen], key_pixels=self.key_pixels[chosen])
+        return replace(
+            self, ids=self.ids[chosen], pixels=self.pixels[chosen], reference_pixels=self.reference_pixels[chosen]
+        )
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedTracks:
     """Points that a second image shows again.
 
     Attributes:
@@ -51,7 +53,7 @@ class Followed:
 
     """
 
-    tracks: Tracks
+    tracks: MonoTracks
     before: Array
 
 
@@ -61,23 +63,25 @@ class MonoFrontEnd:
     def __init__(self, config: TrackingConfig) -> None:
         self._config, self._named = config, 0
 
-    def observe(self, image: Image, kept: Tracks | None = None) -> Tracks:
+    def observe(self, image: Image, kept: MonoTracks | None = None) -> MonoTracks:
         """Make a key frame of the points kept, topped up with new corners."""
         ids, pixels = (np.zeros(0, np.int64), np.zeros((0, 2))) if kept is None else (kept.ids, kept.pixels)
-        corners = detect(image, pixels, self._config)
+        corners = detect_corners(image, pixels, self._config)
         ids = np.concatenate([ids, self._named + np.arange(len(corners))])
         pixels = np.concatenate([pixels, corners])
         self._named += len(corners)
         image = image.copy()  # callers may use one buffer for all images
-        return Tracks(image, ids, pixels, pixels, image)
+        return MonoTracks(image, ids, pixels, pixels, image)
 
-    def follow(self, tracks: Tracks, image: Image, ahead: Array, wide: bool = False) -> Followed:
+    def follow(self, tracks: MonoTracks, image: Image, ahead: Array, wide: bool = False) -> FollowedTracks:
         """Look for points in the next image near where they are expected, pixels (N, 2), NaN where that is unknown."""
-        config = self._config.wider() if wide else self._config
-        visible = np.isfinite(ahead[:, 0]) & inside(ahead, image)
+        config = self._config.widen() if wide else self._config
+        visible = np.isfinite(ahead[:, 0]) & is_inside(ahead, image)
         start = np.where(visible[:, None], ahead, tracks.pixels)
-        lit = in_light_of(tracks.image, image) if wide else image
-        pixels = follow((tracks.image, lit), tracks.pixels, start, config)
+        lit = match_brightness(tracks.image, image) if wide else image
+        pixels = track_points((tracks.image, lit), tracks.pixels, start, config)
         found = np.isfinite(pixels[:, 0])
-        there = Tracks(image.copy(), tracks.ids[found], pixels[found], tracks.key_pixels[found], tracks.key_image)
-        return Followed(there, tracks.pixels[found])
+        there = MonoTracks(
+            image.copy(), tracks.ids[found], pixels[found], tracks.reference_pixels[found], tracks.reference_image
+        )
+        return FollowedTracks(there, tracks.pixels[found])

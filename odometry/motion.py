@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
 
 
-def unmeasured(sigma_rad: float, sigma_m: float, images: int) -> Array:
+def extrapolation_covariance(sigma_rad: float, sigma_m: float, images: int) -> Array:
     """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was.
 
     Args:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from odometry.lens import Lens
-from odometry.tracking import TrackingConfig, follow, inside
+from odometry.lens import LensDistortion
+from odometry.tracking import TrackingConfig, is_inside, track_points
 from odometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
@@ -29,14 +29,14 @@ class MotionStereoConfig:
 
     """
 
-    way: float = 0.2
-    turn_rad: float = 0.35
-    epipolar_px: float = 1.0
+    max_distance_ratio: float = 0.2
+    max_rotation_rad: float = 0.35
+    max_epipolar_error_px: float = 1.0
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(window_px=13))
 
 
 @dataclass(frozen=True)
-class Shot:
+class PosedImage:
     """An image and where it was taken.
 
     Attributes:
@@ -68,19 +68,25 @@ class Depths:
         return cls(np.full(count, np.nan), np.zeros(count))
 
 
-def earlier(shots: list[Shot], now: Shot, usual_depth: float, config: MotionStereoConfig) -> Shot | None:
+def select_earlier_image(
+    shots: list[PosedImage], now: PosedImage, median_depth: float, config: MotionStereoConfig
+) -> PosedImage | None:
     """Find the shot farthest back that still shows much the same, or None."""
     best, farthest = None, 0.0
     for shot in shots:
         T = se3.inverse(shot.T_map_camera) @ now.T_map_camera
         way = float(np.linalg.norm(T[:3, 3]))
-        if farthest < way <= config.way * usual_depth and se3.angle(T) <= config.turn_rad:
+        if farthest < way <= config.max_distance_ratio * median_depth and se3.angle(T) <= config.max_rotation_rad:
             best, farthest = shot, way
     return best
 
 
-def see_depth(
-    shots: tuple[Shot, Shot], pixels: Array, known: tuple[Array, Array], lens: Lens, config: MotionStereoConfig
+def estimate_depths(
+    shots: tuple[PosedImage, PosedImage],
+    pixels: Array,
+    known: tuple[Array, Array],
+    lens: LensDistortion,
+    config: MotionStereoConfig,
 ) -> Depths:
     """Depth of pixels (N, 2) of an image from an earlier one.
 
@@ -99,13 +105,13 @@ def see_depth(
     _, near = cKDTree(known[0]).query(pixels, k=count)
     guess = np.median(known[1][near.reshape(len(pixels), count)], axis=1)
     ahead = lens.pixels(rays @ T_then_now[:3, :3].T + guess[:, None] * T_then_now[:3, 3])
-    visible = np.isfinite(ahead[:, 0]) & inside(np.nan_to_num(ahead), then.image)
-    places = follow((now.image, then.image), pixels, np.where(visible[:, None], ahead, pixels), config.tracking)
+    visible = np.isfinite(ahead[:, 0]) & is_inside(np.nan_to_num(ahead), then.image)
+    places = track_points((now.image, then.image), pixels, np.where(visible[:, None], ahead, pixels), config.tracking)
     found = np.flatnonzero(visible & np.isfinite(places[:, 0]))
     depths = Depths.unknown(len(pixels))
     inverse, strength = triangulate(rays[found], lens.rays(places[found]), T_then_now)
     expected = lens.pixels(rays[found] @ T_then_now[:3, :3].T + inverse[:, None] * T_then_now[:3, 3])
-    good = (inverse > 0) & (np.linalg.norm(expected - places[found], axis=1) < config.epipolar_px)
+    good = (inverse > 0) & (np.linalg.norm(expected - places[found], axis=1) < config.max_epipolar_error_px)
     depths.inverse[found[good]] = inverse[good]
     depths.baseline[found[good]] = np.sqrt(strength[good])
     return depths

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.camera import within_sight
-from odometry.lens import Lens
+from odometry.camera import clamp_inverse_depth
+from odometry.lens import LensDistortion
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -17,7 +17,7 @@ _USUAL = 1.0 / 15.0  # inverse depth while nothing is known: a median depth of 1
 
 
 @dataclass(frozen=True)
-class Seen:
+class FrameObservations:
     """The points that one key frame shows.
 
     Attributes:
@@ -31,24 +31,24 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class ObservationTable:
     """All sightings in a window, sorted by point and then by frame.
 
     Attributes:
         ids: (N,) names of the points, growing.
         first: (N + 1,) where the sightings of each point begin, and where the last one's end.
         frame: (M,) frame of each sighting.
-        places: (M, 2) pixels.
+        pixels: (M, 2) pixels.
 
     """
 
     ids: Indices
     first: Indices
     frame: Indices
-    places: Array
+    pixels: Array
 
     @classmethod
-    def of(cls, frames: list[Seen]) -> "Sightings":
+    def from_frames(cls, frames: list[FrameObservations]) -> "ObservationTable":
         """Sort the sightings of all frames by point."""
         ids = np.concatenate([seen.ids for seen in frames])
         frame = np.repeat(np.arange(len(frames)), [len(seen.ids) for seen in frames])
@@ -67,7 +67,7 @@ class Sightings:
         """(N,) frames that saw each point."""
         return np.diff(self.first)
 
-    def followed(self) -> Mask:
+    def is_followed(self) -> Mask:
         """Which of the sightings (M,) are not a point's first."""
         followed = np.ones(len(self.frame), dtype=bool)
         followed[self.first[:-1]] = False
@@ -81,20 +81,20 @@ class Points:
     Attributes:
         ids: (N,) names, growing.
         frame: (N,) frame of the window that each is anchored in.
-        place: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
-        depth: (N,) inverse depth there.
-        trust: (N,) information about it, pixels squared over its unit squared; 0 where nothing is known.
+        anchor_pixel: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
+        inverse_depth: (N,) in that frame.
+        information: (N,) about the inverse depth, pixels squared over its unit squared; 0 where nothing is known.
 
     """
 
     ids: Indices
     frame: Indices
-    place: Array
-    depth: Array
-    trust: Array
+    anchor_pixel: Array
+    inverse_depth: Array
+    information: Array
 
     @classmethod
-    def none(cls) -> "Points":
+    def empty(cls) -> "Points":
         """No points."""
         empty = np.zeros(0)
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), empty, empty)
@@ -103,12 +103,12 @@ class Points:
         return len(self.ids)
 
     @property
-    def usual(self) -> float:
+    def median_inverse_depth(self) -> float:
         """Inverse depth of most points."""
-        known = self.trust > 0
-        return float(np.median(self.depth[known])) if known.any() else _USUAL
+        known = self.information > 0
+        return float(np.median(self.inverse_depth[known])) if known.any() else _USUAL
 
-    def at(self, ids: Indices) -> "Points":
+    def select(self, ids: Indices) -> "Points":
         """Points of these names (M,), in this order; those that are not here without trust or place."""
         index = np.searchsorted(self.ids, ids).clip(0, max(len(self) - 1, 0))
         if not len(self):
@@ -116,41 +116,42 @@ class Points:
             return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _USUAL, nothing)
         known = self.ids[index] == ids
         return Points(
-            ids, self.frame[index], self.place[index],
-            np.where(known, self.depth[index], self.usual), np.where(known, self.trust[index], 0.0),
+            ids, self.frame[index], self.anchor_pixel[index],
+            np.where(known, self.inverse_depth[index], self.median_inverse_depth),
+            np.where(known, self.information[index], 0.0),
         )  # fmt: skip
 
-    def joined(self, other: "Points") -> "Points":
+    def append(self, other: "Points") -> "Points":
         """These and others whose names are larger."""
         return Points(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS))
 
-    def scaled(self, factor: float) -> "Points":
+    def rescale(self, factor: float) -> "Points":
         """Make everything larger by a factor."""
-        return replace(self, depth=self.depth / factor, trust=self.trust * factor**2)
+        return replace(self, inverse_depth=self.inverse_depth / factor, information=self.information * factor**2)
 
-    def anchored(self, sightings: Sightings, poses: Array, lens: Lens) -> "Points":
+    def reanchor(self, observations: ObservationTable, poses: Array, lens: LensDistortion) -> "Points":
         """Move points to the frames that see them first now.
 
         Args:
-            sightings: without those of the frame that has left; its frames count from the next one.
+            observations: without those of the frame that has left; its frames count from the next one.
             poses: (K, 4, 4) T_map_frame, that of the frame that has left first.
             lens: of the camera.
 
         """
-        old, anchor = self.at(sightings.ids), sightings.anchor + 1
+        old, anchor = self.select(observations.ids), observations.anchor + 1
         T = se3.inverse(poses[anchor]) @ poses[old.frame]
-        ray = lens.rays(old.place)
-        seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.depth[:, None]
+        ray = lens.rays(old.anchor_pixel)
+        seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.inverse_depth[:, None]
         z = np.maximum(seen[:, 2], 1e-3)
         moved = anchor != old.frame
-        place = np.where(moved[:, None], lens.pixels(np.column_stack([seen[:, :2], z])), old.place)
-        depth = np.where(moved, within_sight(old.depth / z), old.depth)
-        return Points(sightings.ids, sightings.anchor, place, depth, old.trust)
+        place = np.where(moved[:, None], lens.pixels(np.column_stack([seen[:, :2], z])), old.anchor_pixel)
+        depth = np.where(moved, clamp_inverse_depth(old.inverse_depth / z), old.inverse_depth)
+        return Points(observations.ids, observations.anchor, place, depth, old.information)
 
 
-def settled(state: Array) -> Array:
+def clamp_points(state: Array) -> Array:
     """Points (N, 3), two pixels and an inverse depth, that a camera can see."""
-    return np.column_stack([state[:, :2], within_sight(state[:, 2])])
+    return np.column_stack([state[:, :2], clamp_inverse_depth(state[:, 2])])
 
 
-_FIELDS = ("ids", "frame", "place", "depth", "trust")
+_FIELDS = ("ids", "frame", "anchor_pixel", "inverse_depth", "information")

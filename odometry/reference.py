@@ -30,7 +30,7 @@ class Reference(Generic[ViewT]):
         T_reference_previous: (4, 4) where the previous image was taken, metres.
         T_reference_measured: (4, 4) where the last image was taken that was measured from here.
         covariance_previous: (6, 6) of `T_reference_previous`, as far as it was not measured from here.
-        age: images since the reference, or the last one measured from it.
+        age_frames: images since the reference, or the last one measured from it.
 
     """
 
@@ -38,17 +38,17 @@ class Reference(Generic[ViewT]):
     T_reference_previous: Array = field(default_factory=_here)
     T_reference_measured: Array = field(default_factory=_here)
     covariance_previous: Array = field(default_factory=_certain)
-    age: int = 0
+    age_frames: int = 0
 
-    def older(self, images: int) -> "Reference[ViewT]":
+    def age(self, images: int) -> "Reference[ViewT]":
         """Count the images that have been taken since."""
-        return replace(self, age=self.age + images)
+        return replace(self, age_frames=self.age_frames + images)
 
-    def measured(self, T_reference_current: Array) -> "Reference[ViewT]":
+    def update(self, T_reference_current: Array) -> "Reference[ViewT]":
         """Take over where the current image was taken, (4, 4): the next one's previous."""
         return Reference(self.view, T_reference_current, T_reference_current)
 
-    def bridged(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
+    def extend(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
         """Go on by a motion (4, 4) that was not measured from here, with its covariance (6, 6)."""
         return replace(
             self,
@@ -58,4 +58,4 @@ class Reference(Generic[ViewT]):
 
     def velocity(self, T_reference_current: Array) -> Array:
         """Tangent vector (6,) of the motion to (4, 4) from the image measured before, per image."""
-        return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age
+        return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age_frames

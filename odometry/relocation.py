@@ -19,7 +19,7 @@ _FEATURES = 3000
 _RATIO = 0.8  # best over second best distance (Lowe, section 7.1)
 
 
-def associate(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
+def match_descriptors(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
     """Points that two pairs of images (H, W) uint8 both show, wherever they are; maybe none."""
     sift = cv2.SIFT.create(_FEATURES)
     pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)

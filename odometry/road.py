@@ -18,7 +18,7 @@ _WIDTH = 2.0  # standard deviations that a single look may be off and count in f
 
 
 @dataclass(frozen=True)
-class RoadConfig:
+class GroundPlaneConfig:
     """What a road looks like.
 
     Attributes:
@@ -36,49 +36,49 @@ class RoadConfig:
 
     """
 
-    slope: float = 0.08
-    aside: float = 0.7
-    tilt_rad: float = 0.07
-    flat: float = 0.03
-    points: int = 20
-    share: float = 0.25
-    below: float = 0.2
+    min_slope: float = 0.08
+    max_lateral_slope: float = 0.7
+    max_tilt_rad: float = 0.07
+    max_distance_ratio: float = 0.03
+    min_points: int = 20
+    min_inlier_ratio: float = 0.25
+    max_ratio_below: float = 0.2
     samples: int = 200
-    sigma: float = 0.08
-    repeats: float = 10.0
-    drift: float = 0.003
+    log_height_sigma: float = 0.08
+    frames_per_stretch: float = 10.0
+    log_scale_drift: float = 0.003
 
 
-def camera_height(points_camera: Array, config: RoadConfig) -> float | None:
+def estimate_camera_height(points_camera: Array, config: GroundPlaneConfig) -> float | None:
     """Height of the camera above the road in the unit of the points (N, 3) that it sees; None where none is seen."""
     x, y, z = points_camera.T
-    road = points_camera[(z > 0) & (y > config.slope * z) & (np.abs(x) < config.aside * z)]
-    if len(road) < config.points:
+    road = points_camera[(z > 0) & (y > config.min_slope * z) & (np.abs(x) < config.max_lateral_slope * z)]
+    if len(road) < config.min_points:
         return None
     planes = _planes(road, config)
     if not len(planes):
         return None
     distance = np.abs(1.0 - road @ planes.T)  # of each point from each plane, in heights
-    inliers = distance < config.flat
+    inliers = distance < config.max_distance_ratio
     best = inliers[:, int(np.argmax(inliers.sum(axis=0)))]
-    if best.sum() < max(config.points, config.share * len(road)):
+    if best.sum() < max(config.min_points, config.min_inlier_ratio * len(road)):
         return None
     normal = np.linalg.lstsq(road[best], np.ones(int(best.sum())), rcond=None)[0]
-    below = float(np.mean(road @ normal > 1.0 + _CLEARLY * config.flat))
-    return float(1.0 / np.linalg.norm(normal)) if below <= config.below else None
+    below = float(np.mean(road @ normal > 1.0 + _CLEARLY * config.max_distance_ratio))
+    return float(1.0 / np.linalg.norm(normal)) if below <= config.max_ratio_below else None
 
 
-def _planes(points: Array, config: RoadConfig) -> Array:
+def _planes(points: Array, config: GroundPlaneConfig) -> Array:
     """Planes (M, 3) through three points each, n with n . X = 1, below the camera and nearly level."""
     rng = np.random.default_rng(0)
     corners = points[rng.integers(0, len(points), (config.samples, 3))]
     regular = np.abs(np.linalg.det(corners)) > 1e-9
     planes = np.linalg.solve(corners[regular], np.ones((int(regular.sum()), 3, 1)))[:, :, 0]
     upright = planes[:, 1] / np.linalg.norm(planes, axis=1)
-    return np.asarray(planes[upright > np.cos(config.tilt_rad)])
+    return np.asarray(planes[upright > np.cos(config.max_tilt_rad)])
 
 
-class Ruler(Protocol):
+class ScaleCorrection(Protocol):
     """Says how a map should be resized."""
 
     def factor(self, points_camera: Array) -> float:
@@ -86,7 +86,7 @@ class Ruler(Protocol):
         ...
 
 
-class NoRuler:
+class NullScaleCorrection:
     """Of a camera whose height is not known: the unit stays what it is."""
 
     def factor(self, points_camera: Array) -> float:
@@ -94,25 +94,25 @@ class NoRuler:
         return 1.0
 
 
-class HeightRuler:
+class GroundPlaneScale:
     """Of a camera whose height above the road is known.
 
     A filter of the logarithm of scale, in the manner of Kalman: the first road sets it, the next ones agree on it,
     and then it follows slowly, since single roads are neither flat nor level.
     """
 
-    def __init__(self, height: float, config: RoadConfig) -> None:
+    def __init__(self, height: float, config: GroundPlaneConfig) -> None:
         self._height, self._config = height, config
         self._variance = _UNKNOWN
 
     def factor(self, points_camera: Array) -> float:
         """Factor by which to make the map larger, after one more look at the road."""
-        self._variance += self._config.drift**2
-        seen = camera_height(points_camera, self._config)
+        self._variance += self._config.log_scale_drift**2
+        seen = estimate_camera_height(points_camera, self._config)
         if seen is None:
             return 1.0
         off = float(np.log(self._height / seen))
-        limit = _WIDTH * float(np.sqrt(self._variance + self._config.sigma**2))
-        gain = self._variance / (self._variance + self._config.repeats * self._config.sigma**2)
+        limit = _WIDTH * float(np.sqrt(self._variance + self._config.log_height_sigma**2))
+        gain = self._variance / (self._variance + self._config.frames_per_stretch * self._config.log_height_sigma**2)
         self._variance *= 1.0 - gain
         return float(np.exp(gain * np.clip(off, -limit, limit)))

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _SMALL_ANGLE = 1e-6  # rad; below it the series are exact to double precision
 
 
-def hat(w: Array) -> Array:
+def skew(w: Array) -> Array:
     """Skew-symmetric matrix (3, 3) with `hat(w) @ p == cross(w, p)`, for w (3,)."""
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
@@ -38,7 +38,7 @@ def inverse(T: Array) -> Array:
     return out
 
 
-def exact(T: Array) -> Array:
+def orthonormalize(T: Array) -> Array:
     """Poses (..., 4, 4) with exact rotations again: in `T @ inverse(T) @ T` rounding errors treble, round by round."""
     T = T.copy()
     T[..., :3, :3] = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_matrix().reshape(T[..., :3, :3].shape)
@@ -105,7 +105,7 @@ def adjoint(T: Array) -> Array:
     R, t = T[:3, :3], T[:3, 3]
     Ad = np.zeros((6, 6))
     Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[3:, :3] = hat(t) @ R
+    Ad[3:, :3] = skew(t) @ R
     return Ad
 
 

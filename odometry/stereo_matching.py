@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from odometry.tracking import TrackingConfig, inside, lucas_kanade
+from odometry.tracking import TrackingConfig, is_inside, lucas_kanade
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -38,14 +38,14 @@ class StereoMatchingConfig:
     """
 
     max_disparity_px: int = 128
-    max_rows_px: float = 3.0
+    max_row_offset_px: float = 3.0
     uniqueness: float = 0.8
     window_px: int = 11
-    return_px: float = 0.3
-    refine_px: float = 4.0
+    max_return_error_px: float = 0.3
+    max_refinement_px: float = 4.0
 
 
-def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
+def match_disparity(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
     """Disparity (N,), u_left - u_right, of pixels (N, 2) of the left image; NaN where no match is reliable.
 
     The images are (H, W) uint8, rectified; all else is in pixels. Nothing is assumed about depth.
@@ -62,7 +62,7 @@ def match_right(left: Image, right: Image, pixels: Array, config: StereoMatching
     shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness)
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
-    known = np.isfinite(guess[:, 0]) & inside(pixels, left)
+    known = np.isfinite(guess[:, 0]) & is_inside(pixels, left)
     places[known] = refine_right((left, right), pixels[known], guess[known], config)
     return places
 
@@ -73,13 +73,13 @@ def refine_right(
     """Places (N, 2) in the right image, starting at a guess (N, 2); NaN where the match does not hold."""
     config = config or StereoMatchingConfig()
     left, right = images
-    tracker = TrackingConfig(window_px=config.window_px, levels=0)
+    tracker = TrackingConfig(window_px=config.window_px, pyramid_levels=0)
     places, found = lucas_kanade((left, right), pixels, guess, tracker)
     back, returned = lucas_kanade((right, left), places, pixels, tracker)
-    good = found & returned & inside(places, right)
-    good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
-    good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
-    good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_rows_px) & (places[:, 0] < pixels[:, 0] + 2.0)
+    good = found & returned & is_inside(places, right)
+    good &= np.linalg.norm(back - pixels, axis=1) < config.max_return_error_px
+    good &= np.linalg.norm(places - guess, axis=1) < config.max_refinement_px
+    good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_row_offset_px) & (places[:, 0] < pixels[:, 0] + 2.0)
     return np.where(good[:, None], places, np.nan)
 
 

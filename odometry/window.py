@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from odometry.calibration import Calibration
-from odometry.camera import StereoCamera, within_sight
+from odometry.camera import StereoCamera, clamp_inverse_depth
 from odometry.kernels.sliding_window import build_normal_equations
 
 Array = NDArray[np.float64]
@@ -38,14 +38,14 @@ class WindowConfig:
 
     """
 
-    frames: int = 5
+    max_frames: int = 5
     iterations: int = 2
-    floor_px: float = 0.05
-    tracks: int = 20
+    min_noise_px: float = 0.05
+    min_shared_points: int = 20
 
 
 @dataclass(frozen=True)
-class Sighted:
+class StereoFrameObservations:
     """The points that one frame shows.
 
     Attributes:
@@ -66,18 +66,18 @@ class _Tracks:
     Attributes:
         first: (N + 1,) where the sightings of each point begin, and where the last one's end.
         frame: (M,) frame of each sighting.
-        places: (M, 3) pixels of a perfect pair: column left, column right, row.
+        pixels: (M, 3) pixels of a perfect pair: column left, column right, row.
 
     """
 
     first: Indices
     frame: Indices
-    places: Array
+    pixels: Array
 
     def __len__(self) -> int:
         return len(self.first) - 1
 
-    def followed(self) -> NDArray[np.bool_]:
+    def is_followed(self) -> NDArray[np.bool_]:
         """Which of the sightings (M,) are not a point's first."""
         followed = np.ones(len(self.frame), dtype=bool)
         followed[self.first[:-1]] = False
@@ -89,19 +89,19 @@ class SlidingWindow:
 
     def __init__(self, config: WindowConfig | None = None) -> None:
         self._config = config or WindowConfig()
-        self._frames: list[Sighted] = []
+        self._frames: list[StereoFrameObservations] = []
         self._poses = np.zeros((0, 4, 4))  # T_oldest_frame
         self._noise_px = _NOISE_AT_FIRST
 
-    def restart(self, first: Sighted) -> None:
+    def restart(self, first: StereoFrameObservations) -> None:
         """Forget everything but one frame."""
         self._frames, self._poses = [first], np.eye(4)[None]
 
-    def refine(self, sighted: Sighted, T_last_frame: Array, calibration: Calibration) -> Array:
+    def refine(self, observed: StereoFrameObservations, T_last_frame: Array, calibration: Calibration) -> Array:
         """Add a frame and adjust the window.
 
         Args:
-            sighted: the new frame's points.
+            observed: the new frame's points.
             T_last_frame: (4, 4) its pose in the frame added before, metres, as two views tell.
             calibration: error of the pair's calibration.
 
@@ -109,34 +109,34 @@ class SlidingWindow:
             Its refined pose (4, 4) in the frame added before, where that one was said to be.
 
         """
-        if len(self._frames) >= self._config.frames:
+        if len(self._frames) >= self._config.max_frames:
             self._frames, self._poses = self._frames[1:], _seen_from_first(self._poses[1:])
         stated = self._poses[-1]
-        self._frames.append(sighted)
+        self._frames.append(observed)
         self._poses = np.concatenate([self._poses, (stated @ T_last_frame)[None]])
         tracks = _gather(self._frames, calibration)
-        if len(tracks) >= self._config.tracks:
+        if len(tracks) >= self._config.min_shared_points:
             self._adjust(tracks, calibration.camera)
         return se3.inverse(stated) @ self._poses[-1]
 
     def _adjust(self, tracks: _Tracks, camera: StereoCamera) -> None:
         """Gauss-Newton on all poses but the oldest; changes nothing if it does not converge."""
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
-        sightings = (tracks.first, tracks.frame, tracks.places)
-        start = tracks.places[tracks.first[:-1]]
-        depths = within_sight((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
+        observations = (tracks.first, tracks.frame, tracks.pixels)
+        start = tracks.pixels[tracks.first[:-1]]
+        depths = clamp_inverse_depth((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
         poses = self._poses
         for _ in range(self._config.iterations):
             scale = _LIMIT * self._noise_px**2
-            H, b, chi2, rows, offset = build_normal_equations(intrinsics, sightings, depths, poses, scale)
+            H, b, chi2, rows, offset = build_normal_equations(intrinsics, observations, depths, poses, scale)
             change = np.zeros(len(b))
             change[6:] = np.linalg.solve(H[6:, 6:] / scale + _DAMPING * np.eye(len(b) - 6), -b[6:] / scale)
-            depths = within_sight(depths - offset - rows @ change)
+            depths = clamp_inverse_depth(depths - offset - rows @ change)
             poses = np.array([T @ se3.exp(xi) for T, xi in zip(poses, change.reshape(-1, 6), strict=True)])
         if np.isfinite(poses).all():
             self._poses = poses
-            noise = float(np.sqrt(np.median(chi2[tracks.followed()]) / _MEDIAN))
-            self._noise_px = min(max(noise, self._config.floor_px), _NOISE_AT_FIRST)
+            noise = float(np.sqrt(np.median(chi2[tracks.is_followed()]) / _MEDIAN))
+            self._noise_px = min(max(noise, self._config.min_noise_px), _NOISE_AT_FIRST)
 
 
 def _seen_from_first(poses: Array) -> Array:
@@ -146,12 +146,12 @@ def _seen_from_first(poses: Array) -> Array:
     return np.asarray(poses)
 
 
-def _gather(frames: list[Sighted], calibration: Calibration) -> _Tracks:
+def _gather(frames: list[StereoFrameObservations], calibration: Calibration) -> _Tracks:
     """Sort the sightings of all frames by point, those seen once left out."""
-    ids = np.concatenate([sighted.ids for sighted in frames])
-    frame = np.repeat(np.arange(len(frames)), [len(sighted.ids) for sighted in frames])
-    left, right = calibration.perfect(
-        np.concatenate([sighted.left for sighted in frames]), np.concatenate([sighted.right for sighted in frames])
+    ids = np.concatenate([observed.ids for observed in frames])
+    frame = np.repeat(np.arange(len(frames)), [len(observed.ids) for observed in frames])
+    left, right = calibration.rectify(
+        np.concatenate([observed.left for observed in frames]), np.concatenate([observed.right for observed in frames])
     )
     order = np.argsort(ids, kind="stable")  # stable: each point's sightings stay in the order of frames
     _, counts = np.unique(ids, return_counts=True)

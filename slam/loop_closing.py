@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.stereo_matching import match_rows
+from odometry.stereo_matching import match_disparity
 from place_recognition.belief.matching import mutual_matches
 from place_recognition.image_processing.features import SharedFeatures
 from slam.loop_geometry import SAME_UNIT, GeometryConfig, RelativePose, Unit, relative_pose
@@ -115,7 +115,7 @@ class LoopCloser:
         camera: StereoCamera,
         features: SharedFeatures,
         config: LoopCloserConfig | None = None,
-        disparity: Disparity = match_rows,
+        disparity: Disparity = match_disparity,
         compare: Compare = same_unit,
     ) -> None:
         self._camera, self._features = camera, features

@@ -24,9 +24,9 @@ from odometry.kernels.schur import (
     FIXED,
     POINT,
     POSE,
-    add_coupling,
     add_point_rows,
-    add_rows,
+    compile_add_coupling,
+    compile_add_rows,
     eliminate_point,
     mirror_upper,
 )
@@ -38,6 +38,8 @@ _ROWS = 2  # measurements of one observation: its column and its row
 _BY_LENS = BY_POINT + POINT
 _COLUMNS = _BY_LENS + DISTORTION
 _STATES = 3 * POSE + DISTORTION  # unknowns of one residual beside the point
+_add_rows = compile_add_rows(_ROWS, 3, DISTORTION)
+_add_coupling = compile_add_coupling(_ROWS, 3, DISTORTION, POINT)
 
 
 @njit(cache=True)
@@ -79,7 +81,7 @@ def build_normal_equations(
     H, b, chi2 = np.zeros((size, size)), np.zeros(size), np.zeros(len(frame))
     gain, offset, information = np.zeros((n, POINT, size)), np.zeros((n, POINT)), np.zeros(n)
     now, before, relative = np.zeros((_ROWS, _COLUMNS)), np.zeros((_ROWS, _COLUMNS)), np.zeros((3, 4))
-    residual, J, weighted = np.zeros(_ROWS), np.zeros((_ROWS, _STATES)), np.zeros((_ROWS, _STATES))
+    residual, J = np.zeros(_ROWS), np.zeros((_ROWS, _STATES))
     Jp, weighted_p, shares = np.zeros((_ROWS, POINT)), np.zeros((_ROWS, POINT)), (noise[1], noise[1])
     A, g, W = np.zeros((POINT, POINT)), np.zeros(POINT), np.zeros((POINT, size))
     for i in range(n):
@@ -93,14 +95,12 @@ def build_normal_equations(
             chi2[m] = residual[0] * residual[0] + residual[1] * residual[1]
             weight = 1.0 / (1.0 + chi2[m] / noise[0]) ** 2
             for r in range(_ROWS):
-                for k in range(_STATES):
-                    weighted[r, k] = weight * J[r, k]
                 for k in range(POINT):
                     weighted_p[r, k] = weight * Jp[r, k]
             starts = (states[anchor], states[previous], states[frame[m]])
             add_point_rows(A, g, Jp, weighted_p, residual)
-            add_rows(H, b, starts, J, weighted, residual)
-            add_coupling(W, starts, J, weighted_p)
+            _add_rows(H, b, starts, J, weight, residual)
+            _add_coupling(W, starts, J, weighted_p, 1.0)
             before[:] = now
             previous = frame[m]
         information[i] = eliminate_point(H, b, A, g, W, gain[i], offset[i])

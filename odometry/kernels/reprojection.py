@@ -25,7 +25,7 @@ DISTORTION = 3  # coefficients of a lens: radial, decentering along x, decenteri
 MIN_RELATIVE_DEPTH = 1e-2
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def relative_pose(A: Array, F: Array, out: Array) -> None:
     """Set `out` (3, 4) to the pose of the anchor A in the frame F, both (4, 4) in one map."""
     for j in range(3):
@@ -34,7 +34,7 @@ def relative_pose(A: Array, F: Array, out: Array) -> None:
         out[j, 3] -= F[0, j] * F[0, 3] + F[1, j] * F[1, 3] + F[2, j] * F[2, 3]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def scaled_point(T: Array, ray: tuple[float, float], d: float) -> Vector:
     """Return the point at inverse depth d on a ray (x, y, 1) of the anchor, over its depth there, in the frame.
 
@@ -47,7 +47,7 @@ def scaled_point(T: Array, ray: tuple[float, float], d: float) -> Vector:
     return X, Y, Z
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def set_pose_columns(
     out: Array, r: int, gradient: Vector, T: Array, point: Vector, ray: tuple[float, float], d: float
 ) -> None:
@@ -67,7 +67,7 @@ def set_pose_columns(
     out[r, 4], out[r, 5], out[r, 6] = d * hx, d * hy, d * hz
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def subtract_previous(
     now: Array, before: Array, shares: tuple[float, ...], residual: Array, J: Array, Jp: Array
 ) -> None:
@@ -77,7 +77,8 @@ def subtract_previous(
     parts are its increments: docs/math.md, section "Sliding window".
 
     Args:
-        now, before: observations (R, 13 + P + C) in this frame and in the one before.
+        now: observation (R, 13 + P + C) in this frame.
+        before: observation of the same point in the frame before.
         shares: share of the error before that each of the R rows still has.
         residual: (R,) set to the increments.
         J: (R, 18 + C) set to their derivatives by the poses of anchor, frame before and frame, and the calibration.
@@ -99,7 +100,7 @@ def subtract_previous(
             J[r, 3 * POSE + k] = now[r, column] - share * before[r, column]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def distortion_terms(x: float, y: float) -> tuple[Vector, Vector]:
     """Return displacements along x and along y at the ray (x, y, 1), for one pixel of each coefficient of a lens."""
     squared = x * x + y * y

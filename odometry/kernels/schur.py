@@ -3,25 +3,24 @@
 The unknowns of an adjustment are poses, six each, then a calibration that all residuals share, and the points.
 A residual touches a few poses, the calibration and one point, so the Hessian's block of the points is block-diagonal
 and each point can be eliminated as soon as its residuals have been summed (Triggs et al., Bundle Adjustment, 1999,
-section 6). docs/math.md, "Schur complement", derives the formulas.
+section 6). docs/math.md, section "Schur complement", derives the formulas. For each point,
 
-The three adjustments use these functions in the same way. For each point:
+1. `add_rows` adds each residual to H and b of the cameras; only the upper triangle of H is kept up,
+2. `add_coupling` adds it to W, the block of the Hessian between the point and the cameras,
+3. `eliminate_depth` or `eliminate_point` takes the point out of H and b, and gives what back substitution needs.
 
-1. `add_rows` adds each residual's rows to H and b of the cameras (only the upper triangle of H is kept up),
-2. `add_coupling` adds them to W, the block of H between the point and the cameras,
-3. `eliminate_depth` or `eliminate_point` takes the point out of H and b and returns what back substitution needs.
-
-At the end `mirror_upper` fills the lower triangle, and the caller solves `H @ change = -b` and moves the points by
-`point -= offset + gain @ change`.
-
-Sums are never reordered, so results do not depend on the machine's number of threads.
+At the end `mirror_upper` fills the lower triangle. The caller solves `H @ change = -b` and moves each point by
+`point -= offset + gain @ change`. What each adjustment shares, and why: docs/decisions/schur_complement.md.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Starts = tuple[int, ...]
 
 POSE = 6  # unknowns of a pose: rotation, then translation
 POINT = 3  # unknowns of a point: two pixels across its ray, and its inverse depth
@@ -31,70 +30,95 @@ FIXED = -1  # first unknown of a pose that is not adjusted
 _SINGULAR = 1e-9
 
 
-@njit(cache=True)
-def add_rows(H: Array, b: Array, starts: tuple[int, ...], J: Array, weighted: Array, residual: Array) -> None:
-    """Add `weighted.T @ J` to the upper triangle of H (S, S), and `weighted.T @ residual` to b (S,).
+def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., None]:
+    """Compile the function that adds one observation to the reduced camera system.
+
+    The sizes are constants of the compiled code: the compiler unrolls the short loops over them, which makes the
+    adjustments a third faster than loops over the arrays' shapes.
 
     Args:
-        H, b: reduced camera system; the calibration, if any, is its last unknowns.
-        starts: first unknown of each pose, in growing order, `FIXED` where it is not adjusted. A pose that occurs
-            twice must have zeros in its second block.
-        J: (R, 6 * len(starts) + C) Jacobian of R residuals: the poses, then the calibration.
-        weighted: of the same shape, J times the weight of each residual.
-        residual: (R,).
+        rows: residuals of one observation, R.
+        poses: poses that it depends on, in growing order; one that occurs twice must have zeros in its second block.
+        calibration: unknowns of the calibration, the last ones of H.
+
+    Returns:
+        `add_rows(H, b, starts, J, weight, residual)`, which adds `weight * J.T @ J` to the upper triangle of H
+        (S, S) and `weight * J.T @ residual` to b (S,). `starts` are the first unknowns of the poses, `FIXED` where
+        one is not adjusted; J is (R, 6 poses + calibration).
 
     """
-    poses = len(starts)
-    shared = J.shape[1] - POSE * poses
-    end = len(b) - shared
-    for r in range(J.shape[0]):
-        for m in range(poses):
-            if starts[m] < 0:
-                continue
-            for j in range(POSE):
-                scaled, state = weighted[r, POSE * m + j], starts[m] + j
-                if scaled != 0.0:
-                    b[state] += scaled * residual[r]
-                    for n in range(m, poses):
-                        if starts[n] >= 0:
-                            for k in range(POSE):  # all six, though half would do: the compiler unrolls them
-                                H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
-                    for k in range(shared):
-                        H[state, end + k] += scaled * J[r, POSE * poses + k]
-        for j in range(shared):
-            scaled = weighted[r, POSE * poses + j]
-            if scaled != 0.0:
-                b[end + j] += scaled * residual[r]
-                for k in range(j, shared):
-                    H[end + j, end + k] += scaled * J[r, POSE * poses + k]
+    end = POSE * poses
+    add_pose_row = _compile_add_pose_row(poses, calibration)
 
-
-@njit(cache=True)
-def add_coupling(W: Array, starts: tuple[int, ...], J: Array, Jp: Array) -> None:
-    """Add `Jp.T @ J` to W (P, S), the block of the Hessian between one point and the cameras.
-
-    Args:
-        W: (P, S), P unknowns of the point.
-        starts: first unknown of each pose, `FIXED` where it is not adjusted.
-        J: (R, 6 * len(starts) + C) Jacobian by poses and calibration.
-        Jp: (R, P) Jacobian by the point. One of the two carries the weight.
-
-    """
-    poses = len(starts)
-    shared = J.shape[1] - POSE * poses
-    end = W.shape[1] - shared
-    for r in range(J.shape[0]):
-        for p in range(W.shape[0]):
-            scaled = Jp[r, p]
+    @njit(cache=True)
+    def add_rows(H: Array, b: Array, starts: Starts, J: Array, weight: float, residual: Array) -> None:
+        first = len(b) - calibration
+        for r in range(rows):
             for m in range(poses):
                 if starts[m] >= 0:
-                    for k in range(POSE):
-                        W[p, starts[m] + k] += scaled * J[r, POSE * m + k]
-            for k in range(shared):
-                W[p, end + k] += scaled * J[r, POSE * poses + k]
+                    for j in range(POSE):
+                        add_pose_row(H, b, starts, J, (r, m, j), weight * J[r, POSE * m + j], residual[r])
+            for j in range(calibration):
+                scaled = weight * J[r, end + j]
+                if scaled != 0.0:
+                    b[first + j] += scaled * residual[r]
+                    for k in range(j, calibration):
+                        H[first + j, first + k] += scaled * J[r, end + k]
+
+    return add_rows
 
 
-@njit(cache=True)
+def _compile_add_pose_row(poses: int, calibration: int) -> Callable[..., None]:
+    """Compile the part of `add_rows` for residual r, pose m and its unknown j."""
+    end = POSE * poses
+
+    @njit(cache=True, forceinline=True)
+    def add_pose_row(
+        H: Array, b: Array, starts: Starts, J: Array, index: tuple[int, int, int], scaled: float, residual: float
+    ) -> None:
+        if scaled == 0.0:
+            return
+        r, m, j = index
+        state, first = starts[m] + j, len(b) - calibration
+        b[state] += scaled * residual
+        for n in range(m, poses):
+            if starts[n] >= 0:
+                for k in range(POSE):  # all six, though half would do on the diagonal: the compiler unrolls them
+                    H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
+        for k in range(calibration):
+            H[state, first + k] += scaled * J[r, end + k]
+
+    return add_pose_row
+
+
+def compile_add_coupling(rows: int, poses: int, calibration: int, point: int) -> Callable[..., None]:
+    """Compile the function that adds one observation to the Hessian's block between its point and the cameras.
+
+    The sizes are those of `compile_add_rows`, and the unknowns of a point, P.
+
+    Returns:
+        `add_coupling(W, starts, J, Jp, weight)`, which adds `weight * Jp.T @ J` to W (P, S), Jp (R, P) being the
+        Jacobian by the point.
+
+    """
+    end = POSE * poses
+
+    @njit(cache=True)
+    def add_coupling(W: Array, starts: Starts, J: Array, Jp: Array, weight: float) -> None:
+        first = W.shape[1] - calibration
+        for r in range(rows):
+            for p in range(point):
+                for m in range(poses):
+                    if starts[m] >= 0:
+                        for k in range(POSE):
+                            W[p, starts[m] + k] += weight * J[r, POSE * m + k] * Jp[r, p]
+                for k in range(calibration):
+                    W[p, first + k] += weight * J[r, end + k] * Jp[r, p]
+
+    return add_coupling
+
+
+@njit(cache=True, forceinline=True)
 def add_point_rows(A: Array, g: Array, Jp: Array, weighted: Array, residual: Array) -> None:
     """Add `weighted.T @ Jp` to A (3, 3) and `weighted.T @ residual` to g (3,), the point's own equations.
 
@@ -107,12 +131,13 @@ def add_point_rows(A: Array, g: Array, Jp: Array, weighted: Array, residual: Arr
             g[p] += weighted[r, p] * residual[r]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: float, start: int) -> None:
     """Take a point with one unknown, its inverse depth, out of the upper triangle of H (S, S) and out of b (S,).
 
     Args:
-        H, b: reduced camera system, changed in place.
+        H: (S, S) matrix of the reduced camera system, changed in place.
+        b: (S,) its right side, changed in place.
         gain: (S,) the point's coupling W over its curvature.
         offset: its gradient over its curvature.
         curvature: its own Hessian.
@@ -127,15 +152,17 @@ def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: f
                 H[j, k] -= scaled * gain[k]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def eliminate_point(H: Array, b: Array, A: Array, g: Array, W: Array, gain: Array, offset: Array) -> float:
     """Take a point with three unknowns out of the upper triangle of H (S, S) and out of b (S,).
 
     A point of whose depth nothing is known is left in: then it pulls at nothing, and gain and offset stay zero.
 
     Args:
-        H, b: reduced camera system, changed in place.
-        A, g: (3, 3) and (3,) the point's own equations.
+        H: (S, S) matrix of the reduced camera system, changed in place.
+        b: (S,) its right side, changed in place.
+        A: (3, 3) matrix of the point's own equations.
+        g: (3,) their right side.
         W: (3, S) its coupling with the cameras.
         gain: (3, S) set to the inverse of A times W.
         offset: (3,) set to the inverse of A times g.
@@ -171,7 +198,7 @@ def eliminate_point(H: Array, b: Array, A: Array, g: Array, W: Array, gain: Arra
     return float(determinant / c22)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def mirror_upper(H: Array) -> None:
     """Copy the upper triangle of H (S, S) to the lower one."""
     for j in range(len(H)):

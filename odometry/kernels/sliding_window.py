@@ -18,7 +18,7 @@ from odometry.kernels.reprojection import (
     set_pose_columns,
     subtract_previous,
 )
-from odometry.kernels.schur import POSE, add_coupling, add_rows, eliminate_depth, mirror_upper
+from odometry.kernels.schur import POSE, compile_add_coupling, compile_add_rows, eliminate_depth, mirror_upper
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -29,6 +29,8 @@ _COLUMNS = BY_POINT + 1  # a point has one unknown here
 # The left image is matched with the one before, so its errors accumulate; a disparity is matched anew in each frame.
 _FIRST = (0.0, 0.0, 0.0)
 _FOLLOWED = (1.0, 1.0, 0.0)
+_add_rows = compile_add_rows(_ROWS, 3, 0)
+_add_coupling = compile_add_coupling(_ROWS, 3, 0, 1)
 
 
 @njit(cache=True)
@@ -56,7 +58,6 @@ def build_normal_equations(
     gain, offset = np.zeros((len(inverse_depth), states)), np.zeros(len(inverse_depth))
     now, before, relative = np.zeros((_ROWS, _COLUMNS)), np.zeros((_ROWS, _COLUMNS)), np.zeros((3, 4))
     J, Jd, residual = np.zeros((_ROWS, 3 * POSE)), np.zeros((_ROWS, 1)), np.zeros(_ROWS)
-    weighted = np.zeros((_ROWS, 3 * POSE))
     for i in range(len(inverse_depth)):
         curvature, slope, anchor = 0.0, 0.0, frame[first[i]]
         for m in range(first[i], first[i + 1]):
@@ -69,12 +70,9 @@ def build_normal_equations(
             weight = 1.0 / (1.0 + chi2[m] / scale) ** 2
             slope += weight * (Jd[0, 0] * residual[0] + Jd[1, 0] * residual[1] + Jd[2, 0] * residual[2])
             curvature += weight * (Jd[0, 0] * Jd[0, 0] + Jd[1, 0] * Jd[1, 0] + Jd[2, 0] * Jd[2, 0])
-            for r in range(_ROWS):
-                for k in range(3 * POSE):
-                    weighted[r, k] = weight * J[r, k]
             starts = (POSE * anchor, POSE * frame[max(m - 1, first[i])], POSE * frame[m])
-            add_rows(H, b, starts, J, weighted, residual)
-            add_coupling(gain[i : i + 1], starts, weighted, Jd)
+            _add_rows(H, b, starts, J, weight, residual)
+            _add_coupling(gain[i : i + 1], starts, J, Jd, weight)
             before[:] = now
         offset[i] = slope / curvature
         for j in range(states):

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from odometry.kernels.reprojection import DISTORTION, distortion_terms
-from odometry.kernels.schur import POSE, add_coupling, add_rows, eliminate_depth, mirror_upper
+from odometry.kernels.schur import POSE, eliminate_depth, mirror_upper
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,6 @@ _ROWS = 6  # measurements of one point: its column and its row in the three othe
 _FIELD = 6  # coefficients of the rectification error, for each of two axes
 _FIRST_FIELD = POSE + DISTORTION
 _STATES = _FIRST_FIELD + 2 * _FIELD
-_STARTS = (0,)  # the motion is the only pose
 
 # Depth over depth that nothing is divided by below: see `odometry.kernels.reprojection.MIN_RELATIVE_DEPTH`.
 _MIN_RELATIVE_DEPTH = 1e-3
@@ -47,27 +46,47 @@ def build_normal_equations(
     H, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
     chi2, gain, offset = np.empty(n), np.zeros((n, _STATES)), np.empty(n)
     residual, J, Jd, lens = np.empty(_ROWS), np.zeros((_ROWS, _STATES)), np.zeros(_ROWS), np.empty((4, 2, DISTORTION))
-    weighted = np.zeros((_ROWS, _STATES))
     for i in range(n):
         observe(camera, pixels[i], inverse_depth[i], T_second_first, calibration, (residual, J, Jd, lens))
         curvature = Jd @ Jd
-        add_coupling(gain[i : i + 1], _STARTS, J, Jd.reshape(_ROWS, 1))
         for k in range(_STATES):
-            gain[i, k] /= curvature
+            gain[i, k] = _dot(Jd, J[:, k]) / curvature
         offset[i] = (Jd @ residual) / curvature
         # One weight for all six rows: a point is an outlier as a whole, whatever depth suits it best.
         chi2[i] = max(residual @ residual - curvature * offset[i] ** 2, 0.0)
         weight = 1.0 / (1.0 + chi2[i] / scale) ** 2
-        for r in range(_ROWS):
-            for k in range(_STATES):
-                weighted[r, k] = weight * J[r, k]
-        add_rows(H, b, _STARTS, J, weighted, residual)
+        _add_rows(H, b, J, residual, weight)
         eliminate_depth(H, b, gain[i], offset[i], weight * curvature, 0)
     mirror_upper(H)
     return H, b, chi2, gain, offset
 
 
 @njit(cache=True)
+def _dot(a: Array, b: Array) -> float:
+    """Inner product of two vectors (6,), of any stride."""
+    total = 0.0
+    for k in range(_ROWS):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True)
+def _add_rows(H: Array, b: Array, J: Array, residual: Array, weight: float) -> None:
+    """Add one point's six weighted rows to the upper triangle of H and to b.
+
+    Every residual depends on nearly all unknowns, so there are no blocks here, and the blocks of
+    `odometry.kernels.schur` would take twice the time.
+    """
+    for m in range(_ROWS):
+        for j in range(_STATES):
+            scaled = weight * J[m, j]
+            if scaled != 0.0:
+                b[j] += scaled * residual[m]
+                for k in range(j, _STATES):
+                    H[j, k] += scaled * J[m, k]
+
+
+@njit(cache=True, forceinline=True)
 def observe(
     camera: Array,
     pixels: Array,
@@ -92,7 +111,7 @@ def observe(
 
     """
     fx, fy, cx, cy, _ = camera
-    residual, J, Jd, lens = out
+    residual, J, _, lens = out
     J[:] = 0.0
     for k in range(4):
         _set_terms(lens[k], (pixels[k, 0] - cx) / fx, (pixels[k, 1] - cy) / fy)
@@ -111,7 +130,7 @@ def observe(
     _subtract_prediction(camera, u, v, inverse_depth, T, out)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _set_terms(terms: Array, x: float, y: float) -> None:
     """Set displacements (2, 3) at the ray (x, y, 1) for one pixel of each coefficient of the distortion."""
     along_x, along_y = distortion_terms(x, y)
@@ -119,7 +138,7 @@ def _set_terms(terms: Array, x: float, y: float) -> None:
         terms[0, k], terms[1, k] = along_x[k], along_y[k]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _undistort(pixels: Array, lens: Array, calibration: Array, image: int, axis: int) -> float:
     """Coordinate of a pixel (4, 2) of one image without the lens's distortion."""
     place = pixels[image, axis]
@@ -128,7 +147,7 @@ def _undistort(pixels: Array, lens: Array, calibration: Array, image: int, axis:
     return place
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _subtract_field(calibration: Array, x: float, y: float, residual: Array, J: Array, first: int) -> None:
     """Take the rectification error at the ray (x, y, 1) out of residuals `first` and next; set its derivatives."""
     terms = (1.0, x, y, x * x, x * y, y * y)
@@ -139,7 +158,7 @@ def _subtract_field(calibration: Array, x: float, y: float, residual: Array, J: 
         J[first + 1, _FIRST_FIELD + _FIELD + k] = -terms[k]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _subtract_prediction(
     camera: Array, u: float, v: float, d: float, T: Array, out: tuple[Array, Array, Array, Array]
 ) -> None:
@@ -169,7 +188,7 @@ def _subtract_prediction(
     Jd[5] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _set_motion_columns(camera: Array, x: float, y: float, near: float, J: Array) -> None:
     """Set the derivatives by the motion of a point at (x, y) and inverse depth `near` in the second camera."""
     fx, fy, _, _, baseline = camera

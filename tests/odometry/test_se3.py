@@ -15,7 +15,7 @@ tangents = arrays(np.float64, 6, elements=st.floats(-1.7, 1.7, allow_subnormal=F
 def twist(xi):
     """The (4, 4) matrix of a tangent vector."""
     matrix = np.zeros((4, 4))
-    matrix[:3, :3], matrix[:3, 3] = se3.hat(xi[:3]), xi[3:]
+    matrix[:3, :3], matrix[:3, 3] = se3.skew(xi[:3]), xi[3:]
     return matrix
 
 

@@ -52,7 +52,7 @@ def test_a_missing_file_is_named(tmp_path: Path):
 
 def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     config = replace(RunConfig(), mono=True)
-    odometry = replace(config.one_camera.odometry, height_m=1.65)
+    odometry = replace(config.one_camera.odometry, camera_height_m=1.65)
     config = replace(config, one_camera=replace(config.one_camera, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
     assert config.graph.unit_drift > 0
