@@ -27,7 +27,7 @@ class MonoOdometryConfig:
         depths: how the depth of any pixels is found.
         motion_checks: when a result is not believed.
         road: how the road is found by which scale is measured.
-        camera_height_m: of the camera above the road, metres; 0 where it is not known: then the unit is free, and as long
+        camera_height_m: height of the camera above the road, metres; 0 if unknown: then the unit is free, and as long
             as a metre only if the first images show things 15 m away, usually.
         key_px: median parallax since the last key frame that makes one, pixels.
         key_share: share of the last key frame's points that must still be followed, or else there is a new one.
