@@ -1,4 +1,7 @@
-"""Where a second image was taken, up to scale, before anything is known of depth."""
+"""Initialization of a monocular map: motion between two images, up to scale, by the essential matrix.
+
+What was tried and why these thresholds: docs/decisions/mono_initialization.md.
+"""
 
 from dataclasses import dataclass
 
@@ -14,13 +17,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _AGREEMENT_PX = 1.0  # epipolar error of a point that agrees; what is left of the distortion must fit
-_ROUNDS = 1000
+_ROUNDS = 1000  # samples at most
 _NO_DEPTH = "the camera has not moved far enough to see depth"
 
 
 @dataclass(frozen=True)
 class InitializationConfig:
-    """What two images must show for depth to be believed.
+    """Thresholds for beginning a map with two images.
 
     Attributes:
         min_points: points that must agree on one motion.
@@ -36,10 +39,10 @@ class InitializationConfig:
 
 @dataclass(frozen=True)
 class Initialization:
-    """A second camera, seen from the first.
+    """Pose of a second camera relative to the first, up to scale.
 
     Attributes:
-        T_first_second: (4, 4), the unit is the way between the two.
+        T_first_second: (4, 4), in units of the distance between the two.
         inliers: (N,) bool, the points that agree.
 
     """
@@ -49,10 +52,10 @@ class Initialization:
 
 
 def initialize(lens: LensDistortion, first: Array, second: Array, config: InitializationConfig) -> Initialization | str:
-    """Find the motion between pixels (N, 2) of one image and of another, or say why there is none.
+    """Find the motion between pixels (N, 2) of one image and of another, or return the reason why there is none.
 
-    By the essential matrix: that of a plane is found as well, by five points, and where the camera only turned
-    there is no parallax.
+    The five-point essential matrix also finds the motion in front of a plane. Where the camera only turned there is no
+    parallax.
     """
     if len(first) < config.min_points:
         return f"fewer than {config.min_points} points could be followed"

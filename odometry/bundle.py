@@ -1,12 +1,9 @@
-"""Bundle adjustment over the last key frames of one camera: poses, inverse depths and the lens together.
+"""Bundle adjustment over the last reference frames of one camera: poses, points and lens distortion together.
 
-Scale is what a single camera drifts in, and what carries it on are points that live long in a long window: the
-older key frames are fixed, which costs nothing but their observations, and the newer ones are adjusted. A point that
-outlives the frame that saw it first is anchored in the next one, where it should have been seen. Depths are
-eliminated point by point (Triggs et al., Bundle Adjustment, 1999, section 6). Memory is bounded by the window.
-
-What frames knew that have left it is forgotten. (Measured: carried on as weights of the depths it brings twice to
-eight times the error, because it holds on to the lens as it was thought to be.)
+A single camera drifts in scale, which is carried on by points that live long in a long window. The older frames of the
+window are fixed and cost nothing but their observations; the newer ones are adjusted. A point that outlives the frame
+that saw it first is anchored in the next one. Memory is bounded by the window, and what leaves it is forgotten:
+docs/decisions/no_marginalisation.md. Residuals and Jacobians: docs/math.md, section "Monocular bundle".
 """
 
 from dataclasses import dataclass
@@ -17,6 +14,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import clamp_inverse_depth
 from odometry.kernels.mono_bundle_adjustment import build_normal_equations
+from odometry.kernels.schur import FIXED
 from odometry.lens import NUM_COEFFICIENTS, LensDistortion, LensDistortionConfig
 from odometry.points import FrameObservations, ObservationTable, Points, clamp_points
 from odometry.triangulation import triangulate
@@ -25,28 +23,28 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_LIMIT = 9.21  # chi squared, 99 %, two residuals of a sighting
-_TAIL = 2.0  # tracks err more often by much than Gauss allows: so many times the limit is what an outlier exceeds
-_MEDIAN = 1.386  # of chi squared
+_LIMIT = 9.21  # 99 % quantile of chi squared with two degrees of freedom, the residuals of an observation
+_TAIL = 2.0  # errors of tracks have heavier tails than a Gaussian: an outlier exceeds this multiple of the limit
+_MEDIAN = 1.386  # median of the same distribution
 _NOISE_AT_FIRST = 0.5  # pixels; the largest that is assumed as well
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
 _STEPS_AT_FIRST = 10
-_FIXED = -1
-_FAR = 1e-3  # inverse depth below which a point is too far to be placed
-_SEEN = 1e-8  # squared shift by parallax, squared slope of a ray, below which nothing is seen of a depth
+_MIN_INVERSE_DEPTH = 1e-3  # below it a point is too far away to have a position
+_MIN_PARALLAX = 1e-8  # squared shift of a ray's slope by parallax, below which a depth is not triangulated
 
 
 @dataclass(frozen=True)
 class MonoBundleConfig:
-    """How much is adjusted together.
+    """Size of the window and of its adjustment.
 
     Attributes:
-        frames: key frames in the window.
-        free: of them, the newest that are adjusted; the older ones stay where they are.
-        iterations: steps for each new key frame, which start from the window before.
-        floor_px: smallest noise level of a measurement that is believed, pixels.
-        memory: share of a track's error that it still has in the next key frame.
-        repeats: windows in which one track is seen, so that it does not teach the lens anew in each.
+        max_frames: reference frames in the window.
+        max_free_frames: newest frames of the window that are adjusted; the older ones are fixed.
+        iterations: Gauss-Newton steps for each new frame, which start from the window before.
+        min_noise_px: smallest noise level of a measurement that is assumed, pixels.
+        error_memory: share of a track's error that it still has in the next frame.
+        windows_per_track: windows in which one track is seen, so that its error does not count anew in each of them
+            when the lens is learned.
 
     """
 
@@ -59,12 +57,12 @@ class MonoBundleConfig:
 
 
 class MonoBundle:
-    """Keeps the last key frames and adjusts them.
+    """The last reference frames of one camera, adjusted together.
 
     Attributes:
-        lens: as learned so far.
+        lens: the camera and its distortion as learned so far.
         poses: (K, 4, 4) T_map_frame.
-        points: what is known of the points.
+        points: points of the window.
         noise_px: standard deviation of a measurement, pixels.
 
     """
@@ -76,13 +74,13 @@ class MonoBundle:
         self.noise_px = _NOISE_AT_FIRST
 
     def initialize(self, first: FrameObservations, second: FrameObservations, T_first_second: Array) -> Mask:
-        """Begin a new map with two frames, the first at its origin; which of the second's points agree (N,)."""
+        """Begin a new map with two frames, the first at its origin; return which of the second's points agree (N,)."""
         self._frames, self.points = [first, second], Points.empty()
         self.poses = np.stack([np.eye(4), T_first_second])
         return self._adjust(1, _STEPS_AT_FIRST)
 
     def add(self, seen: FrameObservations, T_map_frame: Array) -> Mask:
-        """Add a key frame about where it is said to be, (4, 4), and adjust; which of its points agree (N,)."""
+        """Add a frame near its measured pose (4, 4) and adjust; return which of its points agree (N,)."""
         if len(self._frames) >= self._config.max_frames:
             self._frames = self._frames[1:]
             self.points = self.points.reanchor(ObservationTable.from_frames(self._frames), self.poses, self.lens)
@@ -91,8 +89,8 @@ class MonoBundle:
         self.poses = np.concatenate([self.poses, T_map_frame[None]])
         return self._adjust(min(self._config.max_free_frames, len(self.poses) - 2), self._config.iterations)
 
-    def show(self, seen: FrameObservations) -> None:
-        """Change what the newest frame shows: without points that do not agree, with new ones."""
+    def replace_newest(self, seen: FrameObservations) -> None:
+        """Replace the newest frame's observations: outliers are gone and new points are there."""
         self._frames[-1] = seen
         known = self.points.ids
         new = seen.ids > (known[-1] if len(known) else -1)
@@ -102,18 +100,18 @@ class MonoBundle:
         self.points = self.points.append(fresh)
 
     def rescale(self, factor: float) -> None:
-        """Make everything larger by a factor, the newest frame staying where it is: no image contradicts that."""
+        """Make the map larger by a factor around the newest frame, which no image contradicts."""
         newest = self.poses[-1, :3, 3]
         self.poses = self.poses.copy()
         self.poses[:, :3, 3] = newest + factor * (self.poses[:, :3, 3] - newest)
         self.points = self.points.rescale(factor)
 
     def predict(self, ids: Indices, T_map_camera: Array) -> Array:
-        """Where a camera at (4, 4) sees tracks, pixels (N, 2), NaN behind it; the depth of new ones is guessed."""
+        """Pixels (N, 2) at which a camera at (4, 4) sees tracks, NaN behind it; new tracks have the median depth."""
         return self.lens.pixels(self.in_camera(ids, T_map_camera)[:, :3])
 
     def in_camera(self, ids: Indices, T_map_camera: Array) -> Array:
-        """Tracks as seen by a camera at (4, 4): homogeneous points (N, 4), finite at infinity."""
+        """Homogeneous points (N, 4) of tracks in the frame of a camera at (4, 4), finite at infinity."""
         points = self.points.select(ids)
         T = se3.inverse(T_map_camera) @ self.poses[points.frame]
         turned = np.einsum("nij,nj->ni", T[:, :3, :3], self.lens.rays(points.anchor_pixel))
@@ -125,13 +123,13 @@ class MonoBundle:
         """Points (N, 3) of known depth in the newest frame's camera."""
         known = self.points.information > 0
         points = self.in_camera(self.points.ids[known], self.poses[-1])
-        near = points[:, 3] > _FAR
+        near = points[:, 3] > _MIN_INVERSE_DEPTH
         return np.asarray(points[near, :3] / points[near, 3:])
 
     def _adjust(self, free: int, iterations: int) -> Mask:
-        """Gauss-Newton on the newest poses, the depths and the lens; which points of the newest frame agree (N,).
+        """Adjust the newest poses, the points and the lens; return which points of the newest frame agree (N,).
 
-        Changes nothing if it does not converge.
+        Nothing changes if the adjustment does not converge.
         """
         observations = ObservationTable.from_frames(self._frames)
         problem = _BundleProblem(
@@ -143,7 +141,7 @@ class MonoBundle:
             self.noise_px = float(np.clip(noise, self._config.min_noise_px, _NOISE_AT_FIRST))
         if problem.is_finite():
             self.poses, self.points = problem.poses, problem.points()
-            information = problem.about_lens() / self._config.windows_per_track
+            information = problem.lens_information() / self._config.windows_per_track
             self.lens = self.lens.update(problem.lens, information, self._lens_config)
         newest = observations.frame == len(self._frames) - 1
         names = np.repeat(observations.ids, observations.counts)[newest]
@@ -151,13 +149,13 @@ class MonoBundle:
         return np.asarray(agree[np.searchsorted(names, self._frames[-1].ids)])
 
     def _known(self, observations: ObservationTable) -> Points:
-        """Points with the depths that are known, and triangulated ones where they are not."""
+        """Points of the window with their known depths, or with triangulated ones."""
         a, z = observations.first[:-1], observations.first[1:] - 1
         places = observations.pixels
         known = self.points.select(observations.ids)
         T_last_first = se3.inverse(self.poses[observations.frame[z]]) @ self.poses[observations.frame[a]]
         depth, strength = triangulate(self.lens.rays(places[a]), self.lens.rays(places[z]), T_last_first)
-        depth = np.where(strength > _SEEN, clamp_inverse_depth(depth), self.points.median_inverse_depth)
+        depth = np.where(strength > _MIN_PARALLAX, clamp_inverse_depth(depth), self.points.median_inverse_depth)
         depth = np.where(known.information > 0, known.inverse_depth, depth)
         place = np.where(known.information[:, None] > 0, known.anchor_pixel, places[a])
         return Points(observations.ids, observations.anchor, place, depth, known.information)
@@ -179,9 +177,9 @@ class _BundleProblem:
         self._measured = observations.pixels[observations.first[:-1]]
         self._state = np.column_stack([points.anchor_pixel - self._measured, points.inverse_depth])
         self.poses, self._prior, self.lens = poses, lens, lens.coefficients
-        # What the window says will be said again by the next ones: what is known already counts as often.
+        # The next windows will repeat this window's measurements, so the prior counts as often.
         self._information = repeats * np.linalg.inv(lens.covariance)
-        self._states = np.full(len(poses), _FIXED)
+        self._states = np.full(len(poses), FIXED)
         self._states[len(poses) - free :] = 6 * np.arange(free)
 
     def step(self, sigma: float, memory: float) -> None:
@@ -200,11 +198,11 @@ class _BundleProblem:
         self._state = clamp_points(self._state - offset - rows @ change)
         self.lens = self.lens + change[-NUM_COEFFICIENTS:]
         self.poses = self.poses.copy()
-        for k in np.flatnonzero(self._states != _FIXED):
+        for k in np.flatnonzero(self._states != FIXED):
             self.poses[k] = self.poses[k] @ se3.exp(change[self._states[k] : self._states[k] + 6])
 
     def is_finite(self) -> bool:
-        """Whether it has come to anything."""
+        """Whether poses, points and lens are all finite."""
         return all(np.isfinite(values).all() for values in (self.poses, self._state, self.lens))
 
     def points(self) -> Points:
@@ -213,8 +211,8 @@ class _BundleProblem:
         trust = np.where(several, self._depth_information, 0.0)
         return Points(p.ids, p.frame, self._measured + self._state[:, :2], self._state[:, 2], trust)
 
-    def about_lens(self) -> Array:
-        """What the window said about the lens, (3, 3)."""
+    def lens_information(self) -> Array:
+        """Information (3, 3) of the window about the lens."""
         cross = self._H[:-NUM_COEFFICIENTS, -NUM_COEFFICIENTS:]
         known = self._H[-NUM_COEFFICIENTS:, -NUM_COEFFICIENTS:] - cross.T @ np.linalg.solve(
             self._H[:-NUM_COEFFICIENTS, :-NUM_COEFFICIENTS], cross

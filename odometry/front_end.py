@@ -1,4 +1,4 @@
-"""From images to points: what a pair shows, and where the next pair shows it again."""
+"""Front end of the stereo odometry: corners of a pair of images, followed to the next pair."""
 
 from dataclasses import dataclass
 
@@ -17,14 +17,17 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Pair = tuple[Image, Image]
 
+_MIN_CLEAR_DISPARITY_PX = 2.0  # larger disparities than a calibration error explains
+_MIN_SWAPPED = 20  # points that must match only the other way round in a swapped pair
+
 
 @dataclass(frozen=True)
 class StereoObservation:
-    """A pair of images and its points.
+    """A stereo pair and its tracked points.
 
     Attributes:
         pair: left and right image, (H, W) uint8.
-        points: what is followed from here.
+        points: points that are followed from this pair.
 
     """
 
@@ -33,20 +36,20 @@ class StereoObservation:
 
 
 class StereoFrontEnd:
-    """Detects points, names their tracks and follows them."""
+    """Detects corners, numbers their tracks and follows them."""
 
     def __init__(self, tracking: TrackingConfig, matching: StereoMatchingConfig) -> None:
         self._tracking, self.matching = tracking, matching
-        self._named = 0
+        self._count = 0
 
     def observe(self, pair: Pair, kept: StereoFrameObservations | None = None) -> StereoObservation:
-        """Make a view of the points kept, topped up with new corners that the right image shows as well."""
+        """Observe a pair: the points kept, topped up with new corners that the right image shows as well."""
         kept = kept or StereoFrameObservations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
         corners = detect_corners(pair[0], kept.left, self._tracking)
         places = match_right(*pair, corners, self.matching)
         matched = np.isfinite(places[:, 0])
-        names = self._named + np.arange(int(matched.sum()))
-        self._named += len(names)
+        names = self._count + np.arange(int(matched.sum()))
+        self._count += len(names)
         points = StereoFrameObservations(
             np.concatenate([kept.ids, names]),
             np.concatenate([kept.left, corners[matched]]),
@@ -57,10 +60,10 @@ class StereoFrontEnd:
     def follow(
         self, view: StereoObservation, pair: Pair, guess: Array, calibration: Calibration, wide: bool = False
     ) -> StereoTracks:
-        """Look for a view's points in a pair of images where a guess (4, 4) of T_view_pair puts them."""
+        """Follow the points of a view to a pair of images, from where a guess (4, 4) of T_view_pair puts them."""
         points, tracking = view.points, self._tracking.widen() if wide else self._tracking
         ahead, shift = _predict(points, guess, calibration, pair[0])
-        # Looking more widely also means in other light: behind a tunnel's mouth, with the exposure lagging.
+        # A wider search also allows for another exposure, as at the end of a tunnel.
         left = match_brightness(view.pair[0], pair[0]) if wide else pair[0]
         second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
@@ -72,23 +75,19 @@ class StereoFrontEnd:
         return StereoTracks(points.left[kept], points.right[kept], second_left[kept], second_right, points.ids[kept])
 
     def is_swapped(self, pair: Pair) -> bool:
-        """Whether the left image is the right one: whether points match the other way round far more often."""
+        """Whether left and right image are swapped: whether far more points match the other way round."""
         counts = []
         for one, other in (pair, pair[::-1]):
             corners = detect_corners(one, np.zeros((0, 2)), self._tracking)
             shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
-            counts.append(int((shifts > _CLEAR_PX).sum()))
-        return counts[1] > max(_FEWEST, 3 * counts[0])
-
-
-_CLEAR_PX = 2.0  # disparities that no calibration error explains
-_FEWEST = 20  # points that show it
+            counts.append(int((shifts > _MIN_CLEAR_DISPARITY_PX).sum()))
+        return counts[1] > max(_MIN_SWAPPED, 3 * counts[0])
 
 
 def _predict(
     points: StereoFrameObservations, guess: Array, calibration: Calibration, image: Image
 ) -> tuple[Array, Array]:
-    """Where the points (N, 2) should be in the new left image, and right less left (N, 2), pixels."""
+    """Predicted places (N, 2) of the points in the new left image, and right less left (N, 2), pixels."""
     left, right = calibration.rectify(points.left, points.right)
     disparity, camera = left[:, 0] - right[:, 0], calibration.camera
     seen = camera.project(se3.transform(se3.inverse(guess), camera.triangulate(left, np.maximum(disparity, 0.1))))

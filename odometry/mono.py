@@ -4,8 +4,8 @@
     for image in images:
         T_world_camera = T_world_camera @ odometry.track(image).T_previous_current
 
-There is one finite motion for every image. Where the images do not allow a measurement it is an extrapolation,
-and says so. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
+There is one finite motion for every image. Where the images do not allow a measurement it is an extrapolation, which
+`Motion.predicted` tells. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
 """
 
 from collections import deque
@@ -43,7 +43,7 @@ class MonoOdometry:
     """Measures the motion of one camera, image by image.
 
     Attributes:
-        bundle: the map of the last key frames, and the lens as learned so far.
+        bundle: the map of the last reference frames, and the lens distortion as learned so far.
 
     """
 
@@ -61,7 +61,7 @@ class MonoOdometry:
         self._images: deque[Image] = deque(maxlen=settings.bundle.max_frames)  # of the bundle's frames
         self._frame_counter = FrameCounter()
         self._T_map_reference = np.eye(4)
-        self._reference: Reference[MonoTracks] | None = None  # the last image whose place in the map is known
+        self._reference: Reference[MonoTracks] | None = None  # the last image whose pose in the map is known
         self._candidate: Reference[MonoTracks] | None = None  # what a new map could begin with
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
@@ -72,7 +72,7 @@ class MonoOdometry:
 
         Args:
             image: (H, W) uint8 of the camera's size.
-            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing, ten a second.
+            timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
 
         Raises:
             ValueError: an image of another size or type.
@@ -115,7 +115,7 @@ class MonoOdometry:
             )
 
     def _measure(self, image: Image, motion: Array) -> Motion:
-        """Measure from the map, else begin a new one, else go on as before: by motion (4, 4)."""
+        """Measure from the map, else begin a new map, else extrapolate by the motion (4, 4)."""
         reason = None
         if self._reference is not None:
             known = PosedTracks(self._reference.view, self._T_map_reference)
@@ -131,7 +131,7 @@ class MonoOdometry:
         return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
 
     def _weakness(self, estimate: PoseEstimate | None) -> str | None:
-        """Why a measurement tells less than going on as before would; empty if it tells more."""
+        """Reason why a measurement is less certain than an extrapolation would be, or None if it is more certain."""
         if estimate is None:
             return None
         variance = self._config.covariance_scale * float(np.trace(estimate.covariance[3:, 3:]))
@@ -139,7 +139,7 @@ class MonoOdometry:
         return None if variance < limit else "all that is followed is too far away to tell how far the camera moved"
 
     def _expect(self, reference: Reference[MonoTracks], image: Image, motion: Array) -> MotionPrediction | None:
-        """Expect the motion (4, 4) since the previous image, where one was ever measured."""
+        """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
         if np.array_equal(image, reference.view.image):  # the same image again was taken at the same place
             return MotionPrediction(np.eye(4))
         if self._velocity is None:
@@ -154,13 +154,13 @@ class MonoOdometry:
         )
 
     def _accept(self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate) -> Motion:
-        """Take over what was measured; an image far enough from the last key frame becomes one."""
+        """Accept a measured pose; an image far enough from the last reference frame of the bundle is added to it."""
         T_map_camera = se3.orthonormalize(self._T_map_reference @ placed.T_first_second)
         tracks = followed.tracks.select(placed.inliers)
         if self._is_far_from_reference(tracks, reference.view, T_map_camera):
             agree = self.bundle.add(FrameObservations(tracks.ids, tracks.pixels), T_map_camera)
             self._images.append(tracks.image)
-            self.bundle.rescale(self._scale_correction.factor(self.bundle.visible()))
+            self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
             tracks, T_map_camera = self._renew(tracks.select(agree)), self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
         T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
@@ -179,7 +179,7 @@ class MonoOdometry:
         self._T_map_reference, self._reference, self._candidate = T_map_camera, Reference(tracks), None
 
     def _is_far_from_reference(self, tracks: MonoTracks, before: MonoTracks, T_map_camera: Array) -> bool:
-        """Whether an image at (4, 4) is far from the last key frame: one that is not tells nothing new of depth."""
+        """Whether an image at (4, 4) has enough parallax to the last reference frame to add to it."""
         lens, R = self.bundle.lens, T_map_camera[:3, :3].T @ self.bundle.poses[-1][:3, :3]
         parallax = tracks.pixels - lens.pixels(
             lens.rays(tracks.reference_pixels) @ R.T
@@ -188,31 +188,31 @@ class MonoOdometry:
         return flow > self._config.reference_parallax_px or len(tracks) < self._config.min_tracked_ratio * len(before)
 
     def _renew(self, tracks: MonoTracks) -> MonoTracks:
-        """Make the newest key frame show new corners beside these points."""
+        """Add new corners to the newest frame of the bundle."""
         renewed = self._front_end.observe(tracks.image, tracks)
-        self.bundle.show(FrameObservations(renewed.ids, renewed.pixels))
+        self.bundle.replace_newest(FrameObservations(renewed.ids, renewed.pixels))
         return renewed
 
     def _propose(self, image: Image) -> None:
-        """Let a new map begin with this image if it shows enough."""
+        """Make this image the candidate for a new map if it shows enough points."""
         tracks = self._front_end.observe(image)
         self._candidate = Reference(tracks) if len(tracks) >= self._config.initialization.min_points else None
 
     def _begin(self, candidate: Reference[MonoTracks], image: Image, motion: Array) -> Motion | str:
-        """Begin a new map with the candidate and this image, or say why not."""
+        """Begin a new map with the candidate and this image, or return the reason why not."""
         followed = self._front_end.follow(candidate.view, image, candidate.view.pixels, wide=True)
         tracks = followed.tracks
         found = initialize(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._config.initialization)
         if isinstance(found, Initialization):
-            found = self._as_expected(found, candidate.T_reference_previous @ motion)
+            found = self._check_prediction(found, candidate.T_reference_previous @ motion)
         if isinstance(found, Initialization):
             return self._restart(candidate, followed, found, motion)
         enough = len(tracks) >= self._config.initialization.min_points
         self._candidate = replace(candidate, view=tracks) if enough else None
         return found
 
-    def _as_expected(self, found: Initialization, T_expected: Array) -> Initialization | str:
-        """Doubt a beginning that is far from the motion (4, 4) of before, the less the longer nothing was measured."""
+    def _check_prediction(self, found: Initialization, T_expected: Array) -> Initialization | str:
+        """Reject an initialization far from the predicted motion (4, 4), farther the longer nothing was measured."""
         if self._velocity is None:
             return found
         T = found.T_first_second.copy()
@@ -222,7 +222,7 @@ class MonoOdometry:
     def _restart(
         self, candidate: Reference[MonoTracks], followed: FollowedTracks, found: Initialization, motion: Array
     ) -> Motion:
-        """Begin a new map; its unit is such that the camera goes on as fast as before, by motion (4, 4)."""
+        """Begin a new map in a unit such that the camera goes on as fast as before, by the motion (4, 4)."""
         tracks, median_inverse_depth = followed.tracks.select(found.inliers), self.bundle.points.median_inverse_depth
         agree = self.bundle.initialize(
             FrameObservations(tracks.ids, tracks.reference_pixels),
@@ -231,12 +231,14 @@ class MonoOdometry:
         )
         self._images.clear()
         self._images.extend([tracks.reference_image, tracks.image])
-        way = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
-        moving = way > self._config.motion_checks.min_moving_m
+        distance = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
+        moving = distance > self._config.motion_checks.min_moving_m
         self.bundle.rescale(
-            way / self._way_begun() if moving else self.bundle.points.median_inverse_depth / median_inverse_depth
+            distance / self._initial_distance()
+            if moving
+            else self.bundle.points.median_inverse_depth / median_inverse_depth
         )
-        self.bundle.rescale(self._scale_correction.factor(self.bundle.visible()))
+        self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
         tracks = self._renew(tracks.select(agree))
         T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
         T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_candidate_current
@@ -247,18 +249,18 @@ class MonoOdometry:
             followed.before, followed.tracks.pixels, found.inliers,
         )  # fmt: skip
 
-    def _way_begun(self) -> float:
-        """Way between the first two frames of a map, in its unit."""
+    def _initial_distance(self) -> float:
+        """Distance between the first two frames of a map, in its unit."""
         return max(float(np.linalg.norm(self.bundle.poses[1, :3, 3] - self.bundle.poses[0, :3, 3])), 1e-9)
 
     def _extrapolation_covariance(self, images: int) -> Array:
-        """Covariance (6, 6) of a motion that was not measured for so many images."""
+        """Covariance (6, 6) of a motion that was not measured for a number of images."""
         return extrapolation_covariance(
             self._config.extrapolation_sigma_rad, self._config.extrapolation_sigma_m, images
         )
 
     def _extrapolate(self, image: Image, T_previous_current: Array, reason: str) -> Motion:
-        """Go on at constant velocity; a new map may begin with this image."""
+        """Extrapolate at constant velocity; this image becomes the candidate for a new map."""
         covariance = self._extrapolation_covariance(self._unmeasured)
         self._reference = self._reference and self._reference.extend(T_previous_current, covariance)
         if self._candidate is None:

@@ -19,18 +19,18 @@ class MonoOdometryConfig:
     """All settings of the odometry; the defaults serve any camera without much distortion.
 
     Attributes:
-        tracking: how corners are chosen and followed.
-        beginning: what the first two images must show.
-        bundle: how the last key frames are adjusted.
-        placing: how the pose of an image is computed.
-        lens: what is thought of the lens at first.
-        depths: how the depth of any pixels is found.
-        motion_checks: when a result is not believed.
-        road: how the road is found by which scale is measured.
+        tracking: choice and tracking of corners.
+        initialization: what the first two images must show.
+        bundle: adjustment of the last reference frames.
+        pose_estimation: motion-only adjustment of each image.
+        lens: prior of the lens distortion.
+        motion_stereo: depth of any pixels of an image.
+        motion_checks: checks that a motion must pass.
+        ground_plane: how the road is found that gives the scale.
         camera_height_m: height of the camera above the road, metres; 0 if unknown: then the unit is free, and as long
-            as a metre only if the first images show things 15 m away, usually.
-        key_px: median parallax since the last key frame that makes one, pixels.
-        key_share: share of the last key frame's points that must still be followed, or else there is a new one.
+            as a metre only if the median depth in the first images is 15 m.
+        reference_parallax_px: median parallax to the last reference frame at which an image becomes one, pixels.
+        min_tracked_ratio: share of the reference frame's points below which an image becomes the next one.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
         extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next.

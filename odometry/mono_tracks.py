@@ -1,4 +1,4 @@
-"""Points of one camera, followed from image to image."""
+"""Front end of the monocular odometry: corners of one camera, followed from image to image."""
 
 from dataclasses import dataclass, replace
 
@@ -16,14 +16,14 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class MonoTracks:
-    """What one image shows of the points that are followed.
+    """Tracked points of one image.
 
     Attributes:
         image: (H, W) uint8.
-        ids: (N,) names, growing.
-        pixels: (N, 2) where they are.
-        key_pixels: (N, 2) where they were in the last key frame.
-        key_image: (H, W) uint8 that one's.
+        ids: (N,) growing numbers of the tracks.
+        pixels: (N, 2) places of the points in the image.
+        key_pixels: (N, 2) their places in the last reference frame.
+        key_image: (H, W) uint8 of the last reference frame.
 
     """
 
@@ -45,11 +45,11 @@ class MonoTracks:
 
 @dataclass(frozen=True)
 class FollowedTracks:
-    """Points that a second image shows again.
+    """Points that were found again in a second image.
 
     Attributes:
-        tracks: (M points) in the second image.
-        before: (M, 2) pixels in the first.
+        tracks: the M points that were found, in the second image.
+        before: (M, 2) pixels of the same points in the first image.
 
     """
 
@@ -58,18 +58,18 @@ class FollowedTracks:
 
 
 class MonoFrontEnd:
-    """Detects points, names their tracks and follows them."""
+    """Detects corners, numbers their tracks and follows them."""
 
     def __init__(self, config: TrackingConfig) -> None:
-        self._config, self._named = config, 0
+        self._config, self._count = config, 0
 
     def observe(self, image: Image, kept: MonoTracks | None = None) -> MonoTracks:
-        """Make a key frame of the points kept, topped up with new corners."""
+        """Make a reference frame of the points kept, topped up with new corners."""
         ids, pixels = (np.zeros(0, np.int64), np.zeros((0, 2))) if kept is None else (kept.ids, kept.pixels)
         corners = detect_corners(image, pixels, self._config)
-        ids = np.concatenate([ids, self._named + np.arange(len(corners))])
+        ids = np.concatenate([ids, self._count + np.arange(len(corners))])
         pixels = np.concatenate([pixels, corners])
-        self._named += len(corners)
+        self._count += len(corners)
         image = image.copy()  # callers may use one buffer for all images
         return MonoTracks(image, ids, pixels, pixels, image)
 

@@ -1,4 +1,4 @@
-"""Depth of any pixels of one camera's image, from an earlier image whose place is known: stereo by moving."""
+"""Motion stereo: depth of any pixels of one camera's image, from an earlier image of known pose."""
 
 from dataclasses import dataclass, field
 
@@ -14,18 +14,18 @@ from odometry.triangulation import triangulate
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_NEIGHBOURS = 3  # known points whose median depth is a pixel's first guess
+_NEIGHBOURS = 3  # nearest points of known depth whose median is a pixel's first guess
 
 
 @dataclass(frozen=True)
 class MotionStereoConfig:
-    """How pixels are found in an earlier image.
+    """Choice of the earlier image and matching in it.
 
     Attributes:
-        way: farthest that the earlier image may have been taken, in usual depths.
-        turn_rad: largest turn since, radians.
-        epipolar_px: farthest that a match may lie from where the motion allows it, pixels.
-        tracking: how pixels are followed.
+        max_distance_ratio: largest distance of the earlier camera, in median depths.
+        max_rotation_rad: largest rotation since the earlier image, radians.
+        max_epipolar_error_px: largest distance of a match from its epipolar line, pixels.
+        tracking: settings of the tracker that finds the pixels.
 
     """
 
@@ -37,7 +37,7 @@ class MotionStereoConfig:
 
 @dataclass(frozen=True)
 class PosedImage:
-    """An image and where it was taken.
+    """An image and its pose.
 
     Attributes:
         image: (H, W) uint8.
@@ -64,25 +64,25 @@ class Depths:
 
     @classmethod
     def unknown(cls, count: int) -> "Depths":
-        """No depth at all."""
+        """No depth for any pixel."""
         return cls(np.full(count, np.nan), np.zeros(count))
 
 
 def select_earlier_image(
-    shots: list[PosedImage], now: PosedImage, median_depth: float, config: MotionStereoConfig
+    images: list[PosedImage], now: PosedImage, median_depth: float, config: MotionStereoConfig
 ) -> PosedImage | None:
-    """Find the shot farthest back that still shows much the same, or None."""
+    """Find the image taken farthest away that still shows much the same, or None."""
     best, farthest = None, 0.0
-    for shot in shots:
-        T = se3.inverse(shot.T_map_camera) @ now.T_map_camera
-        way = float(np.linalg.norm(T[:3, 3]))
-        if farthest < way <= config.max_distance_ratio * median_depth and se3.angle(T) <= config.max_rotation_rad:
-            best, farthest = shot, way
+    for candidate in images:
+        T = se3.inverse(candidate.T_map_camera) @ now.T_map_camera
+        distance = float(np.linalg.norm(T[:3, 3]))
+        if farthest < distance <= config.max_distance_ratio * median_depth and se3.angle(T) <= config.max_rotation_rad:
+            best, farthest = candidate, distance
     return best
 
 
 def estimate_depths(
-    shots: tuple[PosedImage, PosedImage],
+    images: tuple[PosedImage, PosedImage],
     pixels: Array,
     known: tuple[Array, Array],
     lens: LensDistortion,
@@ -91,14 +91,14 @@ def estimate_depths(
     """Depth of pixels (N, 2) of an image from an earlier one.
 
     Args:
-        shots: the earlier image and the present one.
-        pixels: where depth is wanted.
-        known: pixels (M, 2), M > 0, with inverse depths (M,), to look first.
-        lens: of the camera.
-        config: how to look.
+        images: the earlier image and the present one.
+        pixels: (N, 2) whose depth is wanted.
+        known: pixels (M, 2), M > 0, with known inverse depths (M,), for the first guess.
+        lens: lens of the camera.
+        config: settings.
 
     """
-    then, now = shots
+    then, now = images
     T_then_now = se3.inverse(then.T_map_camera) @ now.T_map_camera
     rays = lens.rays(pixels)
     count = min(_NEIGHBOURS, len(known[1]))

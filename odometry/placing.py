@@ -1,4 +1,7 @@
-"""Where one image was taken, seen from points whose depths are more or less known."""
+"""Motion-only bundle adjustment: the pose of one image from points whose depths are more or less known.
+
+The problem is that of `odometry.bundle` with all poses but one fixed.
+"""
 
 from dataclasses import dataclass
 
@@ -15,14 +18,16 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LIMIT = 18.4  # squared residual of an outlier, in variances: see `odometry.bundle`
-_QUANTILE, _AT_QUANTILE = 0.3, 0.713  # of chi squared, two degrees of freedom: most of the view may be another car
-_EXACT = 1e6  # weight of where the map says that a point was first seen
+# The noise is measured at a low quantile because most of the view may belong to another car; 0.713 is the 30 % quantile
+# of chi squared with two degrees of freedom.
+_QUANTILE, _AT_QUANTILE = 0.3, 0.713
+_EXACT = 1e6  # weight of a point's place in its anchor, which the map has adjusted already
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²
 
 
 @dataclass(frozen=True)
 class PoseEstimationConfig:
-    """How the pose of an image is computed.
+    """Iterations and noise levels of the motion-only adjustment.
 
     Attributes:
         max_iterations: Gauss-Newton steps at most.
@@ -40,7 +45,7 @@ class PoseEstimationConfig:
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """Where an image was taken.
+    """Measured pose of an image.
 
     Attributes:
         T_first_second: (4, 4) its camera in that of an earlier image.
@@ -61,9 +66,10 @@ class PoseEstimate:
 def estimate_pose(
     bundle: MonoBundle, tracks: MonoTracks, T_map_first: Array, T_guess: Array, config: PoseEstimationConfig
 ) -> PoseEstimate:
-    """Find the camera of an image near a guess (4, 4) of T_first_second.
+    """Estimate the pose of an image from a guess (4, 4) of T_first_second.
 
-    Depths take part with what is known of them, so an unsure one pulls only across its ray's image.
+    Depths take part with their information: a point of uncertain depth constrains the pose only across its epipolar
+    line.
     """
     problem = _PoseProblem(bundle, tracks)
     T, sigma = T_map_first @ T_guess, config.initial_noise_px
@@ -80,7 +86,7 @@ def estimate_pose(
 
 
 class _PoseProblem:
-    """Points seen by the frames that saw them first, which are fixed, and by the one that is looked for."""
+    """Points with two observations: by their anchors, which are fixed, and by the image whose pose is estimated."""
 
     def __init__(self, bundle: MonoBundle, tracks: MonoTracks) -> None:
         self._points: Points = bundle.points.select(tracks.ids)

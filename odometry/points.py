@@ -1,4 +1,4 @@
-"""Points of a window of key frames, each on the ray of the frame that saw it first."""
+"""Inverse-depth points of a window of frames, each on the ray of its anchor: the frame that saw it first."""
 
 from dataclasses import dataclass, replace
 
@@ -13,15 +13,16 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_USUAL = 1.0 / 15.0  # inverse depth while nothing is known: a median depth of 15 is also the unit of a map at first
+_DEFAULT_INVERSE_DEPTH = 1.0 / 15.0  # while nothing is known; the unit of a map is at first such that this is so
+_FIELDS = ("ids", "frame", "anchor_pixel", "inverse_depth", "information")  # of `Points`
 
 
 @dataclass(frozen=True)
 class FrameObservations:
-    """The points that one key frame shows.
+    """Points that one image of one camera shows.
 
     Attributes:
-        ids: (N,) growing names of the tracks.
+        ids: (N,) growing numbers of the tracks.
         pixels: (N, 2).
 
     """
@@ -32,12 +33,12 @@ class FrameObservations:
 
 @dataclass(frozen=True)
 class ObservationTable:
-    """All sightings in a window, sorted by point and then by frame.
+    """All observations in a window, sorted by point and then by frame.
 
     Attributes:
-        ids: (N,) names of the points, growing.
-        first: (N + 1,) where the sightings of each point begin, and where the last one's end.
-        frame: (M,) frame of each sighting.
+        ids: (N,) numbers of the points, growing.
+        first: (N + 1,) first observation of each point, and the end of the last one's.
+        frame: (M,) frame of each observation.
         pixels: (M, 2) pixels.
 
     """
@@ -49,10 +50,10 @@ class ObservationTable:
 
     @classmethod
     def from_frames(cls, frames: list[FrameObservations]) -> "ObservationTable":
-        """Sort the sightings of all frames by point."""
+        """Sort the observations of all frames by point."""
         ids = np.concatenate([seen.ids for seen in frames])
         frame = np.repeat(np.arange(len(frames)), [len(seen.ids) for seen in frames])
-        order = np.argsort(ids, kind="stable")  # stable: each point's sightings stay in the order of frames
+        order = np.argsort(ids, kind="stable")  # stable: each point's observations stay in the order of frames
         names, counts = np.unique(ids, return_counts=True)
         places = np.concatenate([seen.pixels for seen in frames])
         return cls(names, np.concatenate([[0], np.cumsum(counts)]), frame[order], places[order])
@@ -68,7 +69,7 @@ class ObservationTable:
         return np.diff(self.first)
 
     def is_followed(self) -> Mask:
-        """Which of the sightings (M,) are not a point's first."""
+        """Which of the observations (M,) are not a point's first."""
         followed = np.ones(len(self.frame), dtype=bool)
         followed[self.first[:-1]] = False
         return followed
@@ -76,12 +77,12 @@ class ObservationTable:
 
 @dataclass(frozen=True)
 class Points:
-    """What is known of points.
+    """Points with inverse depths.
 
     Attributes:
-        ids: (N,) names, growing.
+        ids: (N,) numbers, growing.
         frame: (N,) frame of the window that each is anchored in.
-        anchor_pixel: (N, 2) where that frame should have seen it, by all other frames as well, pixels.
+        anchor_pixel: (N, 2) adjusted place of the point in its anchor's image, pixels.
         inverse_depth: (N,) in that frame.
         information: (N,) about the inverse depth, pixels squared over its unit squared; 0 where nothing is known.
 
@@ -104,16 +105,16 @@ class Points:
 
     @property
     def median_inverse_depth(self) -> float:
-        """Inverse depth of most points."""
+        """Median inverse depth of the points that have one."""
         known = self.information > 0
-        return float(np.median(self.inverse_depth[known])) if known.any() else _USUAL
+        return float(np.median(self.inverse_depth[known])) if known.any() else _DEFAULT_INVERSE_DEPTH
 
     def select(self, ids: Indices) -> "Points":
-        """Points of these names (M,), in this order; those that are not here without trust or place."""
+        """Points of these numbers (M,), in this order; unknown ones have no information and the median depth."""
         index = np.searchsorted(self.ids, ids).clip(0, max(len(self) - 1, 0))
         if not len(self):
             nothing = np.zeros(len(ids))
-            return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _USUAL, nothing)
+            return Points(ids, np.zeros_like(ids), np.zeros((len(ids), 2)), nothing + _DEFAULT_INVERSE_DEPTH, nothing)
         known = self.ids[index] == ids
         return Points(
             ids, self.frame[index], self.anchor_pixel[index],
@@ -122,19 +123,19 @@ class Points:
         )  # fmt: skip
 
     def append(self, other: "Points") -> "Points":
-        """These and others whose names are larger."""
+        """These points and others with larger numbers."""
         return Points(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS))
 
     def rescale(self, factor: float) -> "Points":
-        """Make everything larger by a factor."""
+        """Make the map larger by a factor."""
         return replace(self, inverse_depth=self.inverse_depth / factor, information=self.information * factor**2)
 
     def reanchor(self, observations: ObservationTable, poses: Array, lens: LensDistortion) -> "Points":
-        """Move points to the frames that see them first now.
+        """Anchor points in the frames that see them first now.
 
         Args:
-            observations: without those of the frame that has left; its frames count from the next one.
-            poses: (K, 4, 4) T_map_frame, that of the frame that has left first.
+            observations: observations without those of the frame that has left; frames are counted from the next one.
+            poses: (K, 4, 4) T_map_frame, beginning with the frame that has left.
             lens: of the camera.
 
         """
@@ -150,8 +151,5 @@ class Points:
 
 
 def clamp_points(state: Array) -> Array:
-    """Points (N, 3), two pixels and an inverse depth, that a camera can see."""
+    """Clamp the inverse depths of points (N, 3), two pixels and an inverse depth, to what a camera can see."""
     return np.column_stack([state[:, :2], clamp_inverse_depth(state[:, 2])])
-
-
-_FIELDS = ("ids", "frame", "anchor_pixel", "inverse_depth", "information")

@@ -1,4 +1,4 @@
-"""What motion is measured from: an earlier view, and where the camera has been since."""
+"""Reference frame of an odometry: the earlier image that motion is measured from, and the motion since."""
 
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
@@ -23,14 +23,14 @@ def _certain() -> Array:
 
 @dataclass(frozen=True)
 class Reference(Generic[ViewT]):
-    """A view and the images since.
+    """An image that motion is measured from, and the images since.
 
     Attributes:
-        view: what was seen, and its points.
-        T_reference_previous: (4, 4) where the previous image was taken, metres.
-        T_reference_measured: (4, 4) where the last image was taken that was measured from here.
-        covariance_previous: (6, 6) of `T_reference_previous`, as far as it was not measured from here.
-        age_frames: images since the reference, or the last one measured from it.
+        view: the image and its points.
+        T_reference_previous: (4, 4) pose of the previous image, metres.
+        T_reference_measured: (4, 4) pose of the last image that was measured from this one.
+        covariance_previous: (6, 6) of `T_reference_previous`, of the part that was not measured from this image.
+        age_frames: images since this one, or since the last one measured from it.
 
     """
 
@@ -41,15 +41,15 @@ class Reference(Generic[ViewT]):
     age_frames: int = 0
 
     def age(self, images: int) -> "Reference[ViewT]":
-        """Count the images that have been taken since."""
+        """Count images that have been taken since."""
         return replace(self, age_frames=self.age_frames + images)
 
     def update(self, T_reference_current: Array) -> "Reference[ViewT]":
-        """Take over where the current image was taken, (4, 4): the next one's previous."""
+        """Take over the measured pose (4, 4) of the current image, which is the next one's previous image."""
         return Reference(self.view, T_reference_current, T_reference_current)
 
     def extend(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
-        """Go on by a motion (4, 4) that was not measured from here, with its covariance (6, 6)."""
+        """Append a motion (4, 4) that was not measured from this image, with its covariance (6, 6)."""
         return replace(
             self,
             T_reference_previous=self.T_reference_previous @ T_previous_current,

@@ -1,7 +1,8 @@
-"""How high the camera hangs above the road, by the points of a map: a ruler for what one camera cannot measure.
+"""Metric scale of a monocular map from the camera's height above the ground plane.
 
 The road is the plane, nearly level, below the camera on which most points near the way ahead lie. Planes are
-tried by samples of three points (Fischler and Bolles, CACM 1981) and weighed by their inliers.
+tried by samples of three points (RANSAC: Fischler and Bolles, CACM 1981). Formulas: docs/math.md, section
+"Ground-plane scale".
 """
 
 from dataclasses import dataclass
@@ -12,27 +13,27 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_CLEARLY = 3.0  # times `flat` that a point must be below the road to be no error
-_UNKNOWN = 10.0  # variance of the logarithm of a scale that nothing is known of
-_WIDTH = 2.0  # standard deviations that a single look may be off and count in full
+_CLEARLY = 3.0  # multiple of `max_distance_ratio` by which a point must be below the road to be no error
+_UNKNOWN = 10.0  # variance of the logarithm of an unknown scale
+_WIDTH = 2.0  # standard deviations at which the deviation of a single measurement is clipped
 
 
 @dataclass(frozen=True)
 class GroundPlaneConfig:
-    """What a road looks like.
+    """How the ground plane is found and filtered.
 
     Attributes:
-        slope: least slope of a ray to the road, downwards, at the camera: farther away depths are unsure.
-        aside: largest slope of a ray to the side.
-        tilt_rad: largest angle between the road and the camera's horizontal plane.
-        flat: farthest that a point may lie from the plane, as a share of the camera's height.
-        points: fewest points on it.
-        share: least share of the points that were looked at.
-        below: largest share of them below it: under a road there is nothing.
+        min_slope: smallest downward slope of a ray to the road: farther away depths are uncertain.
+        max_lateral_slope: largest slope of a ray to the side.
+        max_tilt_rad: largest angle between the road and the camera's horizontal plane, radians.
+        max_distance_ratio: largest distance of an inlier from the plane, as a share of the camera's height.
+        min_points: smallest number of inliers.
+        min_inlier_ratio: smallest share of inliers among the candidate points.
+        max_ratio_below: largest share of candidate points below the plane: there is nothing under a road.
         samples: planes that are tried.
-        sigma: standard deviation of the logarithm of one height.
-        repeats: key frames that see the same stretch of road, with the same error.
-        drift: growth of the standard deviation of the logarithm of scale, per square root of a key frame.
+        log_height_sigma: standard deviation of the logarithm of one measured height.
+        frames_per_stretch: reference frames that see the same stretch of road, with the same error.
+        log_scale_drift: growth of the standard deviation of the logarithm of scale, per square root of a frame.
 
     """
 
@@ -50,7 +51,7 @@ class GroundPlaneConfig:
 
 
 def estimate_camera_height(points_camera: Array, config: GroundPlaneConfig) -> float | None:
-    """Height of the camera above the road in the unit of the points (N, 3) that it sees; None where none is seen."""
+    """Height of the camera above the road in the unit of its points (N, 3); None where no road is found."""
     x, y, z = points_camera.T
     road = points_camera[(z > 0) & (y > config.min_slope * z) & (np.abs(x) < config.max_lateral_slope * z)]
     if len(road) < config.min_points:
@@ -79,23 +80,23 @@ def _planes(points: Array, config: GroundPlaneConfig) -> Array:
 
 
 class ScaleCorrection(Protocol):
-    """Says how a map should be resized."""
+    """Corrects the scale of a map by what its newest camera sees."""
 
-    def factor(self, points_camera: Array) -> float:
-        """Factor by which the points (N, 3) that a camera sees, and their map, are to be made larger."""
+    def update(self, points_camera: Array) -> float:
+        """Take in points (N, 3) in the camera frame; return the factor by which to make the map larger."""
         ...
 
 
 class NullScaleCorrection:
-    """Of a camera whose height is not known: the unit stays what it is."""
+    """No correction, for a camera of unknown height: the unit stays as it is."""
 
-    def factor(self, points_camera: Array) -> float:
-        """Leave everything as it is."""
+    def update(self, points_camera: Array) -> float:
+        """Leave the scale as it is."""
         return 1.0
 
 
 class GroundPlaneScale:
-    """Of a camera whose height above the road is known.
+    """Correction by the known height of the camera above the road.
 
     A filter of the logarithm of scale, in the manner of Kalman: the first road sets it, the next ones agree on it,
     and then it follows slowly, since single roads are neither flat nor level.
@@ -105,8 +106,8 @@ class GroundPlaneScale:
         self._height, self._config = height, config
         self._variance = _UNKNOWN
 
-    def factor(self, points_camera: Array) -> float:
-        """Factor by which to make the map larger, after one more look at the road."""
+    def update(self, points_camera: Array) -> float:
+        """Take in points (N, 3) in the camera frame; return the factor by which to make the map larger."""
         self._variance += self._config.log_scale_drift**2
         seen = estimate_camera_height(points_camera, self._config)
         if seen is None:

@@ -4,8 +4,8 @@
     for left, right in pairs:
         T_world_camera = T_world_camera @ odometry.track(left, right).T_previous_current
 
-There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation,
-and says so.
+There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation, which
+`Motion.predicted` tells.
 """
 
 from collections import deque
@@ -37,16 +37,16 @@ class StereoOdometryConfig:
     """All settings of the odometry; the defaults serve any rectified pair.
 
     Attributes:
-        tracking: how corners are chosen and followed.
-        matching: how they are found in the right image.
-        adjustment: how the motion between two pairs is computed.
-        window: how the last poses are refined.
-        calibration: what is thought of the calibration at first.
-        motion_checks: when a result is not believed.
-        key_m: way from the reference after which a pair becomes the reference, metres.
-        key_rad: turn after which it does, radians.
-        key_share: share of the reference's points that must still agree, or else it does.
-        patience: images for which a reference that was lost is still looked for when its successors fail.
+        tracking: choice and tracking of corners.
+        matching: search for them in the right image.
+        adjustment: two-view adjustment of each pair against its reference frame.
+        window: sliding window over the last reference frames.
+        calibration: prior of the calibration error.
+        motion_checks: checks that a motion must pass.
+        reference_spacing_m: distance from the reference frame at which a pair becomes the next one, metres.
+        reference_rotation_rad: rotation at which it does, radians.
+        min_reference_ratio: share of the reference frame's points below which it does.
+        max_lost_frames: images for which a lost reference frame is tried again when its successors fail.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
         extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next.
@@ -98,7 +98,7 @@ class StereoOdometry:
         Args:
             left: (H, W) uint8 of the camera's size.
             right: of the same size, taken at the same time.
-            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing, ten a second.
+            timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
 
         Raises:
             ValueError: images of another size or type.
@@ -143,7 +143,7 @@ class StereoOdometry:
         return Motion(np.eye(4), covariance, False, "")
 
     def _measure(self, pair: Pair, motion: Array) -> Motion:
-        """Measure from the reference, else from the one that was lost, else go on as before: by motion (4, 4)."""
+        """Measure from the reference frame, else from the lost one, else extrapolate by the motion (4, 4)."""
         reason = None
         for reference in filter(None, (self._reference, self._lost)):
             expected = self._expect(reference, pair, motion)
@@ -156,7 +156,7 @@ class StereoOdometry:
         return self._extrapolate(pair, motion, reason or "")
 
     def _expect(self, reference: Reference[StereoObservation], pair: Pair, motion: Array) -> MotionPrediction | None:
-        """Expect the motion (4, 4) since the previous image, where one was ever measured."""
+        """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
         if np.array_equal(pair[0], reference.view.pair[0]):  # the same image again was taken at the same place
             return MotionPrediction(np.eye(4))
         if self._velocity is None:
@@ -170,7 +170,7 @@ class StereoOdometry:
     def _accept(
         self, reference: Reference[StereoObservation], pair: Pair, located: TrackingResult, estimate: TwoViewEstimate
     ) -> Motion:
-        """Take over what was measured; a pair far enough from the reference takes its place."""
+        """Accept a measured motion; a pair far enough from the reference frame becomes the next one."""
         T_reference_current = estimate.T_first_second
         self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0
         self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
@@ -193,7 +193,7 @@ class StereoOdometry:
         )  # fmt: skip
 
     def _is_far_from_reference(self, estimate: TwoViewEstimate) -> bool:
-        """Whether a pair is far from the reference. One that is not would only add the error of another link."""
+        """Whether a pair is far from the reference frame. A near one would only add the error of another link."""
         assert self._reference is not None
         T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
         far = (
@@ -204,13 +204,13 @@ class StereoOdometry:
 
     def _learn(self, estimate: TwoViewEstimate) -> None:
         if np.linalg.norm(estimate.T_first_second[:3, 3]) > self._config.motion_checks.min_moving_m:
-            # Standing still says nothing new: the same points have the same errors again.
+            # A camera at rest learns nothing new: the same points have the same errors again.
             self.calibration = self.calibration.update(
                 estimate.calibration, estimate.information, self._config.calibration
             )
 
     def _renew(self, pair: Pair, located: TrackingResult, estimate: TwoViewEstimate) -> Array:
-        """Make a pair the reference, and say where the window puts it in the old one (4, 4)."""
+        """Make a pair the reference frame; return its refined pose (4, 4) in the old one."""
         if not located.followed:
             self._restart(self._front_end.observe(pair))
             return estimate.T_first_second
@@ -222,13 +222,13 @@ class StereoOdometry:
         return self._window.refine(view.points, estimate.T_first_second, self.calibration)
 
     def _extrapolation_covariance(self, images: int) -> Array:
-        """Covariance (6, 6) of a motion that was not measured for so many images."""
+        """Covariance (6, 6) of a motion that was not measured for a number of images."""
         return extrapolation_covariance(
             self._config.extrapolation_sigma_rad, self._config.extrapolation_sigma_m, images
         )
 
     def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
-        """Go on at constant velocity; this pair is the new reference if it shows enough."""
+        """Extrapolate at constant velocity; this pair becomes the reference frame if it shows enough points."""
         assert self._reference is not None
         covariance = self._extrapolation_covariance(self._unmeasured)
         bridged = self._reference.extend(T_previous_current, covariance)
@@ -243,6 +243,6 @@ class StereoOdometry:
         return Motion(T_previous_current, covariance, True, reason)
 
     def _restart(self, view: StereoObservation) -> None:
-        """Measure from this view on, and refine nothing before it."""
+        """Begin a new window with this view as the reference frame."""
         self._window.restart(view.points)
         self._reference, self._lost = Reference(view), None

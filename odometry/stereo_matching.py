@@ -1,9 +1,9 @@
-"""Left-right association on rectified pairs.
+"""Matching of points between the images of a rectified pair.
 
 Two steps: a search along the row for the smallest sum of absolute differences, on images at half size; then
 Lucas and Kanade's tracker from there, at full size and in both axes, because the rows of real
-rectifications are off by a pixel and more. The tracker's answer has no preference for whole pixels, as a
-parabola through the sums has: a bias in disparity would be a bias in the way driven.
+rectifications are off by a pixel and more. The tracker has no preference for whole pixels, as a parabola
+through the sums has: a bias in disparity would be a bias in the distance driven.
 """
 
 from dataclasses import dataclass
@@ -25,15 +25,15 @@ _BEHIND = 1  # shifts below zero that are searched too, pixels at half size
 
 @dataclass(frozen=True)
 class StereoMatchingConfig:
-    """How points of the left image are found in the right one.
+    """Search for points of the left image in the right one.
 
     Attributes:
         max_disparity_px: largest disparity searched, pixels.
-        max_rows_px: farthest from its row that a match may lie, pixels; rectification errors must fit.
+        max_row_offset_px: largest distance of a match from its row, pixels; rectification errors must fit.
         uniqueness: the best sum of differences is at most this share of the best one elsewhere on the row.
         window_px: side of the window of the refinement, pixels, odd.
-        return_px: farthest that matching back may end from where it began, pixels.
-        refine_px: farthest that the refinement may move the result of the search, pixels.
+        max_return_error_px: largest distance between where matching back ends and where it began, pixels.
+        max_refinement_px: largest shift of the search's result by the refinement, pixels.
 
     """
 

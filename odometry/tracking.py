@@ -1,8 +1,8 @@
-"""Corners, and following them from image to image.
+"""Detection of corners, and tracking them from image to image.
 
 Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi, Good Features to Track, CVPR
 1994), spread evenly by a grid of buckets; they are followed with the pyramidal tracker (Bouguet, 2001) from a
-predicted place, and a track is believed when following it back ends where it began.
+predicted place, and a track is accepted if tracking it back ends where it began.
 """
 
 from dataclasses import dataclass, replace
@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_HALF = 2  # corners are looked for in the image at half its size: a quarter of the time, less noise
+_HALF = 2  # corners are detected in the image at half its size: a quarter of the time, and less noise
 
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """How corners are chosen and followed.
+    """Choice and tracking of corners.
 
     Attributes:
-        corners: tracks to keep alive, all cells together.
-        columns, rows: cells of the grid that spreads them.
-        spacing_px: least distance of a new corner from any track, pixels.
-        quality: least corner strength as a share of the strongest in the image.
+        max_corners: tracks to keep alive in the whole image.
+        grid_columns, grid_rows: cells of the grid over which corners are spread.
+        min_spacing_px: smallest distance of a new corner from any track, pixels.
+        min_quality: smallest corner strength, as a share of the strongest in the image.
         window_px: side of the window that is compared, pixels, odd.
-        levels: levels of the pyramid above the image itself; each doubles the reach.
-        return_px: farthest that tracking back may end from where it began, pixels.
+        pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
+        max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
 
     """
 
@@ -42,7 +42,7 @@ class TrackingConfig:
     max_return_error_px: float = 0.5
 
     def widen(self) -> "TrackingConfig":
-        """Make a config of about four times the reach, and time, for when nothing is known of the motion."""
+        """Return settings of about four times the reach, and time, for an unknown motion."""
         return replace(self, window_px=2 * self.window_px - 1, pyramid_levels=self.pyramid_levels + 1)
 
 

@@ -1,12 +1,10 @@
 """Motion between two stereo pairs: depths, motion and calibration error in one robust adjustment.
 
-A point is the pixel of its track in the first left image, which the tracker compares everything with and is
-therefore exact, and an inverse depth. Its places in the other three images are six measurements. Estimating
-the inverse depth with the motion, instead of fixing it by triangulation, takes away the bias that noisy
-depths of far points bring (Civera et al., Inverse Depth Parametrization, TRO 2008); it is eliminated point
-by point, by the Schur complement (Triggs et al., Bundle Adjustment, 1999, section 6). No point is too far:
-one at infinity still measures rotation. Weights are those of Geman and McClure at a noise level measured
-from the residuals themselves.
+A point is its pixel in the first left image, exact because the tracker compares everything with it, and an inverse
+depth. Its places in the other three images are six measurements. Estimating the inverse depth with the motion, instead of
+fixing it by triangulation, takes away the bias that noisy depths of far points bring (Civera et al., Inverse Depth
+Parametrization, TRO 2008). A point at infinity still measures rotation. Weights are those of Geman and McClure at a
+noise level measured from the residuals. Derivation: docs/math.md, section "Two stereo views".
 """
 
 from dataclasses import dataclass
@@ -35,7 +33,7 @@ class StereoTracks:
 
     Attributes:
         first_left, first_right, second_left, second_right: (N, 2) pixels.
-        ids: (N,) names of the tracks, growing, -1 where there is no track.
+        ids: (N,) growing numbers of the tracks, -1 where there is no track.
 
     """
 
@@ -92,7 +90,7 @@ class TwoViewEstimate:
         noise_px: standard deviation of one measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
         calibration: (15,) coefficients, estimated with the motion.
-        information: (15, 15) what this pair of views said about them.
+        information: (15, 15) information of this pair of views about them.
 
     """
 
@@ -173,10 +171,10 @@ class _TwoViewProblem:
         return float(np.sqrt(np.partition(self._chi2, k)[k] / _AT_QUANTILE))
 
     def result(self, sigma: float) -> TwoViewEstimate:
-        """Sum up what has been found, with its uncertainty at the noise level sigma, pixels."""
+        """Return the result with its uncertainty at the noise level sigma, pixels."""
         self._linearize(sigma)
         inliers = self._chi2 < _LIMIT * sigma**2
-        # What is certain about an estimate is what all its inliers say: the weights only chose them.
+        # All inliers count in full for the uncertainty: the weights only chose them.
         H = self._information(inliers) / sigma**2 + _DAMPING * np.eye(6 + NUM_COEFFICIENTS)
         inverse = np.linalg.inv(H[:6, :6])
         gain = inverse @ H[:6, 6:]

@@ -1,9 +1,8 @@
-"""Refinement over a sliding window of frames: all poses and depths of the last few, adjusted together.
+"""Sliding-window bundle adjustment: poses and inverse depths of the last few stereo frames.
 
-The oldest pose is fixed, and what leaves the window is forgotten: points are anchored anew in the oldest frame
-that still sees them. (A marginal prior would keep what the forgotten frames knew; measured on simulated drives,
-windows longer than five frames gain nothing, so there is nothing left to keep.) Depths are eliminated
-point by point (Triggs et al., Bundle Adjustment, 1999, section 6). Memory is bounded by the window.
+The oldest pose is fixed, and what leaves the window is forgotten: points are anchored anew in the oldest frame that
+still sees them. Memory is bounded by the window. Residuals and Jacobians: docs/math.md, section "Sliding window";
+why five frames and no marginal prior: docs/decisions/odometry_window.md.
 """
 
 from dataclasses import dataclass
@@ -20,21 +19,21 @@ from odometry.kernels.sliding_window import build_normal_equations
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_LIMIT = 11.34  # chi squared, 99 %, three residuals of a sighting
-_MEDIAN = 2.366  # its median
+_LIMIT = 11.34  # 99 % quantile of chi squared with three degrees of freedom, the residuals of an observation
+_MEDIAN = 2.366  # median of the same distribution
 _NOISE_AT_FIRST = 0.3  # pixels; the largest that is assumed as well
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²: keeps matrices regular
 
 
 @dataclass(frozen=True)
 class WindowConfig:
-    """How much is adjusted together.
+    """Size of the window and of its adjustment.
 
     Attributes:
-        frames: poses in the window; below three there is nothing to adjust that two views have not.
-        iterations: steps for each new frame, which start from the window before.
-        floor_px: smallest noise level of a measurement that is believed, pixels.
-        tracks: fewest points that two frames must share.
+        max_frames: poses in the window; with fewer than three it repeats the two-view adjustment.
+        iterations: Gauss-Newton steps for each new frame, which start from the window before.
+        min_noise_px: smallest noise level of a measurement that is assumed, pixels.
+        min_shared_points: smallest number of points in at least two frames; with fewer nothing is adjusted.
 
     """
 
@@ -46,10 +45,10 @@ class WindowConfig:
 
 @dataclass(frozen=True)
 class StereoFrameObservations:
-    """The points that one frame shows.
+    """Points that one stereo pair shows.
 
     Attributes:
-        ids: (N,) growing names of the tracks.
+        ids: (N,) growing numbers of the tracks.
         left, right: (N, 2) pixels.
 
     """
@@ -64,8 +63,8 @@ class _Tracks:
     """All points that at least two frames of the window show.
 
     Attributes:
-        first: (N + 1,) where the sightings of each point begin, and where the last one's end.
-        frame: (M,) frame of each sighting.
+        first: (N + 1,) first observation of each point, and the end of the last one's.
+        frame: (M,) frame of each observation.
         pixels: (M, 3) pixels of a perfect pair: column left, column right, row.
 
     """
@@ -78,14 +77,14 @@ class _Tracks:
         return len(self.first) - 1
 
     def is_followed(self) -> NDArray[np.bool_]:
-        """Which of the sightings (M,) are not a point's first."""
+        """Which of the observations (M,) are not a point's first."""
         followed = np.ones(len(self.frame), dtype=bool)
         followed[self.first[:-1]] = False
         return followed
 
 
 class SlidingWindow:
-    """Keeps the last frames of an odometry and adjusts their poses."""
+    """The last frames of a stereo odometry, adjusted together."""
 
     def __init__(self, config: WindowConfig | None = None) -> None:
         self._config = config or WindowConfig()
@@ -102,11 +101,11 @@ class SlidingWindow:
 
         Args:
             observed: the new frame's points.
-            T_last_frame: (4, 4) its pose in the frame added before, metres, as two views tell.
+            T_last_frame: (4, 4) its pose in the frame added before, metres, by the two-view adjustment.
             calibration: error of the pair's calibration.
 
         Returns:
-            Its refined pose (4, 4) in the frame added before, where that one was said to be.
+            Its refined pose (4, 4) in the frame added before, at the pose returned for that one.
 
         """
         if len(self._frames) >= self._config.max_frames:
@@ -147,13 +146,13 @@ def _seen_from_first(poses: Array) -> Array:
 
 
 def _gather(frames: list[StereoFrameObservations], calibration: Calibration) -> _Tracks:
-    """Sort the sightings of all frames by point, those seen once left out."""
+    """Sort the observations of all frames by point, without points that are seen once."""
     ids = np.concatenate([observed.ids for observed in frames])
     frame = np.repeat(np.arange(len(frames)), [len(observed.ids) for observed in frames])
     left, right = calibration.rectify(
         np.concatenate([observed.left for observed in frames]), np.concatenate([observed.right for observed in frames])
     )
-    order = np.argsort(ids, kind="stable")  # stable: each point's sightings stay in the order of frames
+    order = np.argsort(ids, kind="stable")  # stable: each point's observations stay in the order of frames
     _, counts = np.unique(ids, return_counts=True)
     order, counts = order[np.repeat(counts > 1, counts)], counts[counts > 1]
     places = np.stack([left[:, 0], right[:, 0], left[:, 1]], axis=1)
