@@ -48,10 +48,10 @@ class StereoFrontEnd:
         corners = detect_corners(pair[0], kept.left, self._tracking)
         places = match_right(*pair, corners, self.matching)
         matched = np.isfinite(places[:, 0])
-        names = self._count + np.arange(int(matched.sum()))
-        self._count += len(names)
+        ids = self._count + np.arange(int(matched.sum()))
+        self._count += len(ids)
         points = StereoFrameObservations(
-            np.concatenate([kept.ids, names]),
+            np.concatenate([kept.ids, ids]),
             np.concatenate([kept.left, corners[matched]]),
             np.concatenate([kept.right, places[matched]]),
         )

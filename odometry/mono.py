@@ -223,7 +223,7 @@ class MonoOdometry:
         self, candidate: Reference[MonoTracks], followed: FollowedTracks, found: Initialization, motion: Array
     ) -> Motion:
         """Begin a new map in a unit such that the camera goes on as fast as before, by the motion (4, 4)."""
-        tracks, median_inverse_depth = followed.tracks.select(found.inliers), self.bundle.points.median_inverse_depth
+        tracks, before = followed.tracks.select(found.inliers), self.bundle.points.median_inverse_depth
         agree = self.bundle.initialize(
             FrameObservations(tracks.ids, tracks.reference_pixels),
             FrameObservations(tracks.ids, tracks.pixels),
@@ -233,11 +233,8 @@ class MonoOdometry:
         self._images.extend([tracks.reference_image, tracks.image])
         distance = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
         moving = distance > self._config.motion_checks.min_moving_m
-        self.bundle.rescale(
-            distance / self._initial_distance()
-            if moving
-            else self.bundle.points.median_inverse_depth / median_inverse_depth
-        )
+        by_depth = self.bundle.points.median_inverse_depth / before
+        self.bundle.rescale(distance / self._initial_distance() if moving else by_depth)
         self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
         tracks = self._renew(tracks.select(agree))
         T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]

@@ -1,6 +1,6 @@
 """Metric scale of a monocular map from the camera's height above the ground plane.
 
-The road is the plane, nearly level, below the camera on which most points near the way ahead lie. Planes are
+The road is the plane, nearly level, below the camera on which most points ahead lie. Planes are
 tried by samples of three points (RANSAC: Fischler and Bolles, CACM 1981). Formulas: docs/math.md, section
 "Ground-plane scale".
 """

@@ -162,9 +162,9 @@ class StereoOdometry:
         if self._velocity is None:
             return None
         T_reference_current = reference.T_reference_previous @ motion
-        way = reference.age_frames * min(self._speeds)
+        distance_m = reference.age_frames * min(self._speeds)
         return MotionPrediction(
-            T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, way
+            T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, distance_m
         )
 
     def _accept(

@@ -1,10 +1,10 @@
 """Motion between two stereo pairs: depths, motion and calibration error in one robust adjustment.
 
 A point is its pixel in the first left image, exact because the tracker compares everything with it, and an inverse
-depth. Its places in the other three images are six measurements. Estimating the inverse depth with the motion, instead of
-fixing it by triangulation, takes away the bias that noisy depths of far points bring (Civera et al., Inverse Depth
-Parametrization, TRO 2008). A point at infinity still measures rotation. Weights are those of Geman and McClure at a
-noise level measured from the residuals. Derivation: docs/math.md, section "Two stereo views".
+depth. Its places in the other three images are six measurements. Estimating the inverse depth with the motion,
+instead of fixing it by triangulation, takes away the bias that noisy depths of far points bring (Civera et al.,
+Inverse Depth Parametrization, TRO 2008). A point at infinity still measures rotation. Weights are those of Geman and
+McClure at a noise level measured from the residuals. Derivation: docs/math.md, section "Two stereo views".
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from odometry.kernels.two_view_adjustment import build_normal_equations
 Array = NDArray[np.float64]
 
 # Chi squared with five degrees of freedom (six measurements less one depth). The noise is measured at a low quantile,
-# because most of the view may belong to another car; tracks err more often by much than Gauss allows, and with 2.4
-# instead of his 3.0 it comes to what the median says where nothing else moves.
+# because most of the view may belong to another car. Errors of tracks have heavier tails than a Gaussian: with 2.4
+# instead of its 3.0 the result equals that of the median where nothing else moves.
 _QUANTILE, _AT_QUANTILE, _LIMIT = 0.3, 2.4, 15.09
 _DAMPING = 1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
 

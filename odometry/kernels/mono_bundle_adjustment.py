@@ -94,9 +94,7 @@ def build_normal_equations(
             subtract_previous(now, before, shares, residual, J, Jp)
             chi2[m] = residual[0] * residual[0] + residual[1] * residual[1]
             weight = 1.0 / (1.0 + chi2[m] / noise[0]) ** 2
-            for r in range(_ROWS):
-                for k in range(POINT):
-                    weighted_p[r, k] = weight * Jp[r, k]
+            _scale(Jp, weight, weighted_p)
             starts = (states[anchor], states[previous], states[frame[m]])
             add_point_rows(A, g, Jp, weighted_p, residual)
             _add_rows(H, b, starts, J, weight, residual)
@@ -121,6 +119,14 @@ def _begin_point(
     before[:] = 0.0
     before[0, ERROR], before[1, ERROR] = -point[0], -point[1]
     before[0, BY_POINT], before[1, BY_POINT + 1] = -1.0, -1.0
+
+
+@njit(cache=True)
+def _scale(Jp: Array, weight: float, out: Array) -> None:
+    """Set `out` to the Jacobian by the point (2, 3) times a weight."""
+    for r in range(_ROWS):
+        for k in range(POINT):
+            out[r, k] = weight * Jp[r, k]
 
 
 @njit(cache=True)

@@ -156,7 +156,7 @@ def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: f
 def eliminate_point(H: Array, b: Array, A: Array, g: Array, W: Array, gain: Array, offset: Array) -> float:
     """Take a point with three unknowns out of the upper triangle of H (S, S) and out of b (S,).
 
-    A point of whose depth nothing is known is left in: then it pulls at nothing, and gain and offset stay zero.
+    A point of unknown depth is not eliminated: it constrains no depth, and its gain and offset stay zero.
 
     Args:
         H: (S, S) matrix of the reduced camera system, changed in place.

@@ -36,18 +36,18 @@ def test_the_ruler_settles_on_the_scale_that_most_roads_tell():
     rng, ruler, scale = np.random.default_rng(1), GroundPlaneScale(1.65, GroundPlaneConfig()), 0.4
     for k in range(60):
         height = 1.65 * (1.6 if k % 10 == 9 else 1.0)  # now and then a ramp
-        scale *= ruler.factor(scale * street(rng, height))
+        scale *= ruler.update(scale * street(rng, height))
     assert scale == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_first_road_sets_the_scale_at_once():
     ruler = GroundPlaneScale(1.65, GroundPlaneConfig())
     points = 0.4 * street(np.random.default_rng(2))
-    assert 0.4 * ruler.factor(points) == pytest.approx(1.0, rel=0.1)
+    assert 0.4 * ruler.update(points) == pytest.approx(1.0, rel=0.1)
 
 
 def test_without_a_height_nothing_is_resized():
-    assert NullScaleCorrection().factor(street(np.random.default_rng(3))) == 1.0
+    assert NullScaleCorrection().update(street(np.random.default_rng(3))) == 1.0
 
 
 @pytest.mark.parametrize("height", [-1.0, float("nan"), float("inf")])
