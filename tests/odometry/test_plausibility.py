@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from odometry.plausibility import MotionCheckConfig, MotionPrediction, rejection_reason
+from odometry.plausibility import (
+    MotionCheckConfig,
+    MotionPrediction,
+    deviation_in_jumps,
+    jump_reason,
+    rejection_reason,
+    stops_implausibly,
+)
 from odometry.two_views import TwoViewEstimate
 
 CONFIG = MotionCheckConfig()
@@ -72,3 +79,26 @@ def test_a_view_that_stands_still_before_a_driving_camera_is_another_car_until_b
 def test_a_speed_that_was_seen_only_once_says_nothing_about_brakes():
     assert rejection_reason(moving(1.0), MotionPrediction(moving(6.0).T_first_second, distance_m=1.0), CONFIG) is None
     assert "does not move" in str(rejection_reason(moving(1.0), MotionPrediction(moving(6.0).T_first_second), CONFIG))
+
+
+@pytest.mark.parametrize(
+    ("measured", "stops"),
+    [
+        ([0, 0, 0, 0, 0, 2.0], False),  # as predicted
+        ([0, 0, 0, 0, 0, 0.0], True),
+        ([0, 0, 0, 0, 0, 1.2], False),  # more than half of it
+        ([0, 0, 0, 2.0, 0, 0.1], True),  # sideways
+        ([0, 0, 0, 0, 0, -2.0], False),  # a cut in the recording
+    ],
+)
+def test_a_stop_or_a_skid_is_implausible_and_a_cut_is_not(measured, stops):
+    predicted = MotionPrediction(se3.exp(np.array([0, 0, 0, 0, 0, 2.0])))
+    assert stops_implausibly(se3.exp(np.array(measured, dtype=float)), predicted, CONFIG) == stops
+
+
+def test_deviations_are_measured_in_jumps():
+    shifted, turned = se3.exp(np.array([0, 0, 0, 1.0, 0, 0])), se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
+    assert deviation_in_jumps(shifted, np.eye(4), CONFIG) == pytest.approx(2.0)
+    assert deviation_in_jumps(turned, np.eye(4), CONFIG) == pytest.approx(4.0)
+    assert jump_reason(shifted, np.eye(4), CONFIG, frames=1) is not None
+    assert jump_reason(shifted, np.eye(4), CONFIG, frames=3) is None  # the longer ago, the weaker the prediction
