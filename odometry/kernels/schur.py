@@ -30,7 +30,7 @@ FIXED = -1  # first unknown of a pose that is not adjusted
 _SINGULAR = 1e-9
 
 
-def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., None]:
+def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., None]:  # noqa: C901  (see below)
     """Compile the function that adds one observation to the reduced camera system.
 
     The sizes are constants of the compiled code: the compiler unrolls the short loops over them, which makes the
@@ -48,16 +48,25 @@ def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., N
 
     """
     end = POSE * poses
-    add_pose_row = _compile_add_pose_row(poses, calibration)
 
     @njit(cache=True)
-    def add_rows(H: Array, b: Array, starts: Starts, J: Array, weight: float, residual: Array) -> None:
+    def add_rows(  # noqa: C901  (split in two it takes twice the time: docs/decisions/schur_complement.md)
+        H: Array, b: Array, starts: Starts, J: Array, weight: float, residual: Array
+    ) -> None:
         first = len(b) - calibration
         for r in range(rows):
             for m in range(poses):
                 if starts[m] >= 0:
                     for j in range(POSE):
-                        add_pose_row(H, b, starts, J, (r, m, j), weight * J[r, POSE * m + j], residual[r])
+                        scaled, state = weight * J[r, POSE * m + j], starts[m] + j
+                        if scaled != 0.0:
+                            b[state] += scaled * residual[r]
+                            for n in range(m, poses):
+                                if starts[n] >= 0:
+                                    for k in range(POSE):  # all six, though half would do on the diagonal
+                                        H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
+                            for k in range(calibration):
+                                H[state, first + k] += scaled * J[r, end + k]
             for j in range(calibration):
                 scaled = weight * J[r, end + j]
                 if scaled != 0.0:
@@ -66,29 +75,6 @@ def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., N
                         H[first + j, first + k] += scaled * J[r, end + k]
 
     return add_rows
-
-
-def _compile_add_pose_row(poses: int, calibration: int) -> Callable[..., None]:
-    """Compile the part of `add_rows` for residual r, pose m and its unknown j."""
-    end = POSE * poses
-
-    @njit(cache=True, forceinline=True)
-    def add_pose_row(
-        H: Array, b: Array, starts: Starts, J: Array, index: tuple[int, int, int], scaled: float, residual: float
-    ) -> None:
-        if scaled == 0.0:
-            return
-        r, m, j = index
-        state, first = starts[m] + j, len(b) - calibration
-        b[state] += scaled * residual
-        for n in range(m, poses):
-            if starts[n] >= 0:
-                for k in range(POSE):  # all six, though half would do on the diagonal: the compiler unrolls them
-                    H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
-        for k in range(calibration):
-            H[state, first + k] += scaled * J[r, end + k]
-
-    return add_pose_row
 
 
 def compile_add_coupling(rows: int, poses: int, calibration: int, point: int) -> Callable[..., None]:
@@ -132,7 +118,7 @@ def add_point_rows(A: Array, g: Array, Jp: Array, weighted: Array, residual: Arr
 
 
 @njit(cache=True, forceinline=True)
-def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: float, start: int) -> None:
+def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: float, states: tuple[int, int]) -> None:
     """Take a point with one unknown, its inverse depth, out of the upper triangle of H (S, S) and out of b (S,).
 
     Args:
@@ -141,14 +127,16 @@ def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: f
         gain: (S,) the point's coupling W over its curvature.
         offset: its gradient over its curvature.
         curvature: its own Hessian.
-        start: first unknown that the point is coupled with; the gain is zero before it.
+        states: first unknown that the point is coupled with, and the number of all unknowns S. Where the caller gives
+            constants, the compiler unrolls the loops.
 
     """
-    for j in range(start, len(b)):
+    start, end = states
+    for j in range(start, end):
         scaled = curvature * gain[j]
         if scaled != 0.0:
             b[j] -= scaled * offset
-            for k in range(j, len(b)):
+            for k in range(j, end):
                 H[j, k] -= scaled * gain[k]
 
 

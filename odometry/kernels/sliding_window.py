@@ -77,7 +77,7 @@ def build_normal_equations(
         offset[i] = slope / curvature
         for j in range(states):
             gain[i, j] /= curvature
-        eliminate_depth(H, b, gain[i], offset[i], curvature, POSE * anchor)
+        eliminate_depth(H, b, gain[i], offset[i], curvature, (POSE * anchor, states))
     mirror_upper(H)
     return H, b, chi2, gain, offset
 

@@ -56,7 +56,7 @@ def build_normal_equations(
         chi2[i] = max(residual @ residual - curvature * offset[i] ** 2, 0.0)
         weight = 1.0 / (1.0 + chi2[i] / scale) ** 2
         _add_rows(H, b, J, residual, weight)
-        eliminate_depth(H, b, gain[i], offset[i], weight * curvature, 0)
+        eliminate_depth(H, b, gain[i], offset[i], weight * curvature, (0, _STATES))
     mirror_upper(H)
     return H, b, chi2, gain, offset
 

@@ -81,7 +81,7 @@ def test_eliminated_depths_give_the_solution_of_the_dense_system(seed):
             rows.append(np.sqrt(weight) * row)
             residuals.append(np.sqrt(weight) * residual)
         gains[i], offsets[i] = W[0] / curvature, slope / curvature
-        eliminate_depth(H, b, gains[i], offsets[i], curvature, 0)
+        eliminate_depth(H, b, gains[i], offsets[i], curvature, (0, SIZE))
     mirror_upper(H)
     change = np.linalg.solve(H + 1e-3 * np.eye(SIZE), -b)
     expected = dense_solution(rows, residuals, SIZE + points)
