@@ -36,7 +36,7 @@ class Edges:
 
     @property
     def group(self) -> LieGroup:
-        """SE2 or space."""
+        """SE2 or SE3."""
         return group_of(self.motions)
 
     @cached_property

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from slam.pose_graph_batch import chordal, minimum
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import LieGroup, SE2, SE3, compose, inverse
+from slam.pose_graph_lie import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph_newton import reweighted
 from slam.pose_graph_posterior import posterior
 

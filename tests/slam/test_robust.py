@@ -12,7 +12,7 @@ from slam.graph_roles import roles
 from slam.graph_truth import absolute_error, find_truth
 from slam.pose_graph_batch import minimum
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import LieGroup, SE2, SE3, compose, inverse
+from slam.pose_graph_lie import SE2, SE3, LieGroup, compose, inverse
 from slam.robust import BACK_ENDS, LoopProblem, solved
 from slam.robust_gnc import truncated
 from slam.robust_kernels import dcs, huber, switchable

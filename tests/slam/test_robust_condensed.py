@@ -7,7 +7,7 @@ import pytest
 
 from slam.pose_graph_batch import minimum
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import LieGroup, SE2, SE3, compose, inverse
+from slam.pose_graph_lie import SE2, SE3, LieGroup, compose, inverse
 from slam.robust_condensed import condensed
 from slam.robust_problem import LoopProblem
 
