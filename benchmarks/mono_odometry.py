@@ -4,23 +4,23 @@
     python benchmarks/mono_odometry.py blocks31 00
     python benchmarks/mono_odometry.py CLIPS 05 06 01 07
 
-ATE and the error of the last position after Sim(3) alignment of all poses, per cent of the way. "unit" is how long
+ATE and the error of the last position after Sim(3) alignment of all poses, per cent of the distance. "unit" is how long
 a metre is in the odometry's unit, in each eighth of the drive: how far it drifts. Images are decoded before the
 clock starts; "cpu" is the processor time of all threads, which a busy machine disturbs less than the clock.
 """
 
 import numpy as np
-from odometry_drives import Array, Drive, StageTimes, chained, measure, way
+from odometry_drives import Array, Drive, StageTimes, chain_poses, measure, path_length_m
 
 from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
-from odometry.bundle import Bundle
+from odometry.bundle import MonoBundle
 from slam.evaluation.trajectory import trajectory_errors
 
 STAGES = (
-    (mono_tracks, "detect", "detection"),
-    (mono_tracks, "follow", "following"),
-    (mono_locating, "place", "motion"),
-    (Bundle, "add", "bundle"),
+    (mono_tracks, "detect_corners", "detection"),
+    (mono_tracks, "track_points", "following"),
+    (mono_locating, "estimate_pose", "motion"),
+    (MonoBundle, "add", "bundle"),
 )
 _PARTS = 8
 
@@ -44,11 +44,11 @@ def report(drive: Drive, times: StageTimes) -> None:
     """Measure one sequence and print its rows."""
     times.clear()
     motions, truth = track(drive, times), drive.truth()
-    poses, measured = chained(motions), [m for m in motions[2:] if not m.predicted]
+    poses, measured = chain_poses(motions), [m for m in motions[2:] if not m.predicted]
     errors = trajectory_errors(poses, truth, "sim3")
-    print(f"\n{drive.root.name} {drive.name}: {len(drive)} frames, {way(truth):.0f} m")
+    print(f"\n{drive.root.name} {drive.name}: {len(drive)} frames, {path_length_m(truth):.0f} m")
     print(
-        f"    ATE {errors.ate_m:.2f} m, {100 * (errors.ate_m or 0.0) / way(truth):.2f} %"
+        f"    ATE {errors.ate_m:.2f} m, {100 * (errors.ate_m or 0.0) / path_length_m(truth):.2f} %"
         f"  end {errors.end_error_percent:.2f} %  t_rel {errors.t_rel_percent or np.nan:.2f} %"
         f"  r_rel {errors.r_rel_deg_per_100m or np.nan:.3f} deg/100 m\n    unit {unit(poses, truth)}"
     )

@@ -3,26 +3,26 @@
     python benchmarks/odometry_drift.py ROOT 05 06 01 [--threads 2]
 
 ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and `poses/NN.txt`. Images are decoded before the clock
-starts. Drift is the error of the last position over the way driven, unaligned. "cpu" is the processor time of
+starts. Drift is the error of the last position over the distance driven, unaligned. "cpu" is the processor time of
 all threads, which a busy machine disturbs less than the clock; LIBVISO2's times were measured on two cores of
 an idle one.
 """
 
 import numpy as np
-from odometry_drives import Drive, StageTimes, chained, end_error, measure, way
+from odometry_drives import Drive, StageTimes, chain_poses, end_error, measure, path_length_m
 
 from odometry import Motion, StereoOdometry, front_end, locating, se3
 from odometry.window import SlidingWindow
 
 STAGES = (
-    (front_end, "detect", "detection"),
+    (front_end, "detect_corners", "detection"),
     (front_end, "match_right", "left to right, new"),
-    (front_end, "follow", "following"),
+    (front_end, "track_points", "following"),
     (front_end, "refine_right", "left to right, old"),
     (locating, "estimate_motion", "motion"),
     (SlidingWindow, "refine", "window"),
     (locating, "ransac_motion", "ransac"),
-    (locating, "associate", "descriptors"),
+    (locating, "match_descriptors", "descriptors"),
 )
 LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
 
@@ -39,10 +39,11 @@ def report(drive: Drive, times: StageTimes) -> None:
     """Measure one sequence and print its rows."""
     times.clear()
     motions, truth = track(drive, times), drive.truth()
-    poses, measured = chained(motions), [m for m in motions[1:] if not m.predicted]
+    poses, measured = chain_poses(motions), [m for m in motions[1:] if not m.predicted]
     turn = np.degrees(se3.angle(se3.inverse(poses[-1]) @ truth[-1]))
     peer = f"  (LIBVISO2 {LIBVISO2[drive.name]})" if drive.name in LIBVISO2 else ""
-    print(f"\n{drive.name}: {len(drive)} frames, {way(truth):.0f} m  drift {end_error(poses, truth):.2f} %{peer}")
+    length = path_length_m(truth)
+    print(f"\n{drive.name}: {len(drive)} frames, {length:.0f} m  drift {end_error(poses, truth):.2f} %{peer}")
     tracks = np.mean([len(m.inliers) for m in measured])
     print(
         f"    rotation {turn:.2f} deg  predicted {len(motions) - 1 - len(measured)}  tracks {tracks:.0f}"

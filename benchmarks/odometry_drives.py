@@ -115,10 +115,10 @@ def run(drive: Drive, config: StereoOdometryConfig | None = None) -> tuple[Array
     """Run the odometry over a drive: poses (N, 4, 4) and motions."""
     odometry = StereoOdometry(drive.camera(), config)
     motions = [odometry.track(*pair) for pair in drive.pairs()]
-    return chained(motions), motions
+    return chain_poses(motions), motions
 
 
-def chained(motions: list[Motion]) -> Array:
+def chain_poses(motions: list[Motion]) -> Array:
     """Poses (N, 4, 4) from motions, the first at the identity."""
     poses = [np.eye(4)]
     for motion in motions[1:]:
@@ -126,20 +126,20 @@ def chained(motions: list[Motion]) -> Array:
     return np.array(poses)
 
 
-def way(poses: Array) -> float:
-    """Length of the way along poses (N, 4, 4), metres."""
+def path_length_m(poses: Array) -> float:
+    """Length of the path along poses (N, 4, 4), metres."""
     return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
 
 
 def end_error(poses: Array, truth: Array) -> float:
-    """Error of the last position over the way driven, per cent, unaligned; NaN where there is no way."""
+    """Error of the last position over the distance driven, per cent, unaligned; NaN for a drive of no length."""
     if len(truth) < 2:
         return float("nan")
-    return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / way(truth)
+    return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / path_length_m(truth)
 
 
 def measure(
-    told: str | None,
+    description: str | None,
     stages: tuple[tuple[Any, str, str], ...],
     track: Callable[[Drive, StageTimes], object],
     report: Callable[[Drive, StageTimes], None],
@@ -147,12 +147,12 @@ def measure(
     """Parse a command line that names drives, and report on each.
 
     Args:
-        told: what `--help` says.
+        description: text of `--help`.
         stages: of the odometry, for the clock.
         track: runs it over a drive; called once before anything is measured, as that compiles.
         report: runs it and prints what it was like.
     """
-    parser = argparse.ArgumentParser(description=told, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--threads", type=int, default=2)

@@ -3,9 +3,9 @@
     python benchmarks/odometry_faults.py ROOT 05 06 01 [--frames 60] [--mono]
 
 ROOT holds drives in KITTI's layout with `poses/NN.txt`. Each fault strikes after two fifths of the drive.
-"predicted" counts the frames that are flagged; "error" is that of the last position over the way driven, unaligned;
-"after" counts only the way after the fault: how well it drives on; the row "none" is the drive without fault.
-Images that were dropped in a bend show nothing of what came before: the way is extrapolated, flagged, and wrong.
+"predicted" counts the frames that are flagged; "error" is that of the last position over the distance driven,
+unaligned; "after" counts only the path after the fault; the row "none" is the drive without fault. Images that were
+dropped in a bend show nothing of what came before: the path is extrapolated, flagged, and wrong.
 With `--mono` the left images are used alone, and their scale is that of the way before the fault.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from odometry_drives import Array, Drive, Pair, chained, end_error, way
+from odometry_drives import Array, Drive, Pair, chain_poses, end_error, path_length_m
 
 from odometry import MonoOdometry, StereoCamera, StereoOdometry, se3
 
@@ -111,7 +111,7 @@ def run_mono(camera: StereoCamera, frames: Frames) -> list[Any]:
 
 
 def errors(poses: Array, frames: Frames, recovered: int) -> tuple[float, float]:
-    """Error at the end, per cent of the way: from the start, and from the frame where the fault was over."""
+    """Error at the end, per cent of the distance: from the start, and from the frame where the fault was over."""
     truth = np.array([pose for _, _, pose in frames])
     rest, rest_truth = (se3.inverse(each[recovered]) @ each[recovered:] for each in (poses, truth))
     return end_error(poses, truth), end_error(rest, rest_truth)
@@ -121,7 +121,7 @@ def in_metres(poses: Array, frames: Frames, at: int) -> Array:
     """Poses (N, 4, 4) with the scale of the way before a frame."""
     truth = np.array([pose for _, _, pose in frames])
     poses = poses.copy()
-    poses[:, :3, 3] *= way(truth[:at]) / way(poses[:at])
+    poses[:, :3, 3] *= path_length_m(truth[:at]) / path_length_m(poses[:at])
     return poses
 
 
@@ -133,9 +133,9 @@ def report(drive: Drive, mono: bool) -> None:
     for fault, strike in FAULTS.items():
         struck = strike(frames, at)
         motions = (run_mono if mono else run)(camera, struck)
-        finite = np.isfinite(chained(motions)).all() and len(motions) == len(struck)
+        finite = np.isfinite(chain_poses(motions)).all() and len(motions) == len(struck)
         flagged, reasons = sum(m.predicted for m in motions), "; ".join(sorted({m.reason for m in motions} - {""}))
-        poses = in_metres(chained(motions), struck, at) if mono else chained(motions)
+        poses = in_metres(chain_poses(motions), struck, at) if mono else chain_poses(motions)
         total, after = errors(poses, struck, max(at, min(at + _LONGEST, len(struck) - 5)))
         print(f"    {fault:<12} {flagged:9d}  {finite!s:>6}  {total:7.2f}  {after:7.2f}  {reasons}", flush=True)
 

@@ -37,7 +37,7 @@ def nees(motions: list[Motion], truth: Array, stretch: int) -> float:
 def report(drive: Drive, frames_in_window: int) -> None:
     """Print the row of one drive and one window."""
     config = StereoOdometryConfig()
-    window = replace(config.window, frames=frames_in_window or config.window.frames)
+    window = replace(config.window, max_frames=frames_in_window or config.window.max_frames)
     poses, motions = run(drive, replace(config, window=window))
     truth = drive.truth()
     errors = trajectory_errors(poses, truth)

@@ -21,7 +21,7 @@ from slam.false_loops import KINDS, ContaminatedProblem, OutlierConfig, inject_o
 from slam.graph_roles import classify_edges
 from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import Plane, compounded, inverse
+from slam.pose_graph_lie import SE2, compose, inverse
 from slam.report.figures import new_figure, save_png, style_axes
 from slam.robust import BACK_ENDS, LoopProblem, solve
 from slam.storage.g2o import read_g2o
@@ -105,13 +105,13 @@ def run_trial(trial: Trial, mixed: ContaminatedProblem, clean: Edges, minimum: f
 
 def two_laps(seed: int, side: int = 100) -> LoopProblem:
     """Drive twice round a block, a metre a step, with honest noise; every second step of lap two closes a loop."""
-    rng, group = np.random.default_rng(seed), Plane()
+    rng, group = np.random.default_rng(seed), SE2()
     step_sigma, loop_sigma = np.array([0.03, 0.02, 0.003]), np.array([0.05, 0.05, 0.005])
     count = 8 * side
     turning = np.arange(count) % side >= side - 10
     steps = np.column_stack([np.ones(count), np.zeros(count), np.where(turning, np.pi / 20, 0.0)])
     true = group.exp(steps)
-    poses = compounded(np.eye(3), true)
+    poses = compose(np.eye(3), true)
     odometry = true @ group.exp(rng.normal(size=(count, 3)) * step_sigma)
     rows = np.arange(count, dtype=np.int64)
     trusted = Edges(rows, rows + 1, odometry, np.tile(np.diag(step_sigma**-2), (count, 1, 1)))
@@ -120,7 +120,7 @@ def two_laps(seed: int, side: int = 100) -> LoopProblem:
         inverse(poses[later - 4 * side]) @ poses[later] @ group.exp(rng.normal(size=(len(later), 3)) * loop_sigma)
     )
     loops = Edges(later - 4 * side, later, measured, np.tile(np.diag(loop_sigma**-2), (len(later), 1, 1)))
-    return LoopProblem(trusted, loops, compounded(np.eye(3), odometry))
+    return LoopProblem(trusted, loops, compose(np.eye(3), odometry))
 
 
 def format_row(row: Row) -> str:

@@ -1,4 +1,7 @@
-"""Where a second image was taken, up to scale, before anything is known of depth."""
+"""Initialization of a monocular map: motion between two images, up to scale, by the essential matrix.
+
+What was tried and why these thresholds: docs/decisions/mono_initialization.md.
+"""
 
 from dataclasses import dataclass
 
@@ -7,39 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.lens import Lens
+from odometry.lens import LensDistortion
 from odometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _AGREEMENT_PX = 1.0  # epipolar error of a point that agrees; what is left of the distortion must fit
-_ROUNDS = 1000
+_ROUNDS = 1000  # samples at most
 _NO_DEPTH = "the camera has not moved far enough to see depth"
 
 
 @dataclass(frozen=True)
-class BeginningConfig:
-    """What two images must show for depth to be believed.
+class InitializationConfig:
+    """Thresholds for beginning a map with two images.
 
     Attributes:
-        tracks: fewest points that agree.
-        ratio: least share of them.
-        parallax_rad: least median angle between the rays to one point.
+        min_points: points that must agree on one motion.
+        min_inlier_ratio: share of all points that must agree.
+        min_parallax_rad: smallest median angle between the rays to one point.
 
     """
 
-    tracks: int = 50
-    ratio: float = 0.5
-    parallax_rad: float = 0.01
+    min_points: int = 50
+    min_inlier_ratio: float = 0.5
+    min_parallax_rad: float = 0.01
 
 
 @dataclass(frozen=True)
-class Beginning:
-    """A second camera, seen from the first.
+class Initialization:
+    """Pose of a second camera relative to the first, up to scale.
 
     Attributes:
-        T_first_second: (4, 4), the unit is the way between the two.
+        T_first_second: (4, 4), in units of the distance between the two.
         inliers: (N,) bool, the points that agree.
 
     """
@@ -48,27 +51,27 @@ class Beginning:
     inliers: Mask
 
 
-def begin(lens: Lens, first: Array, second: Array, config: BeginningConfig) -> Beginning | str:
-    """Find the motion between pixels (N, 2) of one image and of another, or say why there is none.
+def initialize(lens: LensDistortion, first: Array, second: Array, config: InitializationConfig) -> Initialization | str:
+    """Find the motion between pixels (N, 2) of one image and of another, or return the reason why there is none.
 
-    By the essential matrix: that of a plane is found as well, by five points, and where the camera only turned
-    there is no parallax.
+    The five-point essential matrix also finds the motion in front of a plane. Where the camera only turned there is no
+    parallax.
     """
-    if len(first) < config.tracks:
-        return f"fewer than {config.tracks} points could be followed"
+    if len(first) < config.min_points:
+        return f"fewer than {config.min_points} points could be followed"
     rays = lens.rays(first), lens.rays(second)
-    if float(np.median(_angles(*rays))) < config.parallax_rad:
+    if float(np.median(_angles(*rays))) < config.min_parallax_rad:
         return _NO_DEPTH
     found = _essential(*rays, lens.camera.fx)
     if found is None:
         return "no motion stands out among the points"
     T, inliers = found
-    if inliers.sum() < max(config.tracks, config.ratio * len(first)):
+    if inliers.sum() < max(config.min_points, config.min_inlier_ratio * len(first)):
         return f"only {inliers.sum()} of {len(first)} points agree on one motion"
     parallax = float(np.median(_angles(rays[0][inliers], rays[1][inliers] @ T[:3, :3].T)))
-    if parallax < config.parallax_rad:
+    if parallax < config.min_parallax_rad:
         return _NO_DEPTH
-    return Beginning(T, inliers)
+    return Initialization(T, inliers)
 
 
 def _essential(first: Array, second: Array, focal: float) -> tuple[Array, Mask] | None:

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_MIN_DEPTH_M = 0.3  # no point is seen closer to the camera
+_MAX_DEPTH_M = 1e6  # as good as infinity
+
 
 class PinholeCamera(Protocol):
     """Intrinsics of one camera, pixels; a stereo pair has them, and so has a single camera."""
@@ -82,10 +85,6 @@ class StereoCamera:
         return np.stack([(pixels[:, 0] - self.cx) * z / self.fx, (pixels[:, 1] - self.cy) * z / self.fy, z], axis=1)
 
 
-_NEAREST = 0.3  # m; nothing is seen closer
-_FARTHEST = 1e6  # m; as good as infinity
-
-
-def within_sight(inverse_depth: Array) -> Array:
-    """Inverse depths that a camera can see: in front of it, and not closer than a bumper."""
-    return np.clip(inverse_depth, 1.0 / _FARTHEST, 1.0 / _NEAREST)
+def clamp_inverse_depth(inverse_depth: Array) -> Array:
+    """Clamp inverse depths, 1/m, to what a camera can see: in front of it, and not too close."""
+    return np.clip(inverse_depth, 1.0 / _MAX_DEPTH_M, 1.0 / _MIN_DEPTH_M)

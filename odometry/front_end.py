@@ -1,4 +1,4 @@
-"""From images to points: what a pair shows, and where the next pair shows it again."""
+"""Front end of the stereo odometry: corners of a pair of images, followed to the next pair."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,29 +8,32 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.calibration import Calibration
-from odometry.light import in_light_of
+from odometry.light import match_brightness
 from odometry.stereo_matching import StereoMatchingConfig, match_right, refine_right
-from odometry.tracking import TrackingConfig, detect, follow, inside
+from odometry.tracking import TrackingConfig, detect_corners, is_inside, track_points
 from odometry.two_views import StereoTracks
-from odometry.window import Sighted
+from odometry.window import StereoFrameObservations
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Pair = tuple[Image, Image]
 
+_MIN_CLEAR_DISPARITY_PX = 2.0  # larger disparities than a calibration error explains
+_MIN_SWAPPED = 20  # points that must match only the other way round in a swapped pair
+
 
 @dataclass(frozen=True)
-class View:
-    """A pair of images and its points.
+class StereoObservation:
+    """A stereo pair and its tracked points.
 
     Attributes:
         pair: left and right image, (H, W) uint8.
-        points: what is followed from here.
+        points: points that are followed from this pair.
 
     """
 
     pair: Pair
-    points: Sighted
+    points: StereoFrameObservations
 
     def state(self) -> dict[str, Any]:
         """Images and points, for a checkpoint."""
@@ -42,37 +45,37 @@ class View:
         return cls((state["left"], state["right"]), Sighted(**state["points"]))
 
 
-class FrontEnd:
-    """Detects points, names their tracks and follows them."""
+class StereoFrontEnd:
+    """Detects corners, numbers their tracks and follows them."""
 
     def __init__(self, tracking: TrackingConfig, matching: StereoMatchingConfig) -> None:
         self._tracking, self.matching = tracking, matching
-        self._named = 0
+        self._count = 0
 
-    def observe(self, pair: Pair, kept: Sighted | None = None) -> View:
-        """Make a view of the points kept, topped up with new corners that the right image shows as well."""
-        kept = kept or Sighted(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-        corners = detect(pair[0], kept.left, self._tracking)
+    def observe(self, pair: Pair, kept: StereoFrameObservations | None = None) -> StereoObservation:
+        """Observe a pair: the points kept, topped up with new corners that the right image shows as well."""
+        kept = kept or StereoFrameObservations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+        corners = detect_corners(pair[0], kept.left, self._tracking)
         places = match_right(*pair, corners, self.matching)
         matched = np.isfinite(places[:, 0])
-        names = self._named + np.arange(int(matched.sum()))
-        self._named += len(names)
-        points = Sighted(
-            np.concatenate([kept.ids, names]),
+        ids = self._count + np.arange(int(matched.sum()))
+        self._count += len(ids)
+        points = StereoFrameObservations(
+            np.concatenate([kept.ids, ids]),
             np.concatenate([kept.left, corners[matched]]),
             np.concatenate([kept.right, places[matched]]),
         )
-        return View((pair[0].copy(), pair[1].copy()), points)  # callers may use one buffer for all images
+        return StereoObservation((pair[0].copy(), pair[1].copy()), points)  # callers may use one buffer for all images
 
     def follow(
-        self, view: View, pair: Pair, guess: Array, calibration: Calibration, wide: bool = False
+        self, view: StereoObservation, pair: Pair, guess: Array, calibration: Calibration, wide: bool = False
     ) -> StereoTracks:
-        """Look for a view's points in a pair of images where a guess (4, 4) of T_view_pair puts them."""
-        points, tracking = view.points, self._tracking.wider() if wide else self._tracking
+        """Follow the points of a view to a pair of images, from where a guess (4, 4) of T_view_pair puts them."""
+        points, tracking = view.points, self._tracking.widen() if wide else self._tracking
         ahead, shift = _predict(points, guess, calibration, pair[0])
-        # Looking more widely also means in other light: behind a tunnel's mouth, with the exposure lagging.
-        left = in_light_of(view.pair[0], pair[0]) if wide else pair[0]
-        second_left = follow((view.pair[0], left), points.left, ahead, tracking)
+        # A wider search also allows for another exposure, as at the end of a tunnel.
+        left = match_brightness(view.pair[0], pair[0]) if wide else pair[0]
+        second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
         kept = np.flatnonzero(np.isfinite(start[:, 0]))
@@ -81,35 +84,33 @@ class FrontEnd:
         kept, second_right = kept[matched], second_right[matched]
         return StereoTracks(points.left[kept], points.right[kept], second_left[kept], second_right, points.ids[kept])
 
-    def swapped(self, pair: Pair) -> bool:
-        """Whether the left image is the right one: whether points match the other way round far more often."""
+    def is_swapped(self, pair: Pair) -> bool:
+        """Whether left and right image are swapped: whether far more points match the other way round."""
         counts = []
         for one, other in (pair, pair[::-1]):
-            corners = detect(one, np.zeros((0, 2)), self._tracking)
+            corners = detect_corners(one, np.zeros((0, 2)), self._tracking)
             shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
-            counts.append(int((shifts > _CLEAR_PX).sum()))
-        return counts[1] > max(_FEWEST, 3 * counts[0])
+            counts.append(int((shifts > _MIN_CLEAR_DISPARITY_PX).sum()))
+        return counts[1] > max(_MIN_SWAPPED, 3 * counts[0])
 
     def state(self) -> dict[str, Any]:
-        """How many tracks have been named, for a checkpoint."""
-        return {"num_tracks": self._named}
+        """Number of tracks that have got an id, for a checkpoint."""
+        return {"num_tracks": self._count}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._named = state["num_tracks"]
+        self._count = state["num_tracks"]
 
 
-_CLEAR_PX = 2.0  # disparities that no calibration error explains
-_FEWEST = 20  # points that show it
-
-
-def _predict(points: Sighted, guess: Array, calibration: Calibration, image: Image) -> tuple[Array, Array]:
-    """Where the points (N, 2) should be in the new left image, and right less left (N, 2), pixels."""
-    left, right = calibration.perfect(points.left, points.right)
+def _predict(
+    points: StereoFrameObservations, guess: Array, calibration: Calibration, image: Image
+) -> tuple[Array, Array]:
+    """Predicted places (N, 2) of the points in the new left image, and right less left (N, 2), pixels."""
+    left, right = calibration.rectify(points.left, points.right)
     disparity, camera = left[:, 0] - right[:, 0], calibration.camera
     seen = camera.project(se3.transform(se3.inverse(guess), camera.triangulate(left, np.maximum(disparity, 0.1))))
     # Distortion changes slowly over the image: what the point had before, it has now.
     ahead, shift = seen[:, [0, 2]] + (points.left - left), points.right - points.left
-    visible = np.isfinite(ahead[:, 0]) & inside(ahead, image)
+    visible = np.isfinite(ahead[:, 0]) & is_inside(ahead, image)
     shift[:, 0] += np.where(visible, seen[:, 1] - seen[:, 0] + disparity, 0.0)
     return np.where(visible[:, None], ahead, points.left), shift

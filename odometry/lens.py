@@ -1,7 +1,7 @@
-"""What undistortion has left of a lens's distortion, learned while driving, for one camera.
+"""Remaining lens distortion of one camera, learned while driving.
 
 Radial and decentering distortion (Brown, Decentering Distortion of Lenses, 1966), which `odometry.calibration` learns
-for a pair as well. It is seen by points that move through the image.
+for a pair as well. Points that move through the image show it. Formulas: docs/math.md, section "Self-calibration".
 """
 
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from odometry.camera import PinholeCamera
 
 Array = NDArray[np.float64]
 
-COEFFICIENTS = 3  # radial, decentering along x, decentering along y
+NUM_COEFFICIENTS = 3  # radial, decentering along x, decentering along y
 
 
 @dataclass(frozen=True)
-class LensConfig:
-    """What is thought of the lens before the first image, and how fast it is believed to change.
+class LensDistortionConfig:
+    """Prior of the lens distortion before the first image, and how fast it may change.
 
     Attributes:
         radial_px: standard deviation of the radial distortion, pixels at 45 degrees.
         decentering_px: the same of the decentering distortion.
-        drift_px: growth of the standard deviations, pixels per square root of a key frame.
+        drift_px: growth of the standard deviations, pixels per square root of a reference frame.
 
     """
 
@@ -33,8 +33,8 @@ class LensConfig:
 
 
 @dataclass(frozen=True)
-class Lens:
-    """A camera and its distortion: what its images show minus what a perfect lens would show.
+class LensDistortion:
+    """A camera and its distortion: places in its images less places that a perfect lens would show.
 
     Attributes:
         camera: the intrinsics.
@@ -48,15 +48,15 @@ class Lens:
     covariance: Array
 
     @classmethod
-    def unknown(cls, camera: PinholeCamera, config: LensConfig) -> "Lens":
-        """Nothing learned yet."""
+    def unknown(cls, camera: PinholeCamera, config: LensDistortionConfig) -> "LensDistortion":
+        """Prior before the first image."""
         deviation = np.array([config.radial_px, config.decentering_px, config.decentering_px])
-        return cls(camera, np.zeros(COEFFICIENTS), np.diag(deviation**2))
+        return cls(camera, np.zeros(NUM_COEFFICIENTS), np.diag(deviation**2))
 
     def rays(self, pixels: Array) -> Array:
         """Directions (N, 3) with z = 1, camera frame, of pixels (N, 2)."""
         c = self.camera
-        straight = straighten(c, self.coefficients, pixels)
+        straight = undistort(c, self.coefficients, pixels)
         x, y = (straight[:, 0] - c.cx) / c.fx, (straight[:, 1] - c.cy) / c.fy
         return np.stack([x, y, np.ones_like(x)], axis=1)
 
@@ -68,18 +68,18 @@ class Lens:
         c = self.camera
         x, y, z = points.T
         z = np.where(z > 0, z, np.nan)
-        perfect = np.stack([c.fx * x / z + c.cx, c.fy * y / z + c.cy], axis=1)
-        return 2 * perfect - straighten(c, self.coefficients, perfect)
+        rectify = np.stack([c.fx * x / z + c.cx, c.fy * y / z + c.cy], axis=1)
+        return 2 * rectify - undistort(c, self.coefficients, rectify)
 
-    def learned(self, coefficients: Array, information: Array, config: LensConfig) -> "Lens":
-        """Take over coefficients (3,) with what (3, 3) was newly learned about them."""
+    def update(self, coefficients: Array, information: Array, config: LensDistortionConfig) -> "LensDistortion":
+        """Take over coefficients (3,) with the new information (3, 3) about them."""
         covariance = np.linalg.inv(np.linalg.inv(self.covariance) + information)
-        covariance = covariance + config.drift_px**2 * np.eye(COEFFICIENTS)
-        return Lens(self.camera, coefficients, 0.5 * (covariance + covariance.T))
+        covariance = covariance + config.drift_px**2 * np.eye(NUM_COEFFICIENTS)
+        return LensDistortion(self.camera, coefficients, 0.5 * (covariance + covariance.T))
 
 
-def straighten(camera: PinholeCamera, coefficients: Array, pixels: Array) -> Array:
-    """Where a lens without distortion would show pixels (N, 2); coefficients (3,), pixels at 45 degrees."""
+def undistort(camera: PinholeCamera, coefficients: Array, pixels: Array) -> Array:
+    """Remove the distortion of pixels (N, 2), given its coefficients (3,) in pixels at 45 degrees."""
     x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
     radial, across, down = coefficients
     squared = x * x + y * y

@@ -1,4 +1,4 @@
-"""Where a pair of images was taken, seen from a reference: by following points, more widely, by descriptors."""
+"""Tracking of a stereo pair against a reference frame: by optical flow, then a wider search, then descriptors."""
 
 from dataclasses import dataclass, replace
 
@@ -6,91 +6,111 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.calibration import Calibration
-from odometry.front_end import FrontEnd, Pair, View
-from odometry.plausibility import STOPS, Expectation, PlausibilityConfig, brakes, distance, doubt, jump
-from odometry.relocation import associate
+from odometry.front_end import Pair, StereoFrontEnd, StereoObservation
+from odometry.plausibility import (
+    IMPLAUSIBLE_STOP,
+    MotionCheckConfig,
+    MotionPrediction,
+    deviation_in_jumps,
+    jump_reason,
+    rejection_reason,
+    stops_implausibly,
+)
+from odometry.relocation import match_descriptors
 from odometry.two_views import AdjustmentConfig, StereoTracks, TwoViewEstimate, estimate_motion, ransac_motion
 
 Array = NDArray[np.float64]
 
 SWAPPED = "the left and the right image are swapped"
-_FEW = 0.5  # share of the reference's points that a swapped pair does not show
+
+# Share of the reference frame's points below which a pair is tested for swapped images: the test costs two detections,
+# and a pair whose images are swapped loses most points.
+_MIN_TRACKED_RATIO = 0.5
 
 
 @dataclass(frozen=True)
-class Located:
-    """What was found out about a pair.
+class TrackingResult:
+    """Motion of a stereo pair relative to its reference frame.
 
     Attributes:
-        tracks: points of the reference that the pair shows.
-        estimate: where the pair is; None with too few tracks.
-        reason: why that is not to be believed; empty if it is.
-        followed: the points were followed, so that their tracks go on.
+        tracks: points of the reference frame that the pair shows.
+        estimate: the measured motion; None with too few tracks.
+        reason: reason for which the estimate must be rejected; None if it is accepted.
+        followed: whether the points were followed by optical flow, so that their tracks go on.
 
     """
 
     tracks: StereoTracks
     estimate: TwoViewEstimate | None
-    reason: str
+    reason: str | None
     followed: bool = True
 
 
-class Locator:
-    """Tries one association after the other, the cheapest first, until one can be believed."""
+class StereoTracker:
+    """Tries one way of finding the reference frame's points after the other, the cheapest first."""
 
-    def __init__(self, front_end: FrontEnd, adjustment: AdjustmentConfig, plausibility: PlausibilityConfig) -> None:
-        self._front_end, self._adjustment, self._plausibility = front_end, adjustment, plausibility
+    def __init__(
+        self, front_end: StereoFrontEnd, adjustment: AdjustmentConfig, motion_checks: MotionCheckConfig
+    ) -> None:
+        self._front_end, self._adjustment, self._motion_checks = front_end, adjustment, motion_checks
 
-    def locate(self, reference: View, pair: Pair, expected: Expectation | None, calibration: Calibration) -> Located:
-        """Estimate T_reference_pair from images (H, W) uint8, whatever is expected of it, or None."""
-        search = _Search(reference, pair, expected, calibration)
-        found = self._follow(search, search.guess, wide=False)
-        few = len(found.tracks) < _FEW * len(reference.points.ids)
-        if (found.reason or few) and self._front_end.swapped(pair):
-            return Located(found.tracks, None, SWAPPED)
-        if found.reason in ("", STOPS):
-            return found
-        found = self._follow(search, search.guess, wide=True)
-        return self._relocate(search) or found if found.reason else found
+    def track(
+        self, reference: StereoObservation, pair: Pair, predicted: MotionPrediction | None, calibration: Calibration
+    ) -> TrackingResult:
+        """Estimate T_reference_pair of a pair of images (H, W) uint8, from a predicted motion if there is one."""
+        search = _Search(reference, pair, predicted, calibration)
+        result = self._follow(search, search.guess, wide=False)
+        few = len(result.tracks) < _MIN_TRACKED_RATIO * len(reference.points.ids)
+        if (result.reason or few) and self._front_end.is_swapped(pair):
+            return TrackingResult(result.tracks, None, SWAPPED)
+        if result.reason in (None, IMPLAUSIBLE_STOP):
+            return result
+        result = self._follow(search, search.guess, wide=True)
+        return self._match_descriptors(search) or result if result.reason else result
 
-    def _follow(self, search: "_Search", guess: Array, wide: bool) -> Located:
-        found = self._judge(search, self._front_end.follow(*search.views, guess, search.calibration, wide), guess)
-        estimate = found.estimate
-        if estimate is None or not jump(estimate.T_first_second, guess, self._plausibility):
-            return found
+    def _follow(self, search: "_Search", guess: Array, wide: bool) -> TrackingResult:
+        """Follow the points from a guess (4, 4), and once more from what that gives if it is far from the guess."""
+        tracks = self._front_end.follow(search.reference, search.pair, guess, search.calibration, wide)
+        result = self._check(search, tracks, guess)
+        estimate = result.estimate
+        if estimate is None or not jump_reason(estimate.T_first_second, guess, self._motion_checks):
+            return result
         # Tracks that had to be found far from where they were looked for are few: look again where they are.
         guess = estimate.T_first_second
-        again = self._judge(search, self._front_end.follow(*search.views, guess, search.calibration, wide), guess)
+        tracks = self._front_end.follow(search.reference, search.pair, guess, search.calibration, wide)
+        again = self._check(search, tracks, guess)
         better = again.estimate is not None and again.estimate.inliers.sum() >= estimate.inliers.sum()
-        return again if better else found
+        return again if better else result
 
-    def _relocate(self, search: "_Search") -> Located | None:
-        """Find the pair by descriptors; None where they do not tell."""
-        tracks = associate(search.reference.pair, search.pair, self._front_end.matching)
-        found = self._judge(search, tracks, search.guess)
-        if found.estimate is None or self._brakes(search, found.estimate):
+    def _match_descriptors(self, search: "_Search") -> TrackingResult | None:
+        """Track the pair by descriptors; None where they give no acceptable motion."""
+        tracks = match_descriptors(search.reference.pair, search.pair, self._front_end.matching)
+        result = self._check(search, tracks, search.guess)
+        if result.estimate is None or self._stops_implausibly(search, result.estimate):
             return None
-        # Two associations that agree on one motion, independently, may contradict what was expected.
-        there = Expectation(found.estimate.T_first_second)
-        followed = self._follow(replace(search, expected=there), there.T, wide=False)
+        # Two independent associations that agree on one motion may contradict the prediction.
+        there = MotionPrediction(result.estimate.T_first_second)
+        followed = self._follow(replace(search, predicted=there), there.T_reference_current, wide=False)
         if not followed.reason:
             return followed
-        return None if found.reason else replace(found, followed=False)
+        return None if result.reason else replace(result, followed=False)
 
-    def _brakes(self, search: "_Search", estimate: TwoViewEstimate) -> bool:
-        return search.expected is not None and brakes(estimate.T_first_second, search.expected, self._plausibility)
+    def _stops_implausibly(self, search: "_Search", estimate: TwoViewEstimate) -> bool:
+        predicted = search.predicted
+        return predicted is not None and stops_implausibly(estimate.T_first_second, predicted, self._motion_checks)
 
-    def _judge(self, search: "_Search", tracks: StereoTracks, guess: Array) -> Located:
+    def _check(self, search: "_Search", tracks: StereoTracks, guess: Array) -> TrackingResult:
+        """Estimate the motion of tracks and check it."""
         estimate = None
-        if len(tracks) >= self._plausibility.tracks:
+        if len(tracks) >= self._motion_checks.min_tracks:
             estimate = self._estimate(search, tracks, guess)
-            estimate = self._as_expected(search, tracks, estimate)
-        return Located(tracks, estimate, doubt(estimate, search.expected, self._plausibility))
+            estimate = self._prefer_predicted(search, tracks, estimate)
+        return TrackingResult(tracks, estimate, rejection_reason(estimate, search.predicted, self._motion_checks))
 
     def _estimate(self, search: "_Search", tracks: StereoTracks, guess: Array) -> TwoViewEstimate:
-        """Find the motion near the guess if it can be believed, else the one that most tracks agree with."""
+        """Find the motion near the guess if it passes the checks, else the one that most tracks agree with."""
         estimate = estimate_motion(tracks, search.calibration, guess, self._adjustment)
-        if search.expected is not None and not doubt(estimate, search.expected, self._plausibility):
+        if search.predicted is not None and not rejection_reason(estimate, search.predicted, self._motion_checks):
             return estimate
         other = ransac_motion(tracks, search.calibration)
         if other is None:
@@ -98,45 +118,41 @@ class Locator:
         second = estimate_motion(tracks, search.calibration, other, self._adjustment)
         return min(estimate, second, key=lambda found: found.noise_px)
 
-    def _as_expected(self, search: "_Search", tracks: StereoTracks, estimate: TwoViewEstimate) -> TwoViewEstimate:
-        """Prefer the motion of a minority if it was expected and that of most was not: they are another car."""
-        rest = ~estimate.inliers
-        if search.expected is None or rest.sum() < self._plausibility.tracks:
+    def _prefer_predicted(self, search: "_Search", tracks: StereoTracks, estimate: TwoViewEstimate) -> TwoViewEstimate:
+        """Prefer the motion of a minority if it was predicted and that of most was not: they are another vehicle."""
+        rest, config = ~estimate.inliers, self._motion_checks
+        if search.predicted is None or rest.sum() < config.min_tracks:
             return estimate
-        surprise = distance(estimate.T_first_second, search.expected.T, self._plausibility)
-        if surprise < self._plausibility.surprise * search.expected.steps:
+        T_predicted = search.predicted.T_reference_current
+        deviation = deviation_in_jumps(estimate.T_first_second, T_predicted, config)
+        if deviation < config.surprise_ratio * search.predicted.frames:
             return estimate
-        other = estimate_motion(tracks.only(rest), search.calibration, search.guess, self._adjustment)
+        other = estimate_motion(tracks.select(rest), search.calibration, search.guess, self._adjustment)
         inliers = np.zeros(len(tracks), dtype=bool)
         inliers[rest] = other.inliers
         other = replace(other, inliers=inliers)
-        nearer = distance(other.T_first_second, search.expected.T, self._plausibility) < 0.5 * surprise
-        return other if nearer and not doubt(other, search.expected, self._plausibility) else estimate
+        nearer = deviation_in_jumps(other.T_first_second, T_predicted, config) < 0.5 * deviation
+        return other if nearer and not rejection_reason(other, search.predicted, config) else estimate
 
 
 @dataclass(frozen=True)
 class _Search:
-    """What is looked for where.
+    """A pair of images and what it is tracked against.
 
     Attributes:
-        reference: what motion is measured from.
+        reference: observation that motion is measured from.
         pair: the new images.
-        expected: what is expected of them, or None.
+        predicted: predicted motion of the pair, or None.
         calibration: error of the pair's calibration.
 
     """
 
-    reference: View
+    reference: StereoObservation
     pair: Pair
-    expected: Expectation | None
+    predicted: MotionPrediction | None
     calibration: Calibration
 
     @property
     def guess(self) -> Array:
-        """Where to look first, (4, 4)."""
-        return np.eye(4) if self.expected is None else self.expected.T
-
-    @property
-    def views(self) -> tuple[View, Pair]:
-        """The two to be compared."""
-        return self.reference, self.pair
+        """Pose (4, 4) of the pair in the reference frame where the search begins."""
+        return np.eye(4) if self.predicted is None else self.predicted.T_reference_current

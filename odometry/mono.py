@@ -4,8 +4,8 @@
     for image in images:
         T_world_camera = T_world_camera @ odometry.track(image).T_previous_current
 
-There is one finite motion for every image. Where the images do not allow a measurement it is an extrapolation,
-and says so. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
+There is one finite motion for every image. Where the images do not allow a measurement it is an extrapolation, which
+`Motion.predicted` tells. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
 """
 
 from collections import deque
@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.beginning import Beginning, begin
-from odometry.bundle import Bundle
+from odometry.beginning import Initialization, initialize
+from odometry.bundle import MonoBundle
 from odometry.camera import PinholeCamera
-from odometry.lens import Lens
+from odometry.lens import LensDistortion
 from odometry.mono_config import MonoOdometryConfig
-from odometry.mono_locating import Known, MonoLocator
-from odometry.mono_tracks import Followed, MonoFrontEnd, Tracks
-from odometry.motion import FIRST_VARIANCE, Motion, unmeasured
-from odometry.motion_stereo import Depths, Shot, earlier, see_depth
-from odometry.placing import Placed
-from odometry.plausibility import Expectation, jump
-from odometry.points import Seen
+from odometry.mono_locating import MonoTracker, PosedTracks
+from odometry.mono_tracks import FollowedTracks, MonoFrontEnd, MonoTracks
+from odometry.motion import FIRST_VARIANCE, Motion, extrapolation_covariance
+from odometry.motion_stereo import Depths, PosedImage, estimate_depths, select_earlier_image
+from odometry.placing import PoseEstimate
+from odometry.plausibility import MotionPrediction, jump_reason
+from odometry.points import FrameObservations
 from odometry.reference import Reference
-from odometry.road import HeightRuler, NoRuler, Ruler
-from odometry.ticks import Ticks
+from odometry.road import GroundPlaneScale, NullScaleCorrection, ScaleCorrection
+from odometry.ticks import FrameCounter
 
 __all__ = ["MonoOdometry", "MonoOdometryConfig"]
 
@@ -44,7 +44,7 @@ class MonoOdometry:
     """Measures the motion of one camera, image by image.
 
     Attributes:
-        bundle: the map of the last key frames, and the lens as learned so far.
+        bundle: the map of the last reference frames, and the lens distortion as learned so far.
 
     """
 
@@ -52,14 +52,18 @@ class MonoOdometry:
         self._camera, self._config = camera, config or MonoOdometryConfig()
         settings = self._config
         self._front_end = MonoFrontEnd(settings.tracking)
-        self.bundle = Bundle(Lens.unknown(camera, settings.lens), settings.bundle, settings.lens)
-        self._locator = MonoLocator(self._front_end, self.bundle, settings.placing, settings.plausibility)
-        self._ruler: Ruler = HeightRuler(settings.height_m, settings.road) if settings.height_m else NoRuler()
-        self._images: deque[Image] = deque(maxlen=settings.bundle.frames)  # of the bundle's frames
-        self._ticks = Ticks()
+        self.bundle = MonoBundle(LensDistortion.unknown(camera, settings.lens), settings.bundle, settings.lens)
+        self._tracker = MonoTracker(self._front_end, self.bundle, settings.pose_estimation, settings.motion_checks)
+        self._scale_correction: ScaleCorrection = (
+            GroundPlaneScale(settings.camera_height_m, settings.ground_plane)
+            if settings.camera_height_m
+            else NullScaleCorrection()
+        )
+        self._images: deque[Image] = deque(maxlen=settings.bundle.max_frames)  # of the bundle's frames
+        self._frame_counter = FrameCounter()
         self._T_map_reference = np.eye(4)
-        self._reference: Reference[Tracks] | None = None  # the last image whose place in the map is known
-        self._candidate: Reference[Tracks] | None = None  # what a new map could begin with
+        self._reference: Reference[MonoTracks] | None = None  # the last image whose pose in the map is known
+        self._candidate: Reference[MonoTracks] | None = None  # what a new map could begin with
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
@@ -69,21 +73,21 @@ class MonoOdometry:
 
         Args:
             image: (H, W) uint8 of the camera's size.
-            timestamp: seconds; tells how long a gap in the recording is. None: no image is missing, ten a second.
+            timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
 
         Raises:
             ValueError: an image of another size or type.
 
         """
         self._check(image)
-        steps = self._ticks.since_last(timestamp)
+        steps = self._frame_counter.frames_since_last(timestamp)
         first, self._unmeasured = self._unmeasured == 0 and self._reference is None, self._unmeasured + steps
         if first:
             self._propose(image)
             return Motion(np.eye(4), FIRST_VARIANCE * np.eye(6), False, "")
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
-        self._reference = self._reference and self._reference.older(steps)
-        self._candidate = self._candidate and self._candidate.older(steps)
+        self._reference = self._reference and self._reference.age(steps)
+        self._candidate = self._candidate and self._candidate.age(steps)
         return self._measure(image, motion)
 
     def depths(self, image: Image, pixels: Array) -> Depths:
@@ -94,15 +98,15 @@ class MonoOdometry:
         if self._reference is None or self._unmeasured or not len(pixels):
             return Depths.unknown(len(pixels))
         tracks, points = self._reference.view, self.bundle.points
-        shots = [Shot(*shot) for shot in zip(self._images, self.bundle.poses, strict=True)]
-        now = Shot(image, self._T_map_reference)
-        then = earlier(shots, now, 1.0 / points.usual, self._config.depths)
+        shots = [PosedImage(*shot) for shot in zip(self._images, self.bundle.poses, strict=True)]
+        now = PosedImage(image, self._T_map_reference)
+        then = select_earlier_image(shots, now, 1.0 / points.median_inverse_depth, self._config.motion_stereo)
         seen = self.bundle.in_camera(tracks.ids, self._T_map_reference)
-        known = (points.at(tracks.ids).trust > 0) & (seen[:, 2] > 0)
+        known = (points.select(tracks.ids).information > 0) & (seen[:, 2] > 0)
         if then is None or not known.any():
             return Depths.unknown(len(pixels))
         hints = tracks.pixels[known], seen[known, 3] / seen[known, 2]
-        return see_depth((then, now), pixels, hints, self.bundle.lens, self._config.depths)
+        return estimate_depths((then, now), pixels, hints, self.bundle.lens, self._config.motion_stereo)
 
     def _check(self, image: Image) -> None:
         expected = (self._camera.height, self._camera.width)
@@ -112,14 +116,14 @@ class MonoOdometry:
             )
 
     def _measure(self, image: Image, motion: Array) -> Motion:
-        """Measure from the map, else begin a new one, else go on as before: by motion (4, 4)."""
-        reason = ""
+        """Measure from the map, else begin a new map, else extrapolate by the motion (4, 4)."""
+        reason = None
         if self._reference is not None:
-            known = Known(self._reference.view, self._T_map_reference)
-            located = self._locator.locate(known, image, self._expect(self._reference, image, motion))
-            reason = located.reason or self._unsure(located.placed)
-            if located.placed is not None and not reason:
-                return self._accept(self._reference, located.followed, located.placed)
+            known = PosedTracks(self._reference.view, self._T_map_reference)
+            located = self._tracker.track(known, image, self._expect(self._reference, image, motion))
+            reason = located.reason or self._weakness(located.estimate)
+            if located.estimate is not None and not reason:
+                return self._accept(self._reference, located.followed, located.estimate)
         if self._candidate is not None:
             begun = self._begin(self._candidate, image, motion)
             if isinstance(begun, Motion):
@@ -127,125 +131,140 @@ class MonoOdometry:
             reason = reason or begun
         return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
 
-    def _unsure(self, placed: Placed | None) -> str:
-        """Why a measurement tells less than going on as before would; empty if it tells more."""
-        if placed is None:
-            return ""
-        variance = self._config.persistence * float(np.trace(placed.covariance[3:, 3:]))
-        limit = float(np.trace(self._extrapolated(1)[3:, 3:]))
-        return "" if variance < limit else "all that is followed is too far away to tell how far the camera moved"
+    def _weakness(self, estimate: PoseEstimate | None) -> str | None:
+        """Reason why a measurement is less certain than an extrapolation would be, or None if it is more certain."""
+        if estimate is None:
+            return None
+        variance = self._config.covariance_scale * float(np.trace(estimate.covariance[3:, 3:]))
+        limit = float(np.trace(self._extrapolation_covariance(1)[3:, 3:]))
+        return None if variance < limit else "all that is followed is too far away to tell how far the camera moved"
 
-    def _expect(self, reference: Reference[Tracks], image: Image, motion: Array) -> Expectation | None:
-        """Expect the motion (4, 4) since the previous image, where one was ever measured."""
+    def _expect(self, reference: Reference[MonoTracks], image: Image, motion: Array) -> MotionPrediction | None:
+        """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
         if np.array_equal(image, reference.view.image):  # the same image again was taken at the same place
-            return Expectation(np.eye(4))
+            return MotionPrediction(np.eye(4))
         if self._velocity is None:
             return None
         T = reference.T_reference_previous @ motion
-        return Expectation(T, reference.age, self._unmeasured, self._ticks.interval, reference.age * min(self._speeds))
+        return MotionPrediction(
+            T,
+            reference.age_frames,
+            self._unmeasured,
+            self._frame_counter.interval_s,
+            reference.age_frames * min(self._speeds),
+        )
 
-    def _accept(self, reference: Reference[Tracks], followed: Followed, placed: Placed) -> Motion:
-        """Take over what was measured; an image far enough from the last key frame becomes one."""
-        T_map_camera = se3.exact(self._T_map_reference @ placed.T_first_second)
-        tracks = followed.tracks.only(placed.inliers)
-        if self._is_key(tracks, reference.view, T_map_camera):
-            agree = self.bundle.add(Seen(tracks.ids, tracks.pixels), T_map_camera)
+    def _accept(self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate) -> Motion:
+        """Accept a measured pose; an image far enough from the last reference frame of the bundle is added to it."""
+        T_map_camera = se3.orthonormalize(self._T_map_reference @ placed.T_first_second)
+        tracks = followed.tracks.select(placed.inliers)
+        if self._is_far_from_reference(tracks, reference.view, T_map_camera):
+            agree = self.bundle.add(FrameObservations(tracks.ids, tracks.pixels), T_map_camera)
             self._images.append(tracks.image)
-            self.bundle.rescale(self._ruler.factor(self.bundle.visible()))
-            tracks, T_map_camera = self._renew(tracks.only(agree)), self.bundle.poses[-1]
+            self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
+            tracks, T_map_camera = self._renew(tracks.select(agree)), self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
         T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
         Ad = se3.adjoint(se3.inverse(T_previous_current))
-        covariance = self._config.persistence * placed.covariance + Ad @ reference.covariance_previous @ Ad.T
+        covariance = self._config.covariance_scale * placed.covariance + Ad @ reference.covariance_previous @ Ad.T
         self._arrive(reference.velocity(T_reference_current), tracks, T_map_camera)
         return Motion(
             T_previous_current, covariance, False, "",
             followed.before, followed.tracks.pixels, placed.inliers, placed.residual_px,
         )  # fmt: skip
 
-    def _arrive(self, velocity: Array, tracks: Tracks, T_map_camera: Array) -> None:
+    def _arrive(self, velocity: Array, tracks: MonoTracks, T_map_camera: Array) -> None:
         """Measure from here on; velocity (6,) per image."""
         self._velocity, self._unmeasured = velocity, 0
         self._speeds.append(float(np.linalg.norm(velocity[3:])))
         self._T_map_reference, self._reference, self._candidate = T_map_camera, Reference(tracks), None
 
-    def _is_key(self, tracks: Tracks, before: Tracks, T_map_camera: Array) -> bool:
-        """Whether an image at (4, 4) is far from the last key frame: one that is not tells nothing new of depth."""
+    def _is_far_from_reference(self, tracks: MonoTracks, before: MonoTracks, T_map_camera: Array) -> bool:
+        """Whether an image at (4, 4) has enough parallax to the last reference frame to add to it."""
         lens, R = self.bundle.lens, T_map_camera[:3, :3].T @ self.bundle.poses[-1][:3, :3]
-        parallax = tracks.pixels - lens.pixels(lens.rays(tracks.key_pixels) @ R.T)  # what turning does not explain
+        parallax = tracks.pixels - lens.pixels(
+            lens.rays(tracks.reference_pixels) @ R.T
+        )  # what turning does not explain
         flow = float(np.nanmedian(np.linalg.norm(parallax, axis=1)))
-        return flow > self._config.key_px or len(tracks) < self._config.key_share * len(before)
+        return flow > self._config.reference_parallax_px or len(tracks) < self._config.min_tracked_ratio * len(before)
 
-    def _renew(self, tracks: Tracks) -> Tracks:
-        """Make the newest key frame show new corners beside these points."""
+    def _renew(self, tracks: MonoTracks) -> MonoTracks:
+        """Add new corners to the newest frame of the bundle."""
         renewed = self._front_end.observe(tracks.image, tracks)
-        self.bundle.show(Seen(renewed.ids, renewed.pixels))
+        self.bundle.replace_newest(FrameObservations(renewed.ids, renewed.pixels))
         return renewed
 
     def _propose(self, image: Image) -> None:
-        """Let a new map begin with this image if it shows enough."""
+        """Make this image the candidate for a new map if it shows enough points."""
         tracks = self._front_end.observe(image)
-        self._candidate = Reference(tracks) if len(tracks) >= self._config.beginning.tracks else None
+        self._candidate = Reference(tracks) if len(tracks) >= self._config.initialization.min_points else None
 
-    def _begin(self, candidate: Reference[Tracks], image: Image, motion: Array) -> Motion | str:
-        """Begin a new map with the candidate and this image, or say why not."""
+    def _begin(self, candidate: Reference[MonoTracks], image: Image, motion: Array) -> Motion | str:
+        """Begin a new map with the candidate and this image, or return the reason why not."""
         followed = self._front_end.follow(candidate.view, image, candidate.view.pixels, wide=True)
         tracks = followed.tracks
-        found = begin(self.bundle.lens, tracks.key_pixels, tracks.pixels, self._config.beginning)
-        if isinstance(found, Beginning):
-            found = self._as_expected(found, candidate.T_reference_previous @ motion)
-        if isinstance(found, Beginning):
+        found = initialize(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._config.initialization)
+        if isinstance(found, Initialization):
+            found = self._check_prediction(found, candidate.T_reference_previous @ motion)
+        if isinstance(found, Initialization):
             return self._restart(candidate, followed, found, motion)
-        enough = len(tracks) >= self._config.beginning.tracks
+        enough = len(tracks) >= self._config.initialization.min_points
         self._candidate = replace(candidate, view=tracks) if enough else None
         return found
 
-    def _as_expected(self, found: Beginning, T_expected: Array) -> Beginning | str:
-        """Doubt a beginning that is far from the motion (4, 4) of before, the less the longer nothing was measured."""
+    def _check_prediction(self, found: Initialization, T_expected: Array) -> Initialization | str:
+        """Reject an initialization far from the predicted motion (4, 4), farther the longer nothing was measured."""
         if self._velocity is None:
             return found
         T = found.T_first_second.copy()
         T[:3, 3] *= float(np.linalg.norm(T_expected[:3, 3]))
-        return jump(T, T_expected, self._config.plausibility, self._unmeasured) or found
+        return jump_reason(T, T_expected, self._config.motion_checks, self._unmeasured) or found
 
-    def _restart(self, candidate: Reference[Tracks], followed: Followed, found: Beginning, motion: Array) -> Motion:
-        """Begin a new map; its unit is such that the camera goes on as fast as before, by motion (4, 4)."""
-        tracks, usual = followed.tracks.only(found.inliers), self.bundle.points.usual
-        agree = self.bundle.begin(
-            Seen(tracks.ids, tracks.key_pixels), Seen(tracks.ids, tracks.pixels), found.T_first_second
+    def _restart(
+        self, candidate: Reference[MonoTracks], followed: FollowedTracks, found: Initialization, motion: Array
+    ) -> Motion:
+        """Begin a new map in a unit such that the camera goes on as fast as before, by the motion (4, 4)."""
+        tracks, before = followed.tracks.select(found.inliers), self.bundle.points.median_inverse_depth
+        agree = self.bundle.initialize(
+            FrameObservations(tracks.ids, tracks.reference_pixels),
+            FrameObservations(tracks.ids, tracks.pixels),
+            found.T_first_second,
         )
         self._images.clear()
-        self._images.extend([tracks.key_image, tracks.image])
-        way = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
-        moving = way > self._config.plausibility.moving_m
-        self.bundle.rescale(way / self._way_begun() if moving else self.bundle.points.usual / usual)
-        self.bundle.rescale(self._ruler.factor(self.bundle.visible()))
-        tracks = self._renew(tracks.only(agree))
+        self._images.extend([tracks.reference_image, tracks.image])
+        distance = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
+        moving = distance > self._config.motion_checks.min_moving_m
+        by_depth = self.bundle.points.median_inverse_depth / before
+        self.bundle.rescale(distance / self._initial_distance() if moving else by_depth)
+        self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
+        tracks = self._renew(tracks.select(agree))
         T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
         T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_candidate_current
         reason = "" if self._velocity is None else _NEW_MAP
-        self._arrive(se3.log(T_candidate_current) / candidate.age, tracks, self.bundle.poses[1])
+        self._arrive(se3.log(T_candidate_current) / candidate.age_frames, tracks, self.bundle.poses[1])
         return Motion(
-            T_previous_current, self._extrapolated(1), bool(reason), reason,
+            T_previous_current, self._extrapolation_covariance(1), bool(reason), reason,
             followed.before, followed.tracks.pixels, found.inliers,
         )  # fmt: skip
 
-    def _way_begun(self) -> float:
-        """Way between the first two frames of a map, in its unit."""
+    def _initial_distance(self) -> float:
+        """Distance between the first two frames of a map, in its unit."""
         return max(float(np.linalg.norm(self.bundle.poses[1, :3, 3] - self.bundle.poses[0, :3, 3])), 1e-9)
 
-    def _extrapolated(self, images: int) -> Array:
-        """Covariance (6, 6) of a motion that was not measured for so many images."""
-        return unmeasured(self._config.extrapolated_rad, self._config.extrapolated_m, images)
+    def _extrapolation_covariance(self, images: int) -> Array:
+        """Covariance (6, 6) of a motion that was not measured for a number of images."""
+        return extrapolation_covariance(
+            self._config.extrapolation_sigma_rad, self._config.extrapolation_sigma_m, images
+        )
 
     def _extrapolate(self, image: Image, T_previous_current: Array, reason: str) -> Motion:
-        """Go on at constant velocity; a new map may begin with this image."""
-        covariance = self._extrapolated(self._unmeasured)
-        self._reference = self._reference and self._reference.bridged(T_previous_current, covariance)
+        """Extrapolate at constant velocity; this image becomes the candidate for a new map."""
+        covariance = self._extrapolation_covariance(self._unmeasured)
+        self._reference = self._reference and self._reference.extend(T_previous_current, covariance)
         if self._candidate is None:
             self._propose(image)
         else:
-            self._candidate = self._candidate.bridged(T_previous_current, covariance)
+            self._candidate = self._candidate.extend(T_previous_current, covariance)
         return Motion(T_previous_current, covariance, True, reason)
 
     def state(self) -> dict[str, Any]:

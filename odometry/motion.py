@@ -1,4 +1,4 @@
-"""The answer of an odometry: how the camera moved from the previous image to the current one."""
+"""Result of an odometry: the camera's motion from the previous image to the current one."""
 
 from dataclasses import dataclass, field
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-FIRST_VARIANCE = 1e-12  # rad², m²: the first image is where it is by definition
+FIRST_VARIANCE = 1e-12  # rad², m²: the pose of the first image is exact by definition
 
 
-def unmeasured(sigma_rad: float, sigma_m: float, images: int) -> Array:
-    """Covariance (6, 6) of a motion that was not measured: it grows with the time that nothing was.
+def extrapolation_covariance(sigma_rad: float, sigma_m: float, images: int) -> Array:
+    """Covariance (6, 6) of a motion that was not measured, which grows with the time since the last measurement.
 
     Args:
         sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
         sigma_m: standard deviation of the change of translation from one image to the next, metres.
-        images: since the last measurement.
+        images: images since the last measurement.
     """
     deviation = np.repeat([sigma_rad, sigma_m], 3) * images
     return np.diag(deviation**2)

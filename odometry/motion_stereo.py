@@ -1,4 +1,4 @@
-"""Depth of any pixels of one camera's image, from an earlier image whose place is known: stereo by moving."""
+"""Motion stereo: depth of any pixels of one camera's image, from an earlier image of known pose."""
 
 from dataclasses import dataclass, field
 
@@ -7,37 +7,37 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from odometry.lens import Lens
-from odometry.tracking import TrackingConfig, follow, inside
+from odometry.lens import LensDistortion
+from odometry.tracking import TrackingConfig, is_inside, track_points
 from odometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_NEIGHBOURS = 3  # known points whose median depth is a pixel's first guess
+_NEIGHBOURS = 3  # nearest points of known depth whose median is a pixel's first guess
 
 
 @dataclass(frozen=True)
 class MotionStereoConfig:
-    """How pixels are found in an earlier image.
+    """Choice of the earlier image and matching in it.
 
     Attributes:
-        way: farthest that the earlier image may have been taken, in usual depths.
-        turn_rad: largest turn since, radians.
-        epipolar_px: farthest that a match may lie from where the motion allows it, pixels.
-        tracking: how pixels are followed.
+        max_distance_ratio: largest distance of the earlier camera, in median depths.
+        max_rotation_rad: largest rotation since the earlier image, radians.
+        max_epipolar_error_px: largest distance of a match from its epipolar line, pixels.
+        tracking: settings of the tracker that finds the pixels.
 
     """
 
-    way: float = 0.2
-    turn_rad: float = 0.35
-    epipolar_px: float = 1.0
+    max_distance_ratio: float = 0.2
+    max_rotation_rad: float = 0.35
+    max_epipolar_error_px: float = 1.0
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(window_px=13))
 
 
 @dataclass(frozen=True)
-class Shot:
-    """An image and where it was taken.
+class PosedImage:
+    """An image and its pose.
 
     Attributes:
         image: (H, W) uint8.
@@ -64,48 +64,54 @@ class Depths:
 
     @classmethod
     def unknown(cls, count: int) -> "Depths":
-        """No depth at all."""
+        """No depth for any pixel."""
         return cls(np.full(count, np.nan), np.zeros(count))
 
 
-def earlier(shots: list[Shot], now: Shot, usual_depth: float, config: MotionStereoConfig) -> Shot | None:
-    """Find the shot farthest back that still shows much the same, or None."""
+def select_earlier_image(
+    images: list[PosedImage], now: PosedImage, median_depth: float, config: MotionStereoConfig
+) -> PosedImage | None:
+    """Find the image taken farthest away that still shows much the same, or None."""
     best, farthest = None, 0.0
-    for shot in shots:
-        T = se3.inverse(shot.T_map_camera) @ now.T_map_camera
-        way = float(np.linalg.norm(T[:3, 3]))
-        if farthest < way <= config.way * usual_depth and se3.angle(T) <= config.turn_rad:
-            best, farthest = shot, way
+    for candidate in images:
+        T = se3.inverse(candidate.T_map_camera) @ now.T_map_camera
+        distance = float(np.linalg.norm(T[:3, 3]))
+        if farthest < distance <= config.max_distance_ratio * median_depth and se3.angle(T) <= config.max_rotation_rad:
+            best, farthest = candidate, distance
     return best
 
 
-def see_depth(
-    shots: tuple[Shot, Shot], pixels: Array, known: tuple[Array, Array], lens: Lens, config: MotionStereoConfig
+def estimate_depths(
+    images: tuple[PosedImage, PosedImage],
+    pixels: Array,
+    known: tuple[Array, Array],
+    lens: LensDistortion,
+    config: MotionStereoConfig,
 ) -> Depths:
     """Depth of pixels (N, 2) of an image from an earlier one.
 
     Args:
-        shots: the earlier image and the present one.
-        pixels: where depth is wanted.
-        known: pixels (M, 2), M > 0, with inverse depths (M,), to look first.
-        lens: of the camera.
-        config: how to look.
+        images: the earlier image and the present one.
+        pixels: (N, 2) whose depth is wanted.
+        known: pixels (M, 2), M > 0, with known inverse depths (M,), for the first guess.
+        lens: lens of the camera.
+        config: settings.
 
     """
-    then, now = shots
+    then, now = images
     T_then_now = se3.inverse(then.T_map_camera) @ now.T_map_camera
     rays = lens.rays(pixels)
     count = min(_NEIGHBOURS, len(known[1]))
     _, near = cKDTree(known[0]).query(pixels, k=count)
     guess = np.median(known[1][near.reshape(len(pixels), count)], axis=1)
     ahead = lens.pixels(rays @ T_then_now[:3, :3].T + guess[:, None] * T_then_now[:3, 3])
-    visible = np.isfinite(ahead[:, 0]) & inside(np.nan_to_num(ahead), then.image)
-    places = follow((now.image, then.image), pixels, np.where(visible[:, None], ahead, pixels), config.tracking)
+    visible = np.isfinite(ahead[:, 0]) & is_inside(np.nan_to_num(ahead), then.image)
+    places = track_points((now.image, then.image), pixels, np.where(visible[:, None], ahead, pixels), config.tracking)
     found = np.flatnonzero(visible & np.isfinite(places[:, 0]))
     depths = Depths.unknown(len(pixels))
     inverse, strength = triangulate(rays[found], lens.rays(places[found]), T_then_now)
     expected = lens.pixels(rays[found] @ T_then_now[:3, :3].T + inverse[:, None] * T_then_now[:3, 3])
-    good = (inverse > 0) & (np.linalg.norm(expected - places[found], axis=1) < config.epipolar_px)
+    good = (inverse > 0) & (np.linalg.norm(expected - places[found], axis=1) < config.max_epipolar_error_px)
     depths.inverse[found[good]] = inverse[good]
     depths.baseline[found[good]] = np.sqrt(strength[good])
     return depths

@@ -1,4 +1,7 @@
-"""Where one image was taken, seen from points whose depths are more or less known."""
+"""Motion-only bundle adjustment: the pose of one image from points whose depths are more or less known.
+
+The problem is that of `odometry.bundle` with all poses but one fixed.
+"""
 
 from dataclasses import dataclass
 
@@ -6,41 +9,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.bundle import Bundle, intrinsics
-from odometry.bundle_equations import accumulate
-from odometry.mono_tracks import Tracks
-from odometry.points import Points, settled
+from odometry.bundle import MonoBundle, intrinsics
+from odometry.kernels.mono_bundle_adjustment import build_normal_equations
+from odometry.mono_tracks import MonoTracks
+from odometry.points import Points, clamp_points
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LIMIT = 18.4  # squared residual of an outlier, in variances: see `odometry.bundle`
-_QUANTILE, _AT_QUANTILE = 0.3, 0.713  # of chi squared, two degrees of freedom: most of the view may be another car
-_EXACT = 1e6  # weight of where the map says that a point was first seen
+# The noise is measured at a low quantile because most of the view may belong to another car; 0.713 is the 30 % quantile
+# of chi squared with two degrees of freedom.
+_QUANTILE, _AT_QUANTILE = 0.3, 0.713
+_EXACT = 1e6  # weight of a point's place in its anchor, which the map has adjusted already
 _DAMPING = 1e-3  # information, 1/rad² and 1/m²
 
 
 @dataclass(frozen=True)
-class PlacingConfig:
-    """How the pose of an image is computed.
+class PoseEstimationConfig:
+    """Iterations and noise levels of the motion-only adjustment.
 
     Attributes:
-        iterations: most steps.
-        start_px: noise level assumed in the first step, at least, and halved in each.
-        floor_px: smallest noise level that is believed, pixels.
-        converged: largest step, radians and metres, that counts as none.
+        max_iterations: Gauss-Newton steps at most.
+        initial_noise_px: noise level assumed in the first step, at least, and halved in each.
+        min_noise_px: smallest noise level that is assumed, pixels.
+        convergence_step: largest step, radians and metres, at which the iteration ends.
 
     """
 
-    iterations: int = 10
-    start_px: float = 2.0
-    floor_px: float = 0.05
-    converged: float = 1e-4
+    max_iterations: int = 10
+    initial_noise_px: float = 2.0
+    min_noise_px: float = 0.05
+    convergence_step: float = 1e-4
 
 
 @dataclass(frozen=True)
-class Placed:
-    """Where an image was taken.
+class PoseEstimate:
+    """Measured pose of an image.
 
     Attributes:
         T_first_second: (4, 4) its camera in that of an earlier image.
@@ -58,51 +63,55 @@ class Placed:
     residual_px: float
 
 
-def place(bundle: Bundle, tracks: Tracks, T_map_first: Array, T_guess: Array, config: PlacingConfig) -> Placed:
-    """Find the camera of an image near a guess (4, 4) of T_first_second.
+def estimate_pose(
+    bundle: MonoBundle, tracks: MonoTracks, T_map_first: Array, T_guess: Array, config: PoseEstimationConfig
+) -> PoseEstimate:
+    """Estimate the pose of an image from a guess (4, 4) of T_first_second.
 
-    Depths take part with what is known of them, so an unsure one pulls only across its ray's image.
+    Depths take part with their information: a point of uncertain depth constrains the pose only across its epipolar
+    line.
     """
-    problem = _Problem(bundle, tracks)
-    T, sigma = T_map_first @ T_guess, config.start_px
-    for k in range(config.iterations):
-        level = max(config.start_px * 0.5**k, min(sigma, config.start_px))
+    problem = _PoseProblem(bundle, tracks)
+    T, sigma = T_map_first @ T_guess, config.initial_noise_px
+    for k in range(config.max_iterations):
+        level = max(config.initial_noise_px * 0.5**k, min(sigma, config.initial_noise_px))
         step = problem.step(T, level)
-        T, sigma = T @ se3.exp(step), max(problem.noise(), config.floor_px)
-        if level < 2 * sigma and np.abs(step).max() < config.converged:
+        T, sigma = T @ se3.exp(step), max(problem.noise(), config.min_noise_px)
+        if level < 2 * sigma and np.abs(step).max() < config.convergence_step:
             break
     problem.step(T, sigma)
     inliers = problem.chi2 < _LIMIT * sigma**2
     residual = float(np.sqrt(problem.chi2[inliers].mean() / 2)) if inliers.any() else float("nan")
-    return Placed(se3.inverse(T_map_first) @ T, problem.covariance(), inliers, sigma, residual)
+    return PoseEstimate(se3.inverse(T_map_first) @ T, problem.covariance(), inliers, sigma, residual)
 
 
-class _Problem:
-    """Points seen by the frames that saw them first, which are fixed, and by the one that is looked for."""
+class _PoseProblem:
+    """Points with two observations: by their anchors, which are fixed, and by the image whose pose is estimated."""
 
-    def __init__(self, bundle: Bundle, tracks: Tracks) -> None:
-        self._points: Points = bundle.points.at(tracks.ids)
+    def __init__(self, bundle: MonoBundle, tracks: MonoTracks) -> None:
+        self._points: Points = bundle.points.select(tracks.ids)
         self._poses, self._lens = bundle.poses, bundle.lens
         n, self._new = len(tracks), len(bundle.poses)
         frame = np.stack([self._points.frame, np.full(n, self._new)], axis=1).ravel()
-        places = np.stack([self._points.place, tracks.pixels], axis=1).reshape(-1, 2)
-        self._sightings = (2 * np.arange(n + 1), frame, places)
+        places = np.stack([self._points.anchor_pixel, tracks.pixels], axis=1).reshape(-1, 2)
+        self._observations = (2 * np.arange(n + 1), frame, places)
         self._states = np.full(self._new + 1, -1)
         self._states[self._new] = 0
-        self._state = np.column_stack([np.zeros((n, 2)), self._points.depth])
-        self._known = self._points.trust > 0
+        self._state = np.column_stack([np.zeros((n, 2)), self._points.inverse_depth])
+        self._known = self._points.information > 0
         self.chi2 = np.zeros(n)
 
     def step(self, T_map_frame: Array, sigma: float) -> Array:
         """Step (6,) of the pose (4, 4) with the noise level sigma, pixels."""
         poses = np.concatenate([self._poses, T_map_frame[None]])
-        H, b, chi2, rows, offset, _ = accumulate(
-            intrinsics(self._lens), self._sightings, (self._state, self._points.depth, self._points.trust),
+        H, b, chi2, rows, offset, _ = build_normal_equations(
+            intrinsics(self._lens), self._observations,
+            (self._state, self._points.inverse_depth, self._points.information),
             poses, self._states, self._lens.coefficients, (_LIMIT * sigma**2, 0.0, _EXACT),
         )  # fmt: skip
         self._H, self.chi2 = H[:6, :6] / sigma**2 + _DAMPING * np.eye(6), chi2[1::2]
         step = np.linalg.solve(self._H, -b[:6] / sigma**2)
-        self._state = settled(self._state - offset - rows[:, :, :6] @ step)
+        self._state = clamp_points(self._state - offset - rows[:, :, :6] @ step)
         return np.asarray(step)
 
     def noise(self) -> float:

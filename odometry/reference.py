@@ -1,4 +1,4 @@
-"""What motion is measured from: an earlier view, and where the camera has been since."""
+"""Reference frame of an odometry: the earlier image that motion is measured from, and the motion since."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
@@ -23,14 +23,14 @@ def _certain() -> Array:
 
 @dataclass(frozen=True)
 class Reference(Generic[ViewT]):
-    """A view and the images since.
+    """An image that motion is measured from, and the images since.
 
     Attributes:
-        view: what was seen, and its points.
-        T_reference_previous: (4, 4) where the previous image was taken, metres.
-        T_reference_measured: (4, 4) where the last image was taken that was measured from here.
-        covariance_previous: (6, 6) of `T_reference_previous`, as far as it was not measured from here.
-        age: images since the reference, or the last one measured from it.
+        view: the image and its points.
+        T_reference_previous: (4, 4) pose of the previous image, metres.
+        T_reference_measured: (4, 4) pose of the last image that was measured from this one.
+        covariance_previous: (6, 6) of `T_reference_previous`, of the part that was not measured from this image.
+        age_frames: images since this one, or since the last one measured from it.
 
     """
 
@@ -38,18 +38,18 @@ class Reference(Generic[ViewT]):
     T_reference_previous: Array = field(default_factory=_here)
     T_reference_measured: Array = field(default_factory=_here)
     covariance_previous: Array = field(default_factory=_certain)
-    age: int = 0
+    age_frames: int = 0
 
-    def older(self, images: int) -> "Reference[ViewT]":
-        """Count the images that have been taken since."""
-        return replace(self, age=self.age + images)
+    def age(self, images: int) -> "Reference[ViewT]":
+        """Count images that have been taken since."""
+        return replace(self, age_frames=self.age_frames + images)
 
-    def measured(self, T_reference_current: Array) -> "Reference[ViewT]":
-        """Take over where the current image was taken, (4, 4): the next one's previous."""
+    def update(self, T_reference_current: Array) -> "Reference[ViewT]":
+        """Take over the measured pose (4, 4) of the current image, which is the next one's previous image."""
         return Reference(self.view, T_reference_current, T_reference_current)
 
-    def bridged(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
-        """Go on by a motion (4, 4) that was not measured from here, with its covariance (6, 6)."""
+    def extend(self, T_previous_current: Array, covariance: Array) -> "Reference[ViewT]":
+        """Append a motion (4, 4) that was not measured from this image, with its covariance (6, 6)."""
         return replace(
             self,
             T_reference_previous=self.T_reference_previous @ T_previous_current,
@@ -58,7 +58,7 @@ class Reference(Generic[ViewT]):
 
     def velocity(self, T_reference_current: Array) -> Array:
         """Tangent vector (6,) of the motion to (4, 4) from the image measured before, per image."""
-        return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age
+        return se3.log(se3.inverse(self.T_reference_measured) @ T_reference_current) / self.age_frames
 
     def state(self, view: object) -> dict[str, Any]:
         """Plain values and arrays, for a checkpoint; `view` is the state of the view."""

@@ -1,7 +1,7 @@
-"""Association by descriptors, for pairs too far apart to follow points: after a gap, in a sharp turn.
+"""Matching of descriptors, for pairs too far apart to follow points: after a gap, in a sharp turn.
 
 SIFT (Lowe, IJCV 2004) withstands the change of scale that a few seconds of driving bring. It takes several
-times as long as following and is less exact, so it is asked only when following has failed.
+times as long as following and is less accurate, so it is used only when following has failed.
 """
 
 import cv2
@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Pair = tuple[Image, Image]
 
-_FEATURES = 3000
+_FEATURES = 3000  # SIFT features of each image
 _RATIO = 0.8  # best over second best distance (Lowe, section 7.1)
 
 
-def associate(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
-    """Points that two pairs of images (H, W) uint8 both show, wherever they are; maybe none."""
+def match_descriptors(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
+    """Match points of two pairs of images (H, W) uint8, anywhere in them; there may be none."""
     sift = cv2.SIFT.create(_FEATURES)
     pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)
     if min(len(pixels[0]), len(pixels[1])) < 2:
@@ -44,7 +44,7 @@ def _describe(sift: cv2.SIFT, image: Image) -> tuple[Array, NDArray[np.float32]]
 
 
 def _mutual(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Pairs of indices (M, 2) of descriptors that are each other's best, clearly."""
+    """Pairs of indices (M, 2) of descriptors that are each other's nearest neighbour and pass the ratio test."""
     forward = cv2.BFMatcher(cv2.NORM_L2).knnMatch(first, second, k=2)
     back = {match.queryIdx: match.trainIdx for match in cv2.BFMatcher(cv2.NORM_L2).match(second, first)}
     chosen = [

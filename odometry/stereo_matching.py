@@ -1,9 +1,9 @@
-"""Left-right association on rectified pairs.
+"""Matching of points between the images of a rectified pair.
 
 Two steps: a search along the row for the smallest sum of absolute differences, on images at half size; then
 Lucas and Kanade's tracker from there, at full size and in both axes, because the rows of real
-rectifications are off by a pixel and more. The tracker's answer has no preference for whole pixels, as a
-parabola through the sums has: a bias in disparity would be a bias in the way driven.
+rectifications are off by a pixel and more. The tracker has no preference for whole pixels, as a parabola
+through the sums has: a bias in disparity would be a bias in the distance driven.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from odometry.tracking import TrackingConfig, inside, lucas_kanade
+from odometry.tracking import TrackingConfig, is_inside, lucas_kanade
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -25,27 +25,27 @@ _BEHIND = 1  # shifts below zero that are searched too, pixels at half size
 
 @dataclass(frozen=True)
 class StereoMatchingConfig:
-    """How points of the left image are found in the right one.
+    """Search for points of the left image in the right one.
 
     Attributes:
         max_disparity_px: largest disparity searched, pixels.
-        max_rows_px: farthest from its row that a match may lie, pixels; rectification errors must fit.
+        max_row_offset_px: largest distance of a match from its row, pixels; rectification errors must fit.
         uniqueness: the best sum of differences is at most this share of the best one elsewhere on the row.
         window_px: side of the window of the refinement, pixels, odd.
-        return_px: farthest that matching back may end from where it began, pixels.
-        refine_px: farthest that the refinement may move the result of the search, pixels.
+        max_return_error_px: largest distance between where matching back ends and where it began, pixels.
+        max_refinement_px: largest shift of the search's result by the refinement, pixels.
 
     """
 
     max_disparity_px: int = 128
-    max_rows_px: float = 3.0
+    max_row_offset_px: float = 3.0
     uniqueness: float = 0.8
     window_px: int = 11
-    return_px: float = 0.3
-    refine_px: float = 4.0
+    max_return_error_px: float = 0.3
+    max_refinement_px: float = 4.0
 
 
-def match_rows(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
+def match_disparity(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
     """Disparity (N,), u_left - u_right, of pixels (N, 2) of the left image; NaN where no match is reliable.
 
     The images are (H, W) uint8, rectified; all else is in pixels. Nothing is assumed about depth.
@@ -62,7 +62,7 @@ def match_right(left: Image, right: Image, pixels: Array, config: StereoMatching
     shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness)
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
-    known = np.isfinite(guess[:, 0]) & inside(pixels, left)
+    known = np.isfinite(guess[:, 0]) & is_inside(pixels, left)
     places[known] = refine_right((left, right), pixels[known], guess[known], config)
     return places
 
@@ -73,13 +73,13 @@ def refine_right(
     """Places (N, 2) in the right image, starting at a guess (N, 2); NaN where the match does not hold."""
     config = config or StereoMatchingConfig()
     left, right = images
-    tracker = TrackingConfig(window_px=config.window_px, levels=0)
+    tracker = TrackingConfig(window_px=config.window_px, pyramid_levels=0)
     places, found = lucas_kanade((left, right), pixels, guess, tracker)
     back, returned = lucas_kanade((right, left), places, pixels, tracker)
-    good = found & returned & inside(places, right)
-    good &= np.linalg.norm(back - pixels, axis=1) < config.return_px
-    good &= np.linalg.norm(places - guess, axis=1) < config.refine_px
-    good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_rows_px) & (places[:, 0] < pixels[:, 0] + 2.0)
+    good = found & returned & is_inside(places, right)
+    good &= np.linalg.norm(back - pixels, axis=1) < config.max_return_error_px
+    good &= np.linalg.norm(places - guess, axis=1) < config.max_refinement_px
+    good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_row_offset_px) & (places[:, 0] < pixels[:, 0] + 2.0)
     return np.where(good[:, None], places, np.nan)
 
 

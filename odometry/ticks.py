@@ -1,36 +1,36 @@
-"""How many images a camera took between two that arrived."""
+"""Count of the images that a camera took between two that arrived, by time stamps."""
 
 from collections import deque
 from typing import Any
 
 import numpy as np
 
-_REMEMBERED = 15  # intervals
-_UNKNOWN = 0.1  # s, what most recordings have
+_HISTORY = 15  # intervals whose median is the camera's
+_DEFAULT_INTERVAL_S = 0.1  # that of most recordings
 
 
-class Ticks:
-    """Counts the images that a gap in the time stamps stands for; without time stamps none is missing."""
+class FrameCounter:
+    """Counts the images in each gap between time stamps; without time stamps no image is missing."""
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
+        self._intervals: deque[float] = deque(maxlen=_HISTORY)
 
     @property
-    def interval(self) -> float:
-        """Seconds between two images, usually; a tenth while there are no time stamps."""
-        return float(np.median(self._intervals)) if self._intervals else _UNKNOWN
+    def interval_s(self) -> float:
+        """Median time between two images, seconds; 0.1 s while there are no time stamps."""
+        return float(np.median(self._intervals)) if self._intervals else _DEFAULT_INTERVAL_S
 
-    def since_last(self, timestamp: float | None) -> int:
-        """Images from the one before to the one taken at a time in seconds, at least 1."""
+    def frames_since_last(self, timestamp: float | None) -> int:
+        """Number of images, at least 1, from the last one to the one taken at a time in seconds."""
         if timestamp is None or not np.isfinite(timestamp):
             return 1
         interval = 0.0 if self._last is None else timestamp - self._last
         self._last = timestamp
         if interval <= 0.0:
             return 1
-        usual = self.interval if self._intervals else interval
-        ticks = max(round(interval / usual), 1)
+        median_inverse_depth = self.interval_s if self._intervals else interval
+        ticks = max(round(interval / median_inverse_depth), 1)
         self._intervals.append(interval / ticks)
         return ticks
 

@@ -1,8 +1,8 @@
-"""Corners, and following them from image to image.
+"""Detection of corners, and tracking them from image to image.
 
 Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi, Good Features to Track, CVPR
 1994), spread evenly by a grid of buckets; they are followed with the pyramidal tracker (Bouguet, 2001) from a
-predicted place, and a track is believed when following it back ends where it began.
+predicted place, and a track is accepted if tracking it back ends where it began.
 """
 
 from dataclasses import dataclass, replace
@@ -14,51 +14,51 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_HALF = 2  # corners are looked for in the image at half its size: a quarter of the time, less noise
+_HALF = 2  # corners are detected in the image at half its size: a quarter of the time, and less noise
 
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """How corners are chosen and followed.
+    """Choice and tracking of corners.
 
     Attributes:
-        corners: tracks to keep alive, all cells together.
-        columns, rows: cells of the grid that spreads them.
-        spacing_px: least distance of a new corner from any track, pixels.
-        quality: least corner strength as a share of the strongest in the image.
+        max_corners: tracks to keep alive in the whole image.
+        grid_columns, grid_rows: cells of the grid over which corners are spread.
+        min_spacing_px: smallest distance of a new corner from any track, pixels.
+        min_quality: smallest corner strength, as a share of the strongest in the image.
         window_px: side of the window that is compared, pixels, odd.
-        levels: levels of the pyramid above the image itself; each doubles the reach.
-        return_px: farthest that tracking back may end from where it began, pixels.
+        pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
+        max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
 
     """
 
-    corners: int = 450
-    columns: int = 16
-    rows: int = 6
-    spacing_px: int = 10
-    quality: float = 2e-3
+    max_corners: int = 450
+    grid_columns: int = 16
+    grid_rows: int = 6
+    min_spacing_px: int = 10
+    min_quality: float = 2e-3
     window_px: int = 9
-    levels: int = 3
-    return_px: float = 0.5
+    pyramid_levels: int = 3
+    max_return_error_px: float = 0.5
 
-    def wider(self) -> "TrackingConfig":
-        """Make a config of about four times the reach, and time, for when nothing is known of the motion."""
-        return replace(self, window_px=2 * self.window_px - 1, levels=self.levels + 1)
+    def widen(self) -> "TrackingConfig":
+        """Return settings of about four times the reach, and time, for an unknown motion."""
+        return replace(self, window_px=2 * self.window_px - 1, pyramid_levels=self.pyramid_levels + 1)
 
 
-def detect(image: Image, tracked: Array, config: TrackingConfig) -> Array:
+def detect_corners(image: Image, tracked: Array, config: TrackingConfig) -> Array:
     """Find new corners (M, 2), pixels, where a grid cell holds too few of the tracked points (N, 2)."""
     strength = _corner_strength(image)
-    floor = max(config.quality * float(strength.max()), float(np.finfo(np.float32).eps))
-    _clear_around(strength, tracked, config.spacing_px)
-    size = 2 * (config.spacing_px // (2 * _HALF)) + 1
+    floor = max(config.min_quality * float(strength.max()), float(np.finfo(np.float32).eps))
+    _clear_around(strength, tracked, config.min_spacing_px)
+    size = 2 * (config.min_spacing_px // (2 * _HALF)) + 1
     peaks = (strength == cv2.dilate(strength, np.ones((size, size), np.uint8))) & (strength > floor)
     row, column = np.nonzero(peaks)
     pixels = np.stack([column, row], axis=1).astype(np.float64) * _HALF + (_HALF - 1) / 2
     return pixels[_fill_cells(pixels, strength[row, column], tracked, image.shape, config)]
 
 
-def follow(images: tuple[Image, Image], pixels: Array, guess: Array, config: TrackingConfig) -> Array:
+def track_points(images: tuple[Image, Image], pixels: Array, guess: Array, config: TrackingConfig) -> Array:
     """Follow pixels (N, 2) from the first image to the second, starting at a guess (N, 2).
 
     Returns pixels (N, 2) in the second image, NaN where the track was lost.
@@ -67,9 +67,9 @@ def follow(images: tuple[Image, Image], pixels: Array, guess: Array, config: Tra
     ahead, found = lucas_kanade((first, second), pixels, guess, config)
     # Back over one level only: it starts where it ought to end, so it needs no reach, and a track on
     # the wrong thing does not come back to the point it left.
-    back, returned = lucas_kanade((second, first), ahead, pixels, TrackingConfig(config.window_px, levels=1))
-    close = np.linalg.norm(back - pixels, axis=1) < config.return_px
-    return np.where((found & returned & close & inside(ahead, second))[:, None], ahead, np.nan)
+    back, returned = lucas_kanade((second, first), ahead, pixels, TrackingConfig(config.window_px, pyramid_levels=1))
+    close = np.linalg.norm(back - pixels, axis=1) < config.max_return_error_px
+    return np.where((found & returned & close & is_inside(ahead, second))[:, None], ahead, np.nan)
 
 
 def lucas_kanade(
@@ -83,7 +83,7 @@ def lucas_kanade(
         pixels.astype(np.float32).reshape(-1, 1, 2),
         guess.astype(np.float32).reshape(-1, 1, 2),
         winSize=(config.window_px, config.window_px),
-        maxLevel=config.levels,
+        maxLevel=config.pyramid_levels,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
@@ -91,7 +91,7 @@ def lucas_kanade(
     return moved, (status.ravel() > 0) & np.isfinite(moved).all(axis=1)
 
 
-def inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bool_]:
+def is_inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bool_]:
     """Which of the pixels (N, 2) lie in the image, a margin in pixels away from its edge."""
     height, width = image.shape
     return np.all((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin]), axis=1)
@@ -126,8 +126,8 @@ def _fill_cells(
     config: TrackingConfig,
 ) -> NDArray[np.intp]:
     """Choose the indices of the strongest candidates that still fit in their grid cells, in a fixed order."""
-    cells = config.columns * config.rows
-    capacity = -(-config.corners // cells) * 2  # sky and road leave cells empty: others may hold twice the share
+    cells = config.grid_columns * config.grid_rows
+    capacity = -(-config.max_corners // cells) * 2  # sky and road leave cells empty: others may hold twice the share
     cell = _cell(pixels, shape, config)
     room = np.maximum(capacity - np.bincount(_cell(tracked, shape, config), minlength=cells), 0)
     order = np.lexsort((-strength, cell))
@@ -136,12 +136,12 @@ def _fill_cells(
     chosen = order[rank < room[cell[order]]]
     # The first of every cell come before the second of any: the budget cuts evenly.
     chosen = chosen[np.argsort(rank[rank < room[cell[order]]], kind="stable")]
-    return chosen[: max(config.corners - len(tracked), 0)]
+    return chosen[: max(config.max_corners - len(tracked), 0)]
 
 
 def _cell(pixels: Array, shape: tuple[int, ...], config: TrackingConfig) -> NDArray[np.int64]:
     """Index (N,) of the grid cell of each pixel (N, 2)."""
     height, width = shape
-    column = np.clip(pixels[:, 0] * config.columns / width, 0, config.columns - 1).astype(np.int64)
-    row = np.clip(pixels[:, 1] * config.rows / height, 0, config.rows - 1).astype(np.int64)
-    return row * config.columns + column
+    column = np.clip(pixels[:, 0] * config.grid_columns / width, 0, config.grid_columns - 1).astype(np.int64)
+    row = np.clip(pixels[:, 1] * config.grid_rows / height, 0, config.grid_rows - 1).astype(np.int64)
+    return row * config.grid_columns + column

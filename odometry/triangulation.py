@@ -1,4 +1,4 @@
-"""Depth from two views of one point."""
+"""Triangulation: depth from two views of one point."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ def triangulate(rays: Array, seen: Array, T_second_first: Array) -> tuple[Array,
         T_second_first: (4, 4), or (N, 4, 4) with one for each point.
 
     Returns:
-        Inverse depth (N,) in the first camera, negative behind it; and (N,) how much of it the views see: the
-        squared shift of `seen` that one more would make. Zero where there is no parallax.
+        Inverse depth (N,) in the first camera, negative behind it; and (N,) the squared shift of `seen` by a unit
+        of inverse depth, a measure of parallax, zero where there is none.
 
     """
     R, t = T_second_first[..., :3, :3], T_second_first[..., :3, 3]

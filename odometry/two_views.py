@@ -1,12 +1,10 @@
 """Motion between two stereo pairs: depths, motion and calibration error in one robust adjustment.
 
-A point is the pixel of its track in the first left image, which the tracker compares everything with and is
-therefore exact, and an inverse depth. Its places in the other three images are six measurements. Estimating
-the inverse depth with the motion, instead of fixing it by triangulation, takes away the bias that noisy
-depths of far points bring (Civera et al., Inverse Depth Parametrization, TRO 2008); it is eliminated point
-by point, by the Schur complement (Triggs et al., Bundle Adjustment, 1999, section 6). No point is too far:
-one at infinity still measures rotation. Weights are those of Geman and McClure at a noise level measured
-from the residuals themselves.
+A point is its pixel in the first left image, exact because the tracker compares everything with it, and an inverse
+depth. Its places in the other three images are six measurements. Estimating the inverse depth with the motion,
+instead of fixing it by triangulation, takes away the bias that noisy depths of far points bring (Civera et al.,
+Inverse Depth Parametrization, TRO 2008). A point at infinity still measures rotation. Weights are those of Geman and
+McClure at a noise level measured from the residuals. Derivation: docs/math.md, section "Two stereo views".
 """
 
 from dataclasses import dataclass
@@ -16,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.calibration import COEFFICIENTS, Calibration
-from odometry.camera import within_sight
-from odometry.normal_equations import accumulate
+from odometry.calibration import NUM_COEFFICIENTS, Calibration
+from odometry.camera import clamp_inverse_depth
+from odometry.kernels.two_view_adjustment import build_normal_equations
 
 Array = NDArray[np.float64]
 
 # Chi squared with five degrees of freedom (six measurements less one depth). The noise is measured at a low quantile,
-# because most of the view may belong to another car; tracks err more often by much than Gauss allows, and with 2.4
-# instead of his 3.0 it comes to what the median says where nothing else moves.
+# because most of the view may belong to another car. Errors of tracks have heavier tails than a Gaussian: with 2.4
+# instead of its 3.0 the result equals that of the median where nothing else moves.
 _QUANTILE, _AT_QUANTILE, _LIMIT = 0.3, 2.4, 15.09
 _DAMPING = 1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
 
@@ -35,7 +33,7 @@ class StereoTracks:
 
     Attributes:
         first_left, first_right, second_left, second_right: (N, 2) pixels.
-        ids: (N,) names of the tracks, growing, -1 where there is no track.
+        ids: (N,) growing numbers of the tracks, -1 where there is no track.
 
     """
 
@@ -48,7 +46,7 @@ class StereoTracks:
     def __len__(self) -> int:
         return len(self.first_left)
 
-    def only(self, chosen: NDArray[np.bool_]) -> "StereoTracks":
+    def select(self, chosen: NDArray[np.bool_]) -> "StereoTracks":
         """Return some of the points, chosen by (N,) bool."""
         return StereoTracks(
             self.first_left[chosen],
@@ -58,27 +56,27 @@ class StereoTracks:
             self.ids[chosen],
         )
 
-    def pixels(self) -> Array:
+    def stack_pixels(self) -> Array:
         """Return all places, (N, 4, 2) pixels, in the order of the attributes."""
         return np.stack([self.first_left, self.first_right, self.second_left, self.second_right], axis=1)
 
 
 @dataclass(frozen=True)
 class AdjustmentConfig:
-    """How the adjustment goes about it.
+    """Iterations and noise levels of the two-view adjustment.
 
     Attributes:
-        iterations: most steps.
-        start_px: noise level assumed in the first step, at least, and halved in each.
-        floor_px: smallest noise level that is believed, pixels.
-        converged: largest step, radians and metres, that counts as none.
+        max_iterations: Gauss-Newton steps at most.
+        initial_noise_px: noise level assumed in the first step, at least, and halved in each.
+        min_noise_px: smallest noise level that is assumed, pixels.
+        convergence_step: largest step, radians and metres, at which the iteration ends.
 
     """
 
-    iterations: int = 12
-    start_px: float = 2.0
-    floor_px: float = 0.05
-    converged: float = 1e-4
+    max_iterations: int = 12
+    initial_noise_px: float = 2.0
+    min_noise_px: float = 0.05
+    convergence_step: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class TwoViewEstimate:
         noise_px: standard deviation of one measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
         calibration: (15,) coefficients, estimated with the motion.
-        information: (15, 15) what this pair of views said about them.
+        information: (15, 15) information of this pair of views about them.
 
     """
 
@@ -110,13 +108,13 @@ def estimate_motion(
 ) -> TwoViewEstimate:
     """Adjust motion, depths and calibration to the tracks, from a guess (4, 4) of T_first_second."""
     config = config or AdjustmentConfig()
-    problem = _Problem(tracks, calibration, se3.inverse(T_guess))
-    sigma = config.start_px
-    for k in range(config.iterations):
-        start = config.start_px * 0.5**k
-        step = problem.step(max(start, min(sigma, config.start_px)))
-        sigma = max(problem.noise(), config.floor_px)
-        if start < sigma and np.abs(step).max() < config.converged:
+    problem = _TwoViewProblem(tracks, calibration, se3.inverse(T_guess))
+    sigma = config.initial_noise_px
+    for k in range(config.max_iterations):
+        start = config.initial_noise_px * 0.5**k
+        step = problem.step(max(start, min(sigma, config.initial_noise_px)))
+        sigma = max(problem.noise(), config.min_noise_px)
+        if start < sigma and np.abs(step).max() < config.convergence_step:
             break
     return problem.result(sigma)
 
@@ -124,12 +122,12 @@ def estimate_motion(
 def ransac_motion(tracks: StereoTracks, calibration: Calibration) -> Array | None:
     """T_first_second (4, 4) that most tracks agree with, by minimal samples (P3P), or None."""
     camera = calibration.camera
-    left, right = calibration.perfect(tracks.first_left, tracks.first_right)
+    left, right = calibration.rectify(tracks.first_left, tracks.first_right)
     points = camera.triangulate(left, np.maximum(left[:, 0] - right[:, 0], 0.5))
     try:
         found, w, t, _ = cv2.solvePnPRansac(
             points,
-            calibration.straighten(tracks.second_left),
+            calibration.undistort(tracks.second_left),
             camera.K,
             None,
             iterationsCount=200,
@@ -142,27 +140,27 @@ def ransac_motion(tracks: StereoTracks, calibration: Calibration) -> Array | Non
     return None if T_second_first is None or not np.isfinite(T_second_first).all() else se3.inverse(T_second_first)
 
 
-class _Problem:
+class _TwoViewProblem:
     """The state of one adjustment and its Gauss-Newton steps."""
 
     def __init__(self, tracks: StereoTracks, prior: Calibration, T_second_first: Array) -> None:
         camera = prior.camera
         self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
-        self._pixels = tracks.pixels()
+        self._pixels = tracks.stack_pixels()
         self._prior, self._prior_information = prior, np.linalg.inv(prior.covariance)
-        left, right = prior.perfect(tracks.first_left, tracks.first_right)
-        self._inverse_depth = within_sight((left[:, 0] - right[:, 0]) / (camera.fx * camera.baseline))
+        left, right = prior.rectify(tracks.first_left, tracks.first_right)
+        self._inverse_depth = clamp_inverse_depth((left[:, 0] - right[:, 0]) / (camera.fx * camera.baseline))
         self._T_second_first, self._calibration = T_second_first, prior.coefficients.copy()
-        self._linearise(np.inf)
+        self._linearize(np.inf)
 
     def step(self, sigma: float) -> Array:
         """One step with the noise level sigma, pixels; returns the change of the pose (6,)."""
-        H, b = self._linearise(sigma)
+        H, b = self._linearize(sigma)
         H, b = H / sigma**2, b / sigma**2
         H[6:, 6:] += self._prior_information
         b[6:] += self._prior_information @ (self._calibration - self._prior.coefficients)
         change = np.linalg.solve(H + _DAMPING * np.eye(len(H)), -b).astype(np.float64)
-        self._inverse_depth = within_sight(self._inverse_depth - self._depth_offset - self._depth_rows @ change)
+        self._inverse_depth = clamp_inverse_depth(self._inverse_depth - self._depth_offset - self._depth_gain @ change)
         self._T_second_first = se3.exp(change[:6]) @ self._T_second_first
         self._calibration = self._calibration + change[6:]
         return change[:6]
@@ -173,11 +171,11 @@ class _Problem:
         return float(np.sqrt(np.partition(self._chi2, k)[k] / _AT_QUANTILE))
 
     def result(self, sigma: float) -> TwoViewEstimate:
-        """Sum up what has been found, with its uncertainty at the noise level sigma, pixels."""
-        self._linearise(sigma)
+        """Return the result with its uncertainty at the noise level sigma, pixels."""
+        self._linearize(sigma)
         inliers = self._chi2 < _LIMIT * sigma**2
-        # What is certain about an estimate is what all its inliers say: the weights only chose them.
-        H = self._information(inliers) / sigma**2 + _DAMPING * np.eye(6 + COEFFICIENTS)
+        # All inliers count in full for the uncertainty: the weights only chose them.
+        H = self._information(inliers) / sigma**2 + _DAMPING * np.eye(6 + NUM_COEFFICIENTS)
         inverse = np.linalg.inv(H[:6, :6])
         gain = inverse @ H[:6, 6:]
         information = H[6:, 6:] - H[6:, :6] @ gain
@@ -195,9 +193,9 @@ class _Problem:
             information=0.5 * (information + information.T),
         )
 
-    def _linearise(self, sigma: float) -> tuple[Array, Array]:
+    def _linearize(self, sigma: float) -> tuple[Array, Array]:
         """Sum up the normal equations (21, 21), (21,); keeps what the depths need."""
-        H, b, self._chi2, self._depth_rows, self._depth_offset = accumulate(
+        H, b, self._chi2, self._depth_gain, self._depth_offset = build_normal_equations(
             self._camera, self._pixels, self._inverse_depth,
             self._T_second_first, self._calibration, _LIMIT * sigma**2,
         )  # fmt: skip
@@ -205,7 +203,7 @@ class _Problem:
 
     def _information(self, points: NDArray[np.bool_]) -> Array:
         """Hessian (21, 21) of some of the points, all with weight one, pixels squared."""
-        H, *_ = accumulate(
+        H, *_ = build_normal_equations(
             self._camera, self._pixels[points], self._inverse_depth[points],
             self._T_second_first, self._calibration, np.inf,
         )  # fmt: skip

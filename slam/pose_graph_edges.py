@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.pose_graph_lie import Motions, inverse, motions_of
+from slam.pose_graph_lie import LieGroup, group_of, inverse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -38,9 +38,9 @@ class Edges:
         return Edges(self.first[chosen], self.second[chosen], self.motions[chosen], self.information[chosen])
 
     @property
-    def group(self) -> Motions:
-        """Group of the poses: SE(2) or SE(3)."""
-        return motions_of(self.motions)
+    def group(self) -> LieGroup:
+        """SE2 or SE3."""
+        return group_of(self.motions)
 
     @cached_property
     def sqrt_information(self) -> Array:

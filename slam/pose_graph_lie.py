@@ -1,4 +1,4 @@
-"""Rigid motions of the plane and of space as stacks of matrices, for graphs with many edges.
+"""The Lie groups of a pose graph, SE(2) and SE(3), as stacks of matrices for graphs with many edges.
 
 Tangent vectors belong to right perturbations, `T @ exp(xi)`, in GTSAM's order: (x, y, theta) in the plane,
 rotation first in space, metres and radians. Formulas: Barfoot, State Estimation for Robotics (2017), chapter 7.
@@ -8,16 +8,17 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from odometry import se3
 from odometry.se3 import inverse as inverse
 
 Array = NDArray[np.float64]
 
-_SMALL_ANGLE = 1e-4  # rad; below it the second-order series are exact to double precision
+# rad; below it the second-order series are exact to double precision: their next terms are angle^4 / 120 or smaller
+_SMALL_ANGLE = 1e-4
 
 
-class Motions(Protocol):
+class LieGroup(Protocol):
     """The group that a graph's poses belong to.
 
     Attributes:
@@ -48,8 +49,8 @@ class Motions(Protocol):
         ...
 
 
-class Plane:
-    """SE(2)."""
+class SE2:
+    """Rigid motions of the plane."""
 
     size, dof = 3, 3
     translation, rotation = slice(0, 2), slice(2, 3)
@@ -81,49 +82,23 @@ class Plane:
         return Ad
 
 
-class Space:
-    """SE(3)."""
+class SE3:
+    """Rigid motions of space; see `odometry.se3`."""
 
     size, dof = 4, 6
     rotation, translation = slice(0, 3), slice(3, 6)
 
     def exp(self, xi: Array) -> Array:
         """Motions (M, 4, 4) of tangent vectors (M, 6)."""
-        w, v = xi[:, :3], xi[:, 3:]
-        angle = np.linalg.norm(w, axis=1)
-        small = angle < _SMALL_ANGLE
-        safe = np.where(small, 1.0, angle)
-        a = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
-        b = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
-        across = np.cross(w, v)
-        T = np.tile(np.eye(4), (len(xi), 1, 1))
-        T[:, :3, :3] = Rotation.from_rotvec(w).as_matrix()
-        T[:, :3, 3] = v + a[:, None] * across + b[:, None] * np.cross(w, across)
-        return T
+        return se3.exp(xi)
 
     def log(self, T: Array) -> Array:
         """Tangent vectors (..., 6) of poses (..., 4, 4)."""
-        flat = T.reshape(-1, 4, 4)
-        if not len(flat):
-            return np.zeros((*T.shape[:-2], 6))
-        w = Rotation.from_matrix(flat[:, :3, :3]).as_rotvec()
-        angle = np.linalg.norm(w, axis=1)
-        small = angle < _SMALL_ANGLE
-        safe = np.where(small, 1.0, angle)
-        # inverse of the left Jacobian applied to t
-        c = np.where(small, 1.0 / 12.0, (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2)
-        t = flat[:, :3, 3]
-        across = np.cross(w, t)
-        v = t - 0.5 * across + c[:, None] * np.cross(w, across)
-        return np.concatenate([w, v], axis=1).reshape(*T.shape[:-2], 6)
+        return se3.log(T)
 
     def adjoint(self, T: Array) -> Array:
         """Adjoints (..., 6, 6) of poses (..., 4, 4)."""
-        R, t = T[..., :3, :3], T[..., :3, 3]
-        Ad = np.zeros((*T.shape[:-2], 6, 6))
-        Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
-        Ad[..., 3:, :3] = np.cross(t[..., None, :], R, axisa=-1, axisb=-2, axisc=-2)
-        return Ad
+        return se3.adjoint(T)
 
 
 def planar_poses(numbers: Array) -> Array:
@@ -136,13 +111,13 @@ def planar_poses(numbers: Array) -> Array:
     return poses
 
 
-def motions_of(poses: Array) -> Motions:
+def group_of(poses: Array) -> LieGroup:
     """Group of poses (..., 3, 3) or (..., 4, 4)."""
-    return Plane() if poses.shape[-1] == 3 else Space()
+    return SE2() if poses.shape[-1] == 3 else SE3()
 
 
-def compounded(first: Array, steps: Array) -> Array:
-    """Poses (N + 1, n, n) that N steps (N, n, n) lead to from the first (n, n); rotations stay orthonormal."""
+def compose(first: Array, steps: Array) -> Array:
+    """Poses (N + 1, n, n) that N steps (N, n, n) lead to from the first (n, n), one after the other."""
     poses = np.empty((len(steps) + 1, *first.shape))
     poses[0] = first
     for k, step in enumerate(steps):

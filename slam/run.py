@@ -266,7 +266,7 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     if not config.mono:
         raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
     try:
-        odometry = replace(config.mono_odometry.odometry, height_m=float(height))  # type: ignore[arg-type]
+        odometry = replace(config.mono_odometry.odometry, camera_height_m=float(height))  # type: ignore[arg-type]
     except ValueError as error:
         raise ConfigError(f"--camera-height: {error}") from error
     return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))

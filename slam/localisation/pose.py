@@ -120,7 +120,7 @@ def refine_pose(
     covariance = max(variance, 1.0) * np.linalg.pinv(system.information(weights)) + np.diag(systematic)
     if not (np.isfinite(T_base_camera).all() and np.isfinite(covariance).all()):
         return None
-    return CameraPose(se3.exact(T_base_camera), np.asarray(covariance, np.float64), inliers)
+    return CameraPose(se3.orthonormalize(T_base_camera), np.asarray(covariance, np.float64), inliers)
 
 
 def _feature_weights(features: NDArray[np.int64], inliers: Mask) -> Array:

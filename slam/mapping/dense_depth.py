@@ -79,7 +79,7 @@ class DenseStereo:
         height, width, s = self.camera.height, self.camera.width, self._scale
         pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2).reshape(-1, 2)
         centre = (s - 1) / 2  # of the first s by s pixels
-        seen = calibration.seen(np.asarray(s * pixels + centre, dtype=np.float64))
+        seen = calibration.unrectify(np.asarray(s * pixels + centre, dtype=np.float64))
         left, right = (((side - centre) / s).reshape(height, width, 2) for side in seen)
         low, high = np.zeros(2), np.array([width - 1, height - 1])
         self._inside = ((left >= low) & (left <= high) & (right[..., 1:] >= 0) & (right[..., 1:] <= height - 1)).all(2)

@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from odometry.calibration import COEFFICIENTS, FIELD, LENS, Calibration
+from odometry.calibration import NUM_COEFFICIENTS, NUM_DISTORTION, NUM_RECTIFICATION, Calibration
 from odometry.camera import StereoCamera
 from slam.errors import DataError
 from slam.storage.atomic import atomic_writer
 
-_GROUPS = {"lens": slice(0, LENS), "column": slice(LENS, LENS + FIELD), "row": slice(LENS + FIELD, COEFFICIENTS)}
+_GROUPS = {
+    "lens": slice(0, NUM_DISTORTION),
+    "column": slice(NUM_DISTORTION, NUM_DISTORTION + NUM_RECTIFICATION),
+    "row": slice(NUM_DISTORTION + NUM_RECTIFICATION, NUM_COEFFICIENTS),
+}
 _REMEDY = "make the run again with: revisit run SOURCE --out DIR"
 
 
@@ -50,8 +54,12 @@ def read_calibration(path: Path) -> Calibration:
         raise DataError(f"{path}: expected the calibration that a run has estimated, found {found}") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise DataError(f"{path}: expected camera, error_px and sigma_px, found {problem!r}; {_REMEDY}") from None
-    if len(error) != COEFFICIENTS or len(sigma) != COEFFICIENTS or not np.isfinite([error, np.square(sigma)]).all():
-        raise DataError(f"{path}: expected {COEFFICIENTS} finite coefficients, found others; {_REMEDY}")
+    if (
+        len(error) != NUM_COEFFICIENTS
+        or len(sigma) != NUM_COEFFICIENTS
+        or not np.isfinite([error, np.square(sigma)]).all()
+    ):
+        raise DataError(f"{path}: expected {NUM_COEFFICIENTS} finite coefficients, found others; {_REMEDY}")
     if not all(isinstance(side, int) and side > 0 for side in (camera.width, camera.height)):
         raise DataError(f"{path}: expected a width and a height in pixels, found others; {_REMEDY}")
     return Calibration(camera, error, np.diag(np.square(sigma)))

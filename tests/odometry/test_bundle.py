@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from odometry.beginning import Beginning, BeginningConfig, begin
-from odometry.bundle import Bundle, BundleConfig
+from odometry.beginning import Initialization, InitializationConfig, initialize
+from odometry.bundle import MonoBundle, MonoBundleConfig
 from odometry.camera import StereoCamera
-from odometry.lens import Lens, LensConfig
-from odometry.mono_tracks import Tracks
-from odometry.placing import PlacingConfig, place
-from odometry.points import Seen
+from odometry.lens import LensDistortion, LensDistortionConfig
+from odometry.mono_tracks import MonoTracks
+from odometry.placing import PoseEstimationConfig, estimate_pose
+from odometry.points import FrameObservations
 from odometry.triangulation import triangulate
 
 STEP = se3.exp(np.array([0.002, 0.03, -0.001, 0.05, -0.01, 0.8]))
@@ -20,7 +20,7 @@ seeds = st.integers(0, 10_000)
 
 
 def lens_of(camera, radial=0.0):
-    return Lens(camera, np.array([radial, 0.0, 0.0]), 1e-6 * np.eye(3))
+    return LensDistortion(camera, np.array([radial, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 
 def scene(rng, count=300):
@@ -34,14 +34,14 @@ def views(camera, points, poses, rng, noise=0.0, lens=None):
         pixels = lens.pixels(se3.transform(se3.inverse(T), points))
         inside = ((pixels > 5) & (pixels < [camera.width - 5, camera.height - 5])).all(axis=1)
         ids = np.flatnonzero(inside)
-        seen.append(Seen(ids, pixels[ids] + noise * rng.normal(size=(len(ids), 2))))
+        seen.append(FrameObservations(ids, pixels[ids] + noise * rng.normal(size=(len(ids), 2))))
     return seen
 
 
 def shared(first, second):
     """The points that two views share, as each shows them."""
     ids = np.intersect1d(first.ids, second.ids)
-    return [Seen(ids, seen.pixels[np.searchsorted(seen.ids, ids)]) for seen in (first, second)]
+    return [FrameObservations(ids, seen.pixels[np.searchsorted(seen.ids, ids)]) for seen in (first, second)]
 
 
 def driven(camera, config, seed=0, count=16, noise=0.0):
@@ -49,11 +49,11 @@ def driven(camera, config, seed=0, count=16, noise=0.0):
     rng = np.random.default_rng(seed)
     truth = [np.linalg.matrix_power(STEP, k) for k in range(count)]
     seen = views(camera, scene(rng, 600), truth, rng, noise)
-    bundle = Bundle(lens_of(camera), config, LensConfig())
-    bundle.begin(*shared(seen[0], seen[1]), STEP)
+    bundle = MonoBundle(lens_of(camera), config, LensDistortionConfig())
+    bundle.initialize(*shared(seen[0], seen[1]), STEP)
     for k in range(2, count):
         off = se3.exp(rng.normal(0, [1e-3] * 3 + [0.02] * 3))
-        bundle.add(seen[k], se3.exact(bundle.poses[-1] @ STEP @ off))
+        bundle.add(seen[k], se3.orthonormalize(bundle.poses[-1] @ STEP @ off))
     return bundle, truth, seen
 
 
@@ -89,8 +89,8 @@ def test_two_views_begin_with_their_motion_despite_false_tracks(seed):
     T = np.linalg.matrix_power(STEP, 4)
     first, second = shared(*views(camera, scene(rng, 500), [np.eye(4), T], rng, noise=0.1))
     second.pixels[:20] = rng.uniform([0, 0], [512, 224], (20, 2))
-    found = begin(lens_of(camera), first.pixels, second.pixels, BeginningConfig())
-    assert isinstance(found, Beginning)
+    found = initialize(lens_of(camera), first.pixels, second.pixels, InitializationConfig())
+    assert isinstance(found, Initialization)
     T[:3, 3] /= np.linalg.norm(T[:3, 3])
     off = se3.log(se3.inverse(T) @ found.T_first_second)
     assert np.linalg.norm(off[:3]) < 0.01
@@ -102,14 +102,16 @@ def test_a_turn_on_the_spot_and_a_handful_of_points_begin_nothing(camera):
     rng = np.random.default_rng(1)
     turn = se3.exp(np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0]))
     first, second = shared(*views(camera, scene(rng, 500), [np.eye(4), turn], rng))
-    assert isinstance(begin(lens_of(camera), first.pixels, second.pixels, BeginningConfig()), str)
-    assert "not moved far enough" in str(begin(lens_of(camera), first.pixels, first.pixels, BeginningConfig()))
+    assert isinstance(initialize(lens_of(camera), first.pixels, second.pixels, InitializationConfig()), str)
+    assert "not moved far enough" in str(
+        initialize(lens_of(camera), first.pixels, first.pixels, InitializationConfig())
+    )
     few = first.pixels[:10], second.pixels[:10]
-    assert "fewer than 50 points" in str(begin(lens_of(camera), *few, BeginningConfig()))
+    assert "fewer than 50 points" in str(initialize(lens_of(camera), *few, InitializationConfig()))
 
 
 def test_exact_views_give_exact_poses_and_depths(camera):
-    bundle, truth, seen = driven(camera, BundleConfig(frames=8, free=4, iterations=4))
+    bundle, truth, seen = driven(camera, MonoBundleConfig(max_frames=8, max_free_frames=4, iterations=4))
     assert len(bundle.poses) == 8
     np.testing.assert_allclose(bundle.poses[-1], truth[-1], atol=2e-3)
     points = bundle.in_camera(seen[-1].ids, bundle.poses[-1])
@@ -118,7 +120,7 @@ def test_exact_views_give_exact_poses_and_depths(camera):
 
 
 def test_with_noise_poses_are_near_and_the_noise_is_told(camera):
-    bundle, truth, _ = driven(camera, BundleConfig(memory=0.0), noise=0.1)
+    bundle, truth, _ = driven(camera, MonoBundleConfig(error_memory=0.0), noise=0.1)
     off = se3.log(se3.inverse(truth[-1]) @ bundle.poses[-1])
     assert np.linalg.norm(off[:3]) < 5e-3
     assert np.linalg.norm(off[3:]) < 0.3
@@ -126,7 +128,7 @@ def test_with_noise_poses_are_near_and_the_noise_is_told(camera):
 
 
 def test_no_image_sees_that_a_map_is_rescaled(camera):
-    bundle, _, seen = driven(camera, BundleConfig())
+    bundle, _, seen = driven(camera, MonoBundleConfig())
     before = bundle.predict(seen[-1].ids, bundle.poses[-1])
     length = np.linalg.norm(bundle.poses[-1][:3, 3] - bundle.poses[-2][:3, 3])
     bundle.rescale(1.7)
@@ -135,7 +137,7 @@ def test_no_image_sees_that_a_map_is_rescaled(camera):
 
 
 def test_points_stay_where_they_are_when_the_frame_that_saw_them_first_leaves(camera):
-    bundle, _, seen = driven(camera, BundleConfig(frames=6, free=2), count=6)
+    bundle, _, seen = driven(camera, MonoBundleConfig(max_frames=6, max_free_frames=2), count=6)
     ids = np.intersect1d(np.intersect1d(seen[0].ids, seen[1].ids), seen[-1].ids)
     before = bundle.in_camera(ids, bundle.poses[-1])
     poses = bundle.poses
@@ -145,7 +147,7 @@ def test_points_stay_where_they_are_when_the_frame_that_saw_them_first_leaves(ca
 
 
 def test_an_image_is_placed_by_points_of_known_depth(camera):
-    bundle, truth, seen = driven(camera, BundleConfig(), count=10)
+    bundle, truth, seen = driven(camera, MonoBundleConfig(), count=10)
     there = truth[-1] @ STEP
     rng = np.random.default_rng(5)
     ids = seen[-1].ids
@@ -153,8 +155,8 @@ def test_an_image_is_placed_by_points_of_known_depth(camera):
     pixels = bundle.lens.pixels(points[:, :3]) + 0.05 * rng.normal(size=(len(ids), 2))
     pixels[:30] += 15.0  # another car
     image = np.zeros((camera.height, camera.width), np.uint8)
-    tracks = Tracks(image, ids, pixels, pixels, image)
-    found = place(bundle, tracks, truth[-1], np.eye(4), PlacingConfig())
+    tracks = MonoTracks(image, ids, pixels, pixels, image)
+    found = estimate_pose(bundle, tracks, truth[-1], np.eye(4), PoseEstimationConfig())
     off = se3.log(se3.inverse(STEP) @ found.T_first_second)
     assert off @ np.linalg.solve(found.covariance, off) < 40.0
     assert np.linalg.norm(off[:3]) < 1e-3

@@ -175,7 +175,7 @@ def test_an_image_of_another_size_is_refused(camera):
 @pytest.mark.parametrize("name", ["05", "06"])
 def test_the_height_above_the_road_gives_metres(clip, name):
     camera, pairs, truth = clip(name, 40)
-    odometry = MonoOdometry(camera, MonoOdometryConfig(height_m=1.65))
+    odometry = MonoOdometry(camera, MonoOdometryConfig(camera_height_m=1.65))
     motions = [odometry.track(left) for left, _ in pairs]
     unit, _ = unit_of(motions, truth)
     assert unit == pytest.approx(1.0, abs=0.08)

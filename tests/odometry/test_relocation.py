@@ -4,13 +4,13 @@ import numpy as np
 
 from odometry import se3
 from odometry.calibration import Calibration, CalibrationConfig
-from odometry.relocation import associate
+from odometry.relocation import match_descriptors
 from odometry.stereo_matching import StereoMatchingConfig
 from odometry.two_views import estimate_motion, ransac_motion
 
 
 def test_pairs_several_images_apart_are_associated(camera, drive, motion_true):
-    tracks = associate(drive[0], drive[6], StereoMatchingConfig())
+    tracks = match_descriptors(drive[0], drive[6], StereoMatchingConfig())
     assert len(tracks) > 30
     assert np.all(tracks.ids == -1)
     known = Calibration.unknown(camera, CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01))
@@ -22,5 +22,5 @@ def test_pairs_several_images_apart_are_associated(camera, drive, motion_true):
 
 def test_an_image_without_texture_is_associated_with_nothing(drive):
     blank = (np.zeros_like(drive[0][0]),) * 2
-    assert len(associate(drive[0], blank, StereoMatchingConfig())) == 0
-    assert len(associate(blank, drive[0], StereoMatchingConfig())) == 0
+    assert len(match_descriptors(drive[0], blank, StereoMatchingConfig())) == 0
+    assert len(match_descriptors(blank, drive[0], StereoMatchingConfig())) == 0

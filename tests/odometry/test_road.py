@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry.mono import MonoOdometryConfig
-from odometry.road import HeightRuler, NoRuler, RoadConfig, camera_height
+from odometry.road import GroundPlaneConfig, GroundPlaneScale, NullScaleCorrection, estimate_camera_height
 
 
 def street(rng, height=1.65, pitch=0.0, noise=0.01):
@@ -22,35 +22,35 @@ def street(rng, height=1.65, pitch=0.0, noise=0.01):
 @given(st.integers(0, 10_000), st.floats(0.3, 10.0), st.floats(-0.05, 0.05))
 def test_the_height_is_found_in_any_unit(seed, unit, pitch):
     points = unit * street(np.random.default_rng(seed), pitch=pitch)
-    assert camera_height(points, RoadConfig()) == pytest.approx(1.65 * unit, rel=0.04)
+    assert estimate_camera_height(points, GroundPlaneConfig()) == pytest.approx(1.65 * unit, rel=0.04)
 
 
 def test_there_is_no_height_without_a_road():
     rng = np.random.default_rng(0)
     cloud = rng.uniform([-10, -5, 3], [10, 5, 40], (100, 3))
-    assert camera_height(cloud, RoadConfig()) is None
-    assert camera_height(np.zeros((0, 3)), RoadConfig()) is None
+    assert estimate_camera_height(cloud, GroundPlaneConfig()) is None
+    assert estimate_camera_height(np.zeros((0, 3)), GroundPlaneConfig()) is None
 
 
 def test_the_ruler_settles_on_the_scale_that_most_roads_tell():
-    rng, ruler, scale = np.random.default_rng(1), HeightRuler(1.65, RoadConfig()), 0.4
+    rng, ruler, scale = np.random.default_rng(1), GroundPlaneScale(1.65, GroundPlaneConfig()), 0.4
     for k in range(60):
         height = 1.65 * (1.6 if k % 10 == 9 else 1.0)  # now and then a ramp
-        scale *= ruler.factor(scale * street(rng, height))
+        scale *= ruler.update(scale * street(rng, height))
     assert scale == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_first_road_sets_the_scale_at_once():
-    ruler = HeightRuler(1.65, RoadConfig())
+    ruler = GroundPlaneScale(1.65, GroundPlaneConfig())
     points = 0.4 * street(np.random.default_rng(2))
-    assert 0.4 * ruler.factor(points) == pytest.approx(1.0, rel=0.1)
+    assert 0.4 * ruler.update(points) == pytest.approx(1.0, rel=0.1)
 
 
 def test_without_a_height_nothing_is_resized():
-    assert NoRuler().factor(street(np.random.default_rng(3))) == 1.0
+    assert NullScaleCorrection().update(street(np.random.default_rng(3))) == 1.0
 
 
 @pytest.mark.parametrize("height", [-1.0, float("nan"), float("inf")])
 def test_a_height_that_is_none_is_refused(height):
     with pytest.raises(ValueError, match="height_m: expected metres above the road"):
-        MonoOdometryConfig(height_m=height)
+        MonoOdometryConfig(camera_height_m=height)

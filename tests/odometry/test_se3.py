@@ -15,7 +15,7 @@ tangents = arrays(np.float64, 6, elements=st.floats(-1.7, 1.7, allow_subnormal=F
 def twist(xi):
     """The (4, 4) matrix of a tangent vector."""
     matrix = np.zeros((4, 4))
-    matrix[:3, :3], matrix[:3, 3] = se3.hat(xi[:3]), xi[3:]
+    matrix[:3, :3], matrix[:3, 3] = se3.skew(xi[:3]), xi[3:]
     return matrix
 
 
@@ -79,3 +79,33 @@ def test_composed_covariance_is_that_of_many_draws():
     errors = [se3.log(undone @ T_a @ a @ T_b @ b) for a, b in zip(*draws, strict=True)]
     expected = se3.compose_covariance(roots[0] @ roots[0].T, T_b, roots[1] @ roots[1].T)
     np.testing.assert_allclose(np.cov(np.array(errors).T), expected, atol=0.05 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-5, 1e-3, 1.0])
+def test_a_stack_has_the_logarithms_exponentials_and_adjoints_of_its_poses(scale):
+    xi = scale * np.random.default_rng(4).normal(size=(3, 5, 6))
+    T = se3.exp(xi)
+    assert T.shape == (3, 5, 4, 4)
+    one_by_one = [[(se3.exp(each), se3.log(se3.exp(each)), se3.adjoint(se3.exp(each))) for each in row] for row in xi]
+    for k, stacked in enumerate((T, se3.log(T), se3.adjoint(T))):
+        np.testing.assert_allclose(stacked, [[each[k] for each in row] for row in one_by_one], atol=1e-12)
+
+
+def test_an_empty_stack_stays_empty():
+    none = np.zeros((0, 4, 4))
+    assert se3.log(none).shape == (0, 6)
+    assert se3.exp(np.zeros((0, 6))).shape == se3.inverse(none).shape == (0, 4, 4)
+    assert se3.adjoint(none).shape == (0, 6, 6)
+
+
+@given(arrays(np.float64, (4, 3), elements=st.floats(-5, 5)), arrays(np.float64, 3, elements=st.floats(-5, 5)))
+def test_skew_matrices_are_the_cross_product(w, p):
+    np.testing.assert_allclose(se3.skew(w) @ p, np.cross(w, p), atol=1e-12)
+
+
+def test_orthonormalize_takes_rounding_errors_out_of_rotations():
+    T = se3.exp(np.random.default_rng(5).normal(size=(4, 6)))
+    spoiled = T + 1e-9 * np.random.default_rng(6).normal(size=T.shape)
+    R = se3.orthonormalize(spoiled)[:, :3, :3]
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (4, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(R, T[:, :3, :3], atol=1e-8)

@@ -65,7 +65,7 @@ def test_a_simulated_drive_is_measured_to_a_hundredth(camera, drive, motion_true
 
 def test_errors_on_images_are_as_large_as_the_covariance_says(camera, drive, motion_true):
     # In this world errors do not persist from image to image.
-    exact = StereoOdometryConfig(calibration=CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01), persistence=1.0)
+    exact = StereoOdometryConfig(calibration=CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01), covariance_scale=1.0)
     errors = [
         (se3.log(se3.inverse(m.T_previous_current) @ motion_true), m.covariance)
         for m in tracked(camera, drive, exact)[1:]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from odometry.stereo_matching import match_right, match_rows
-from odometry.tracking import TrackingConfig, detect
+from odometry.stereo_matching import match_disparity, match_right
+from odometry.tracking import TrackingConfig, detect_corners
 
 SHAPE = (240, 480)
 
@@ -23,9 +23,9 @@ def render(disparity, rows=0.0, seed=0):
 
 def errors(disparity, rows=0.0):
     left, right = render(disparity, rows)
-    pixels = detect(left, np.zeros((0, 2)), TrackingConfig(corners=400))
+    pixels = detect_corners(left, np.zeros((0, 2)), TrackingConfig(max_corners=400))
     pixels = pixels[pixels[:, 0] > 90]
-    return match_rows(left, right, pixels) - disparity(pixels[:, 0], pixels[:, 1])
+    return match_disparity(left, right, pixels) - disparity(pixels[:, 0], pixels[:, 1])
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 3.77, 17.4, 61.6])
@@ -50,24 +50,26 @@ def test_rows_that_differ_by_a_pixel_do_not_disturb():
 
 def test_the_row_of_the_match_is_found_too():
     left, right = render(lambda u, v: 9.3 + 0.0 * u, rows=0.8)
-    pixels = detect(left, np.zeros((0, 2)), TrackingConfig())
+    pixels = detect_corners(left, np.zeros((0, 2)), TrackingConfig())
     assert np.nanmedian((match_right(left, right, pixels) - pixels)[:, 1]) == pytest.approx(0.8, abs=0.03)
 
 
 def test_what_the_right_image_does_not_show_is_nan():
     left, _ = render(lambda u, v: 10.0 + 0.0 * u)
     _, other = render(lambda u, v: 10.0 + 0.0 * u, seed=5)
-    pixels = detect(left, np.zeros((0, 2)), TrackingConfig())
-    assert np.isfinite(match_rows(left, other, pixels)).mean() < 0.03
-    assert np.isnan(match_rows(left, np.zeros_like(left), pixels)).all()
+    pixels = detect_corners(left, np.zeros((0, 2)), TrackingConfig())
+    assert np.isfinite(match_disparity(left, other, pixels)).mean() < 0.03
+    assert np.isnan(match_disparity(left, np.zeros_like(left), pixels)).all()
 
 
 def test_repeating_patterns_are_not_matched():
     bars = np.tile((np.arange(SHAPE[1]) % 16 < 8) * np.uint8(200), (SHAPE[0], 1))
-    assert np.isnan(match_rows(bars, bars, np.array([[200.0, 100.0], [300.0, 120.0]]))).all()
+    assert np.isnan(match_disparity(bars, bars, np.array([[200.0, 100.0], [300.0, 120.0]]))).all()
 
 
 def test_pixels_outside_or_at_the_edge_are_nan_and_none_give_none():
     left, right = render(lambda u, v: 10.0 + 0.0 * u)
-    assert np.isnan(match_rows(left, right, np.array([[-5.0, 10.0], [1e6, 10.0], [0.0, 0.0], [479.0, 239.0]]))).all()
-    assert match_rows(left, right, np.zeros((0, 2))).shape == (0,)
+    assert np.isnan(
+        match_disparity(left, right, np.array([[-5.0, 10.0], [1e6, 10.0], [0.0, 0.0], [479.0, 239.0]]))
+    ).all()
+    assert match_disparity(left, right, np.zeros((0, 2))).shape == (0,)

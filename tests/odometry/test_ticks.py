@@ -2,12 +2,12 @@
 
 import pytest
 
-from odometry.ticks import Ticks
+from odometry.ticks import FrameCounter
 
 
 def counted(stamps):
-    ticks = Ticks()
-    return [ticks.since_last(stamp) for stamp in stamps]
+    ticks = FrameCounter()
+    return [ticks.frames_since_last(stamp) for stamp in stamps]
 
 
 def test_regular_images_are_one_apart_despite_jitter():
@@ -28,8 +28,8 @@ def test_stamps_that_say_nothing_count_as_one_image(stamp):
 
 
 def test_the_interval_is_the_usual_one_and_a_tenth_where_unknown():
-    ticks = Ticks()
-    assert ticks.interval == pytest.approx(0.1)
+    ticks = FrameCounter()
+    assert ticks.interval_s == pytest.approx(0.1)
     for stamp in (0.0, 0.5, 1.0, 2.0):
-        ticks.since_last(stamp)
-    assert ticks.interval == pytest.approx(0.5)
+        ticks.frames_since_last(stamp)
+    assert ticks.interval_s == pytest.approx(0.5)

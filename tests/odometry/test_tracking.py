@@ -4,9 +4,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as shifted
 
-from odometry.tracking import TrackingConfig, detect, follow, inside
+from odometry.tracking import TrackingConfig, detect_corners, is_inside, track_points
 
-CONFIG = TrackingConfig(corners=200)
+CONFIG = TrackingConfig(max_corners=200)
 NONE = np.zeros((0, 2))
 
 
@@ -20,39 +20,39 @@ def as_image(values):
 
 
 def test_corners_keep_their_number_and_their_distance():
-    corners = detect(as_image(texture()), NONE, CONFIG)
+    corners = detect_corners(as_image(texture()), NONE, CONFIG)
     apart = np.linalg.norm(corners[:, None] - corners[None], axis=2) + 1e9 * np.eye(len(corners))
-    assert 150 <= len(corners) <= CONFIG.corners
-    assert apart.min() >= CONFIG.spacing_px / 2
+    assert 150 <= len(corners) <= CONFIG.max_corners
+    assert apart.min() >= CONFIG.min_spacing_px / 2
 
 
 def test_corners_spread_over_the_image_though_one_half_is_stronger():
     values = texture()
     values[:, :200] = 128 + (values[:, :200] - 128) / 3
-    corners = detect(as_image(values), NONE, CONFIG)
+    corners = detect_corners(as_image(values), NONE, CONFIG)
     assert 0.35 < np.mean(corners[:, 0] < 200) < 0.65
 
 
 def test_topping_up_only_fills_what_is_missing():
     image = as_image(texture())
-    tracked = detect(image, NONE, CONFIG)[:120]
-    new = detect(image, tracked, CONFIG)
+    tracked = detect_corners(image, NONE, CONFIG)[:120]
+    new = detect_corners(image, tracked, CONFIG)
     apart = np.linalg.norm(new[:, None] - tracked[None], axis=2)
-    assert 0 < len(new) <= CONFIG.corners - 120
-    assert apart.min() >= CONFIG.spacing_px / 2
+    assert 0 < len(new) <= CONFIG.max_corners - 120
+    assert apart.min() >= CONFIG.min_spacing_px / 2
 
 
 def test_blank_images_have_no_corners():
     for value in (0, 128, 255):
-        assert len(detect(np.full((240, 400), value, np.uint8), NONE, CONFIG)) == 0
+        assert len(detect_corners(np.full((240, 400), value, np.uint8), NONE, CONFIG)) == 0
 
 
 def test_a_shifted_image_is_followed_without_bias():
     values, move = texture(), np.array([6.37, -2.81])
     first, second = as_image(values), as_image(shifted(values, move[::-1], order=5, mode="nearest"))
-    pixels = detect(first, NONE, CONFIG)
-    pixels = pixels[inside(pixels, first, 20.0)]
-    moved = follow((first, second), pixels, pixels, CONFIG) - pixels
+    pixels = detect_corners(first, NONE, CONFIG)
+    pixels = pixels[is_inside(pixels, first, 20.0)]
+    moved = track_points((first, second), pixels, pixels, CONFIG) - pixels
     kept = np.isfinite(moved[:, 0])
     assert kept.mean() > 0.95
     np.testing.assert_allclose(moved[kept].mean(axis=0), move, atol=0.01)
@@ -61,10 +61,10 @@ def test_a_shifted_image_is_followed_without_bias():
 
 def test_nothing_is_followed_into_another_picture():
     first, second = as_image(texture(0)), as_image(texture(1))
-    pixels = detect(first, NONE, CONFIG)
-    assert np.isfinite(follow((first, second), pixels, pixels, CONFIG)[:, 0]).mean() < 0.25
+    pixels = detect_corners(first, NONE, CONFIG)
+    assert np.isfinite(track_points((first, second), pixels, pixels, CONFIG)[:, 0]).mean() < 0.25
 
 
 def test_following_nothing_gives_nothing():
     image = as_image(texture())
-    assert follow((image, image), NONE, NONE, CONFIG).shape == (0, 2)
+    assert track_points((image, image), NONE, NONE, CONFIG).shape == (0, 2)

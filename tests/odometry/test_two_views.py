@@ -73,10 +73,10 @@ def test_a_rectification_error_is_learned_and_no_longer_stretches_the_way(camera
     for _ in range(40):
         tracks = simulate(camera, MOTION, rng, offset_px=(0.8, -0.5))
         estimate = estimate_motion(tracks, learned, MOTION)
-        learned = learned.learned(estimate.calibration, estimate.information, OPEN)
+        learned = learned.update(estimate.calibration, estimate.information, OPEN)
     centre = np.array([[camera.cx, camera.cy]])
-    np.testing.assert_allclose(learned.perfect(centre, centre)[1], centre - [0.8, -0.5], atol=0.06)
-    np.testing.assert_allclose(learned.correct(centre, np.array([9.2])), [10.0], atol=0.06)
+    np.testing.assert_allclose(learned.rectify(centre, centre)[1], centre - [0.8, -0.5], atol=0.06)
+    np.testing.assert_allclose(learned.correct_disparity(centre, np.array([9.2])), [10.0], atol=0.06)
     assert np.linalg.norm(error(estimate)[3:]) < 0.01
     blind = estimate_motion(tracks, Calibration.unknown(camera, EXACT), MOTION)
     assert error(blind)[5] < -0.02  # too long
@@ -86,9 +86,9 @@ def test_a_good_calibration_is_left_alone(camera, simulate):
     rng, learned = np.random.default_rng(6), Calibration.unknown(camera, OPEN)
     for _ in range(40):
         estimate = estimate_motion(simulate(camera, MOTION, rng), learned, MOTION)
-        learned = learned.learned(estimate.calibration, estimate.information, OPEN)
+        learned = learned.update(estimate.calibration, estimate.information, OPEN)
     places = np.array([[100.0, 50.0], [400.0, 180.0]])
-    left, right = learned.perfect(places, places)
+    left, right = learned.rectify(places, places)
     assert np.abs(right - left).max() < 0.1
     assert np.abs(left - places).max() < 1.0
 
@@ -100,7 +100,7 @@ def distorted(tracks, lens):
     def bent(places):
         shown = places
         for _ in range(20):  # the inverse of a small displacement, by iteration
-            shown = places - (truth.straighten(shown) - shown)
+            shown = places - (truth.undistort(shown) - shown)
         return shown
 
     places = (tracks.first_left, tracks.first_right, tracks.second_left, tracks.second_right)
@@ -114,7 +114,7 @@ def test_a_distortion_that_both_lenses_share_is_learned_and_no_longer_bends_the_
     for _ in range(60):
         tracks = distorted(simulate(camera, MOTION, rng, noise_px=0.1), lens)
         estimate = estimate_motion(tracks, learned, MOTION)
-        learned = learned.learned(estimate.calibration, estimate.information, OPEN)
+        learned = learned.update(estimate.calibration, estimate.information, OPEN)
         errors.append(error(estimate))
     np.testing.assert_allclose(learned.coefficients[:3], lens.coefficients[:3], atol=1.5)
     blind = [

@@ -5,7 +5,7 @@ import pytest
 
 from odometry import se3
 from odometry.calibration import Calibration, CalibrationConfig
-from odometry.window import Sighted, SlidingWindow, WindowConfig
+from odometry.window import SlidingWindow, StereoFrameObservations, WindowConfig
 
 STEP = se3.exp(np.array([0.002, 0.015, -0.001, 0.03, -0.01, 0.8]))
 
@@ -31,7 +31,7 @@ def sightings(camera, count, noise_px=0.0, seed=0):
         left = seen[:, [0, 2]] + drift
         right = left - np.stack([seen[:, 0] - seen[:, 1], np.zeros(300)], axis=1)
         right[:, 0] += rng.normal(0, noise_px, 300) if noise_px else 0.0
-        frames.append(Sighted(np.flatnonzero(visible), left[visible], right[visible]))
+        frames.append(StereoFrameObservations(np.flatnonzero(visible), left[visible], right[visible]))
     return frames
 
 
@@ -40,7 +40,7 @@ def off(T):
 
 
 def test_exact_tracks_give_exact_poses_from_a_poor_start(camera, calibration):
-    window = SlidingWindow(WindowConfig(frames=4, iterations=8))
+    window = SlidingWindow(WindowConfig(max_frames=4, iterations=8))
     first, *others = sightings(camera, 7)
     window.restart(first)
     poor = STEP @ se3.exp(np.array([0.003, -0.004, 0.002, 0.02, -0.02, 0.05]))
@@ -64,14 +64,14 @@ def test_what_two_views_got_wrong_is_mended(camera, calibration):
 
 
 def test_tracks_of_another_car_do_not_pull_the_window(camera, calibration):
-    window = SlidingWindow(WindowConfig(frames=4, iterations=8))
+    window = SlidingWindow(WindowConfig(max_frames=4, iterations=8))
     first, *others = sightings(camera, 6)
     window.restart(first)
     for k, sighted in enumerate(others):
         left, right = sighted.left.copy(), sighted.right.copy()
         left[::5] += 6.0 * (k + 1)
         right[::5] += 6.0 * (k + 1)
-        refined = window.refine(Sighted(sighted.ids, left, right), STEP, calibration)
+        refined = window.refine(StereoFrameObservations(sighted.ids, left, right), STEP, calibration)
         np.testing.assert_allclose(off(refined), 0.0, atol=1e-3)
 
 
@@ -79,7 +79,7 @@ def test_without_common_points_two_views_have_the_last_word(camera, calibration)
     window = SlidingWindow()
     first, second = sightings(camera, 2)
     window.restart(first)
-    strangers = Sighted(second.ids + 1000, second.left, second.right)
+    strangers = StereoFrameObservations(second.ids + 1000, second.left, second.right)
     np.testing.assert_allclose(window.refine(strangers, STEP, calibration), STEP, atol=1e-12)
 
 
@@ -87,7 +87,7 @@ def test_the_answer_depends_on_no_frame_that_has_left_the_window(camera, calibra
     frames = sightings(camera, 10, noise_px=0.1)
     answers = []
     for first in (0, 3):
-        window = SlidingWindow(WindowConfig(frames=3, iterations=25))
+        window = SlidingWindow(WindowConfig(max_frames=3, iterations=25))
         window.restart(frames[first])
         for sighted in frames[first + 1 :]:
             answer = window.refine(sighted, STEP, calibration)

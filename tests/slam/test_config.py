@@ -52,7 +52,7 @@ def test_a_missing_file_is_named(tmp_path: Path):
 
 def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     config = replace(RunConfig(), mono=True)
-    odometry = replace(config.mono_odometry.odometry, height_m=1.65)
+    odometry = replace(config.mono_odometry.odometry, camera_height_m=1.65)
     config = replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
     assert read_config(written(tmp_path, to_toml(config))) == config
     assert config.pose_graph_for_camera().scale_drift > 0

@@ -12,7 +12,7 @@ from slam.errors import GraphError
 from slam.graph_roles import classify_edges
 from slam.loop_closing import LoopClosure
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import Plane, inverse, planar_poses
+from slam.pose_graph_lie import SE2, inverse, planar_poses
 from slam.storage.g2o import Graph, chain_graph, read_g2o, write_g2o
 
 RNG_SEED = 5
@@ -149,7 +149,7 @@ UNIT_PLANE = "1 0 0 1 0 1"
 
 def plane_graph() -> Graph:
     rng = np.random.default_rng(RNG_SEED)
-    poses = Plane().exp(rng.normal(size=(4, 3)))
+    poses = SE2().exp(rng.normal(size=(4, 3)))
     factors = rng.normal(size=(4, 3, 3))
     information = factors @ factors.swapaxes(1, 2) + np.eye(3)
     ends = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])

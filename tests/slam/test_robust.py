@@ -12,17 +12,17 @@ from slam.graph_roles import classify_edges
 from slam.graph_truth import absolute_error, find_truth
 from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
+from slam.pose_graph_lie import SE2, SE3, LieGroup, compose, inverse
 from slam.robust import BACK_ENDS, LoopProblem, solve
 from slam.robust_gnc import gnc_tls_weights
 from slam.robust_kernels import dcs, huber, switchable
 from slam.robust_pcm import greedy_max_weight_clique
 from slam.storage.g2o import read_g2o
 
-GROUPS = {"plane": Plane(), "space": Space()}
+GROUPS = {"plane": SE2(), "space": SE3()}
 
 
-def laps(group: Motions, laps: float = 2.0, side: int = 40, seed: int = 0) -> LoopProblem:
+def laps(group: LieGroup, laps: float = 2.0, side: int = 40, seed: int = 0) -> LoopProblem:
     """Drive round a square block, a metre a step, with honest noise; every second step of later laps closes a loop."""
     rng, lap = np.random.default_rng(seed), 4 * side
     count = int(laps * lap)
@@ -31,17 +31,17 @@ def laps(group: Motions, laps: float = 2.0, side: int = 40, seed: int = 0) -> Lo
     steps = np.zeros((count, group.dof))
     steps[:, group.translation.start] = 1.0
     steps[np.arange(count) % side >= side - 8, group.rotation.stop - 1] = np.pi / 16
-    poses = compounded(np.eye(group.size), group.exp(steps))
+    poses = compose(np.eye(group.size), group.exp(steps))
     information = np.diag(sigma**-2.0)
     rows = np.arange(count)
     trusted = measured(rng, group, poses, np.column_stack([rows, rows + 1]), information)
     query = np.arange(lap + 4, count, 2)
     loops = measured(rng, group, poses, np.column_stack([query - lap, query]), information)
-    return LoopProblem(trusted, loops, compounded(np.eye(group.size), trusted.motions))
+    return LoopProblem(trusted, loops, compose(np.eye(group.size), trusted.motions))
 
 
 def measured(
-    rng: np.random.Generator, group: Motions, poses: np.ndarray, ends: np.ndarray, information: np.ndarray
+    rng: np.random.Generator, group: LieGroup, poses: np.ndarray, ends: np.ndarray, information: np.ndarray
 ) -> Edges:
     noise = rng.normal(size=(len(ends), group.dof)) / np.sqrt(np.diag(information))
     motions = inverse(poses[ends[:, 0]]) @ poses[ends[:, 1]] @ group.exp(noise)
@@ -82,15 +82,15 @@ def test_the_default_stands_false_loops_of_every_kind(group: str, kind: str, sha
 
 @pytest.mark.parametrize("factor", [1 / 16, 16.0])
 def test_scaling_every_covariance_changes_no_verdict(factor: float) -> None:
-    problem = laps(Plane())
+    problem = laps(SE2())
     mixed = inject_outliers(problem, problem.start, OutlierConfig("coherent", 0.4)).problem
     other = LoopProblem(scaled(mixed.trusted, factor), scaled(mixed.loops, factor), mixed.start)
     np.testing.assert_array_equal(solve(mixed).kept, solve(other).kept)
 
 
 def test_where_every_loop_is_false_odometry_stays() -> None:
-    problem = laps(Plane(), laps=1.0)
-    donors = laps(Plane())
+    problem = laps(SE2(), laps=1.0)
+    donors = laps(SE2())
     loops = donors.loops[:20]
     rng = np.random.default_rng(2)
     first = rng.integers(0, 60, 20)
@@ -101,7 +101,7 @@ def test_where_every_loop_is_false_odometry_stays() -> None:
 
 
 def test_one_true_loop_is_found_among_a_hundred_false_ones() -> None:
-    problem = laps(Plane(), laps=1.5)
+    problem = laps(SE2(), laps=1.5)
     alone = replace(problem, loops=problem.loops[20:21])
     mixed = inject_outliers(alone, problem.start, OutlierConfig("grouped", 100 / 101, seed=1))
     outcome = solve(mixed.problem)
@@ -110,7 +110,7 @@ def test_one_true_loop_is_found_among_a_hundred_false_ones() -> None:
 
 
 def test_the_order_of_loops_changes_no_verdict() -> None:
-    problem = laps(Plane())
+    problem = laps(SE2())
     mixed = inject_outliers(problem, problem.start, OutlierConfig("random", 0.5)).problem
     order = np.random.default_rng(4).permutation(len(mixed.loops))
     shuffled = solve(replace(mixed, loops=mixed.loops[order]))
@@ -119,7 +119,7 @@ def test_the_order_of_loops_changes_no_verdict() -> None:
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_two_runs_give_the_same_bits(name: str) -> None:
-    mixed = inject_outliers(laps(Space(), side=20), laps(Space(), side=20).start, OutlierConfig("random", 0.3)).problem
+    mixed = inject_outliers(laps(SE3(), side=20), laps(SE3(), side=20).start, OutlierConfig("random", 0.3)).problem
     assert solve(mixed, name).poses.tobytes() == solve(mixed, name).poses.tobytes()
 
 
@@ -146,7 +146,7 @@ def test_a_crowd_outvotes_a_clique() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_false_loops_are_as_many_as_asked_and_lie_apart(kind: str) -> None:
-    problem = laps(Plane())
+    problem = laps(SE2())
     mixed = inject_outliers(problem, problem.start, OutlierConfig(kind, 0.6))
     assert (~mixed.true).mean() == pytest.approx(0.6, abs=0.01)
     false = mixed.problem.loops[~mixed.true]
@@ -156,7 +156,7 @@ def test_false_loops_are_as_many_as_asked_and_lie_apart(kind: str) -> None:
 
 def test_an_unknown_kind_of_false_loop_is_an_error() -> None:
     with pytest.raises(ConfigError, match="expected one of random, grouped, coherent and a share"):
-        inject_outliers(laps(Plane()), laps(Plane()).start, OutlierConfig("sneaky"))
+        inject_outliers(laps(SE2()), laps(SE2()).start, OutlierConfig("sneaky"))
 
 
 @pytest.mark.parametrize(("sequence", "best"), [("00", 2.04), ("02", 5.24), ("05", 2.60)])
@@ -191,5 +191,5 @@ def test_odometry_without_noise_but_with_a_bias_keeps_its_loops(group: str) -> N
     steps[:, move.translation.start] = 1.002
     steps[np.arange(len(steps)) % 40 >= 32, move.rotation.stop - 1] = np.pi / 16 + 1e-4
     trusted = replace(problem.trusted, motions=move.exp(steps))
-    outcome = solve(LoopProblem(trusted, problem.loops, compounded(np.eye(move.size), trusted.motions)))
+    outcome = solve(LoopProblem(trusted, problem.loops, compose(np.eye(move.size), trusted.motions)))
     assert outcome.kept.mean() >= 0.98

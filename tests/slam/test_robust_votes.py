@@ -7,13 +7,13 @@ import pytest
 
 from slam.pose_graph_batch import optimize, refine
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import Plane, compounded, inverse
+from slam.pose_graph_lie import SE2, compose, inverse
 from slam.robust_contest import conflicting_loops
 from slam.robust_evidence import estimate_student_dof, loop_likelihood
 from slam.robust_pcm import best_pair_log_ratio, contradicted_by_neighbors, pairwise_consistency
 from slam.robust_problem import LoopProblem
 
-GROUP, LAP, SIDE = Plane(), 160, 40
+GROUP, LAP, SIDE = SE2(), 160, 40
 SIGMA = np.array([0.03, 0.03, 0.003])
 
 
@@ -22,7 +22,7 @@ def laps(wrong: dict[int, float], seed: int = 0) -> LoopProblem:
     rng, count = np.random.default_rng(seed), 2 * LAP
     turning = np.arange(count) % SIDE >= SIDE - 8
     steps = GROUP.exp(np.column_stack([np.ones(count), np.zeros(count), np.where(turning, np.pi / 16, 0.0)]))
-    poses, rows, query = compounded(np.eye(3), steps), np.arange(count), np.arange(LAP + 4, count, 2)
+    poses, rows, query = compose(np.eye(3), steps), np.arange(count), np.arange(LAP + 4, count, 2)
     odometry = steps @ GROUP.exp(rng.normal(size=(count, 3)) * SIGMA)
     loops = inverse(poses[query - LAP]) @ poses[query] @ GROUP.exp(rng.normal(size=(len(query), 3)) * SIGMA)
     for k, metres in wrong.items():
@@ -30,7 +30,7 @@ def laps(wrong: dict[int, float], seed: int = 0) -> LoopProblem:
     information = np.diag(SIGMA**-2)
     trusted = Edges(rows, rows + 1, odometry, np.tile(information, (count, 1, 1)))
     edges = Edges(query - LAP, query, loops, np.tile(information, (len(query), 1, 1)))
-    return LoopProblem(trusted, edges, compounded(np.eye(3), odometry))
+    return LoopProblem(trusted, edges, compose(np.eye(3), odometry))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from odometry.calibration import COEFFICIENTS, LENS, Calibration, CalibrationConfig
+from odometry.calibration import NUM_COEFFICIENTS, NUM_DISTORTION, Calibration, CalibrationConfig
 from odometry.camera import StereoCamera
 from slam.mapping.dense_depth import DenseStereo, downscale_camera
 
@@ -44,13 +44,13 @@ def test_a_shrunk_camera_sees_the_middle_of_each_block_of_pixels_along_the_same_
 
 def test_the_calibration_error_is_taken_out_before_matching() -> None:
     """Rows 1.5 pixels apart, columns 2 off, and a lens that bends: a depth without knowing is wrong or none."""
-    coefficients = np.zeros(COEFFICIENTS)
-    coefficients[0], coefficients[LENS], coefficients[LENS + 6] = -12.0, 2.0, 1.5
+    coefficients = np.zeros(NUM_COEFFICIENTS)
+    coefficients[0], coefficients[NUM_DISTORTION], coefficients[NUM_DISTORTION + 6] = -12.0, 2.0, 1.5
     calibration = Calibration(CAMERA, coefficients, CalibrationConfig().prior())
     left, right = photographed(CAMERA, 12.0, np.random.default_rng(3))
     u, v = np.meshgrid(np.arange(CAMERA.width, dtype=float), np.arange(CAMERA.height, dtype=float))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    sources = [side.reshape(*left.shape, 2).astype(np.float32) for side in calibration.perfect(pixels, pixels)]
+    sources = [side.reshape(*left.shape, 2).astype(np.float32) for side in calibration.rectify(pixels, pixels)]
     bent = [cv2.remap(image, to, None, cv2.INTER_CUBIC) for image, to in zip((left, right), sources, strict=True)]
     truth = CAMERA.fx * CAMERA.baseline / 12.0
 

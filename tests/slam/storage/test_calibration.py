@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odometry.calibration import COEFFICIENTS, Calibration, CalibrationConfig
+from odometry.calibration import NUM_COEFFICIENTS, Calibration, CalibrationConfig
 from odometry.camera import StereoCamera
 from slam.errors import DataError
 from slam.storage.calibration import read_calibration, write_calibration
@@ -14,7 +14,7 @@ CAMERA = StereoCamera(718.856, 718.1, 607.19, 185.22, 0.54, 1241, 376)
 
 
 def learned() -> Calibration:
-    return Calibration(CAMERA, np.linspace(-3, 2, COEFFICIENTS) / 3, CalibrationConfig().prior())
+    return Calibration(CAMERA, np.linspace(-3, 2, NUM_COEFFICIENTS) / 3, CalibrationConfig().prior())
 
 
 def test_what_is_written_is_read_bit_by_bit(tmp_path: Path) -> None:
