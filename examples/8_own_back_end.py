@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from false_loops import two_laps
+from slam.report.draw_pose_graph import graph_figure
 
 from slam.false_loops import OutlierConfig, inject_outliers
 from slam.report.figures import save_png
-from slam.report.draw_pose_graph import graph_figure
 from slam.robust import BACK_ENDS, BackEndResult, solve
 from slam.robust_gnc import least_squares
 

@@ -174,8 +174,8 @@ class MonoBundle:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._frames = [Seen(**frame) for frame in state["frames"]]
-        self.lens = Lens(self.lens.camera, state["lens_coefficients"], state["lens_covariance"])
+        self._frames = [FrameObservations(**frame) for frame in state["frames"]]
+        self.lens = LensDistortion(self.lens.camera, state["lens_coefficients"], state["lens_covariance"])
         self.poses, self.points = state["poses"], Points(**state["points"])
         self.noise_px = state["noise_px"]
 

@@ -40,9 +40,9 @@ class StereoObservation:
         return {"left": self.pair[0], "right": self.pair[1], "points": dict(vars(self.points))}
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> "View":
+    def from_state(cls, state: dict[str, Any]) -> "StereoObservation":
         """The view of a state."""
-        return cls((state["left"], state["right"]), Sighted(**state["points"]))
+        return cls((state["left"], state["right"]), StereoFrameObservations(**state["points"]))
 
 
 class StereoFrontEnd:

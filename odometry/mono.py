@@ -276,9 +276,9 @@ class MonoOdometry:
         return {
             "front_end": self._front_end.state(),
             "map": self.bundle.state(),
-            "scale_correction": self._ruler.state(),
+            "scale_correction": self._scale_correction.state(),
             "map_images": list(self._images),
-            "frame_counter": self._ticks.state(),
+            "frame_counter": self._frame_counter.state(),
             "T_map_reference": self._T_map_reference,
             "reference": reference,
             "candidate": candidate,
@@ -295,18 +295,18 @@ class MonoOdometry:
         """
         self._front_end.restore(state["front_end"])
         self.bundle.restore(state["map"])
-        self._ruler.restore(state["scale_correction"])
+        self._scale_correction.restore(state["scale_correction"])
         self._images = deque(state["map_images"], maxlen=self._images.maxlen)
-        self._ticks.restore(state["frame_counter"])
+        self._frame_counter.restore(state["frame_counter"])
         self._T_map_reference = state["T_map_reference"]
         self._reference = self._restored_reference(state["reference"])
         self._candidate = self._restored_reference(state["candidate"])
         self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
         self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
 
-    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[Tracks] | None:
+    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[MonoTracks] | None:
         if state is None:
             return None
-        tracks = Tracks(**state["view"])
+        tracks = MonoTracks(**state["view"])
         self._check(tracks.image)
         return Reference(**(state | {"view": tracks}))

@@ -89,8 +89,8 @@ class MonoFrontEnd:
 
     def state(self) -> dict[str, Any]:
         """How many tracks have been named, for a checkpoint."""
-        return {"num_tracks": self._named}
+        return {"num_tracks": self._count}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._named = state["num_tracks"]
+        self._count = state["num_tracks"]

@@ -255,7 +255,7 @@ class StereoOdometry:
             "calibration_covariance": self.calibration.covariance,
             "front_end": self._front_end.state(),
             "window": self._window.state(),
-            "frame_counter": self._ticks.state(),
+            "frame_counter": self._frame_counter.state(),
             "reference": None if self._reference is None else self._reference.state(self._reference.view.state()),
             "lost_reference": None if self._lost is None else self._lost.state(self._lost.view.state()),
             "velocity": self._velocity,
@@ -273,15 +273,15 @@ class StereoOdometry:
         self.calibration = Calibration(self._camera, coefficients, covariance)
         self._front_end.restore(state["front_end"])
         self._window.restore(state["window"])
-        self._ticks.restore(state["frame_counter"])
+        self._frame_counter.restore(state["frame_counter"])
         self._reference = self._restored_reference(state["reference"])
         self._lost = self._restored_reference(state["lost_reference"])
         self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
         self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
 
-    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[View] | None:
+    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[StereoObservation] | None:
         if state is None:
             return None
-        view = View.from_state(state["view"])
+        view = StereoObservation.from_state(state["view"])
         self._check(*view.pair)
         return Reference(**(state | {"view": view}))

@@ -145,7 +145,7 @@ class SlidingWindow:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
-        self._frames = [Sighted(**frame) for frame in state["frames"]]
+        self._frames = [StereoFrameObservations(**frame) for frame in state["frames"]]
         self._poses, self._noise_px = state["poses"], state["noise_px"]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import LocalFeatures, FeatureCache
+from place_recognition.image_processing.features import FeatureCache, LocalFeatures
 from place_recognition.recognizer import Belief
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing import FrameLandmarks, LoopClosure, Rejection
