@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
 from slam.localisation.command import Answer, LocateOptions, locate
 from slam.localisation.locator import Located
@@ -83,7 +83,7 @@ def main() -> None:
     revisit("run", one, "--out", out / "first", "--no-record")
     revisit("run", other, "--map", out / "first", "--out", out / "second", "--no-record")
     asked = np.linspace(middle, len(truth) - 1, arguments.images).astype(int)
-    asked_for = LocateOptions(out / "first", Source(chosen(drive, asked, out / "asked")))
+    asked_for = LocateOptions(out / "first", DatasetSpec(chosen(drive, asked, out / "asked")))
     answers = locate(asked_for, Console(stderr=True))
     told = json.loads((out / "second/metrics.json").read_text())["map"]
     with MapStore.open(map_file(out / "second")) as store:

@@ -14,8 +14,8 @@ from rich.console import Console
 from odometry.calibration import Calibration
 from slam.config import read_config
 from slam.datasets.dataset import Dataset
-from slam.datasets.open import open_source
-from slam.datasets.source import Source
+from slam.datasets.open import open_dataset
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError, DataError, OutputError
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, Odometry, choose_frames
@@ -105,7 +105,7 @@ def read_run(run: Path, source: Path | None = None) -> DrivenRun:
         DataError: something is missing or damaged, or does not belong together.
     """
     calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
-    drive = open_source(recording)
+    drive = open_dataset(recording)
     if not drive.has_right or drive.camera != calibration.camera:
         raise DataError(
             f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
@@ -121,10 +121,10 @@ def read_run(run: Path, source: Path | None = None) -> DrivenRun:
     return DrivenRun(drive, calibration, Odometry(odometry, predicted), corrected, key_frames)
 
 
-def _recording(run: Path, source: Path | None) -> Source:
+def _recording(run: Path, source: Path | None) -> DatasetSpec:
     metrics = read_metrics(run / "metrics.json")
     try:
-        recording = Source.from_metrics(metrics["recording"])  # type: ignore[arg-type]
+        recording = DatasetSpec.from_metrics(metrics["recording"])  # type: ignore[arg-type]
     except (KeyError, TypeError):
         raise DataError(
             f"{run / 'metrics.json'}: expected the recording that was read, found none; make the run again"

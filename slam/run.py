@@ -15,9 +15,9 @@ from slam.clock import timed
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset
 from slam.datasets.described import Described
-from slam.datasets.open import open_source
+from slam.datasets.open import open_dataset
 from slam.datasets.prefetch import prefetch
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.drive_log import DriveLog
 from slam.errors import ConfigError, DataError, OutputError
 from slam.map_store.keeping import Keeper, NewDrive, NullKeeper, open_keeper
@@ -87,9 +87,9 @@ class RunOptions:
     again: Path | None = None
 
     @property
-    def recording(self) -> Source:
+    def recording(self) -> DatasetSpec:
         """What to read."""
-        return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
+        return DatasetSpec(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
 def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
@@ -113,7 +113,7 @@ def run_recorded(options: RunOptions, settings: Mapping[str, object], messages: 
         return False
     known = read_known(options.map_file) if options.map_file and not stopped else None
     config = configure(options, settings, _settings_so_far(options, stopped, known))
-    drive = open_source(options.recording)
+    drive = open_dataset(options.recording)
     if not drive.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"

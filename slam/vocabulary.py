@@ -15,9 +15,9 @@ from place_recognition.image_processing.features import FeatureExtractor
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.map.vocabulary_training import DescriptorSample, TrainingConfig, train_vocabulary
 from slam.datasets.kitti_files import sequence_names
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.open import open_left_images
-from slam.datasets.source import Source
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.open import open_images
+from slam.datasets.source import DatasetSpec
 from slam.engine.choice import choose_engine
 from slam.engine.engine import Engine
 from slam.errors import ConfigError, DataError, OutputError
@@ -51,7 +51,7 @@ class TrainingOptions:
 class Stretch:
     """Consecutive images of a recording: those from begin to before end."""
 
-    source: Source
+    source: DatasetSpec
     begin: int
     end: int
 
@@ -59,7 +59,7 @@ class Stretch:
 class Describer:
     """Gives the descriptors of each image of a stretch. Whoever it is sent to opens the recordings there."""
 
-    def __init__(self, features: str, recordings: Mapping[Source, ImageRecording]) -> None:
+    def __init__(self, features: str, recordings: Mapping[DatasetSpec, ImageDataset]) -> None:
         """Check the features.
 
         Args:
@@ -77,7 +77,7 @@ class Describer:
         """Of the features."""
         return self._extractor.kind
 
-    def __reduce__(self) -> tuple[type["Describer"], tuple[str, dict[Source, ImageRecording]]]:
+    def __reduce__(self) -> tuple[type["Describer"], tuple[str, dict[DatasetSpec, ImageDataset]]]:
         """How it is sent: without what is open here."""
         return Describer, (self._features, {})
 
@@ -89,7 +89,7 @@ class Describer:
         """
         recording = self._recordings.get(stretch.source)
         if recording is None:
-            recording = open_left_images(stretch.source)
+            recording = open_images(stretch.source)
         return [self._extractor.extract(recording[index]).descriptors for index in range(stretch.begin, stretch.end)]
 
 
@@ -110,7 +110,7 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
         OutputError: the file cannot be written; a missing folder is found out before the work begins.
     """
     config, engine = _config(settings), choose_engine(options.workers, options.scheduler, 0)
-    recordings = {known: open_left_images(known) for source in options.sources for known in _drives(source)}
+    recordings = {known: open_images(known) for source in options.sources for known in _drives(source)}
     describer = Describer(options.features, recordings)
     _check_folder(options.out)
     with engine:
@@ -127,7 +127,7 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
 
 
 def _sample(
-    recordings: Mapping[Source, ImageRecording],
+    recordings: Mapping[DatasetSpec, ImageDataset],
     describer: Describer,
     config: TrainingConfig,
     engine: Engine,
@@ -143,7 +143,7 @@ def _sample(
     return sample
 
 
-def _stretches(source: Source, images: int) -> list[Stretch]:
+def _stretches(source: DatasetSpec, images: int) -> list[Stretch]:
     return [Stretch(source, begin, min(begin + IMAGES, images)) for begin in range(0, images, IMAGES)]
 
 
@@ -161,10 +161,10 @@ def _config(settings: dict[str, int]) -> TrainingConfig:
         raise ConfigError(str(error)) from error
 
 
-def _drives(source: Path) -> list[Source]:
+def _drives(source: Path) -> list[DatasetSpec]:
     names = sequence_names(source) or (None,)
     # a word does not ask when it was seen: any images a second will do
-    return [Source(source.absolute(), name, fps=1.0) for name in names]
+    return [DatasetSpec(source.absolute(), name, fps=1.0) for name in names]
 
 
 def _train(kind: str, sample: DescriptorSample, config: TrainingConfig, engine: Engine, out: Path) -> Vocabulary:

@@ -14,7 +14,7 @@ from slam.benchmark.latex import write_latex
 from slam.benchmark.report import write_report
 from slam.benchmark.results import Row, make_row, summary, told, write_csv, write_json
 from slam.benchmark.sweep import Recorded, Simulated, Sweep, read_sweep
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.engine.choice import choose_engine
 from slam.engine.engine import Done, Engine, Lost
 from slam.errors import OutputError
@@ -92,7 +92,7 @@ def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
     return [
         Job(
             source.name,
-            source.source if isinstance(source, Recorded) else Source(_rendered(source, out)),
+            source.source if isinstance(source, Recorded) else DatasetSpec(_rendered(source, out)),
             out / "jobs" / f"{source.name}.{paradigm}.{robust}.{seed}",
             sweep.config,
             paradigm,

@@ -11,7 +11,7 @@ from uuid import uuid4
 from rich.console import Console
 
 from slam.config import RunConfig, read_config
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import OutputError, RevisitError
 from slam.run import RunOptions, configure, run_recorded
 from slam.storage.atomic import atomic_writer
@@ -33,7 +33,7 @@ class Job:
     """
 
     source_name: str
-    source: Source
+    source: DatasetSpec
     folder: Path
     settings_file: Path | None
     paradigm: str
@@ -50,7 +50,7 @@ class Job:
         """What `revisit run` is told to read, and where to write."""
         source = self.source
         return RunOptions(
-            source.path, source.sequence, out, config=self.settings_file, kind=source.kind, command=self.command
+            source.path, source.sequence, out, config=self.settings_file, kind=source.format, command=self.command
         )
 
     @property
@@ -78,7 +78,7 @@ class Job:
         """The words after `revisit` that make this run alone."""
         named = {
             "--sequence": self.source.sequence,
-            "--kind": self.source.kind,
+            "--kind": self.source.format,
             "--paradigm": self.paradigm,
             "--robust": self.robust,
             "--seed": self.seed,
@@ -135,11 +135,11 @@ def check_job(job: Job) -> None:
         )
 
 
-def _source(done: Outcome) -> Source | None:
+def _source(done: Outcome) -> DatasetSpec | None:
     """What a finished run has read; None where it does not say so."""
     recording = done.metrics.get("recording")
     try:
-        return Source.from_metrics(recording) if isinstance(recording, Mapping) else None
+        return DatasetSpec.from_metrics(recording) if isinstance(recording, Mapping) else None
     except (KeyError, TypeError):
         return None
 

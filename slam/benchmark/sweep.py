@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.config import RunConfig, from_values, read_toml
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError
 from slam.simulation.spec import SHAPES, DriveSpec
 
@@ -38,7 +38,7 @@ class Recorded:
     """
 
     name: str
-    source: Source
+    source: DatasetSpec
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> 
     written = from_values(_WrittenSource, settings, where)
     path = _path(written.path, folder, f"{where}: path")
     own = "-".join(part for part in (path.name, written.sequence) if part)
-    return Recorded(_file_name(name or own), Source(path, written.sequence or None, written.kind or None))
+    return Recorded(_file_name(name or own), DatasetSpec(path, written.sequence or None, written.kind or None))
 
 
 def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> Simulated:

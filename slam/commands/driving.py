@@ -156,7 +156,7 @@ def reprocess(
     found = source_of(map_)
     found = found if source is None else replace(found, path=source)
     options = RunOptions(
-        found.path, found.sequence, out, "none", overwrite, again=map_, config=config, kind=found.kind, fps=found.fps,
+        found.path, found.sequence, out, "none", overwrite, again=map_, config=config, kind=found.format, fps=found.fps,
         topics=found.topics,
     )  # fmt: skip
     chosen = {"paradigm": paradigm, "robust": robust, "record": not no_record}

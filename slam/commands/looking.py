@@ -22,11 +22,11 @@ def locate(
 
     Example: revisit locate runs/kitti05 photo.png
     """
-    from slam.datasets.source import Source
+    from slam.datasets.source import DatasetSpec
     from slam.localisation.command import LocateOptions, as_json, as_table
     from slam.localisation.command import locate as place
 
-    answers = place(LocateOptions(map, Source(images, sequence), out), Console(stderr=True))
+    answers = place(LocateOptions(map, DatasetSpec(images, sequence), out), Console(stderr=True))
     shown = as_json(answers) if json else as_table(answers)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
 
@@ -63,14 +63,14 @@ def check(
 
     Example: revisit check data/kitti --sequence 05
     """
-    from slam.datasets.source import Source
+    from slam.datasets.source import DatasetSpec
     from slam.inspection.command import as_json, as_table, check_recording
     from slam.inspection.map import inspect_map, is_map
 
     if is_map(source):
         inspection = inspect_map(source)
     else:
-        inspection = check_recording(Source(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
+        inspection = check_recording(DatasetSpec(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
     shown = as_json(inspection) if json else as_table(inspection)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
     raise typer.Exit(0 if inspection.serves else EXIT_FAILED)

@@ -7,7 +7,7 @@ from rich.console import Console, Group
 from rich.markup import escape
 from rich.table import Table
 
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.inspection.finding import Inspection, Status
 from slam.inspection.recording import inspect
 from slam.progress import progress_bar
@@ -15,7 +15,7 @@ from slam.progress import progress_bar
 _COLOURS = {Status.GOOD: "green", Status.DOUBTFUL: "yellow", Status.BAD: "red"}
 
 
-def check_recording(source: Source, messages: Console) -> Inspection:
+def check_recording(source: DatasetSpec, messages: Console) -> Inspection:
     """Inspect a recording with a progress bar.
 
     Raises:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.dataset import Dataset
-from slam.datasets.kinds import KINDS, kind_of
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.source import Source
+from slam.datasets.kinds import FORMATS, detect_format
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.source import DatasetSpec
 from slam.errors import DataError
 from slam.evaluation.trajectory import path_length
 from slam.inspection.calibration import judge_camera, judge_rows
@@ -35,7 +35,7 @@ class _Seen:
     fault: str = ""
 
 
-def inspect(source: Source, progress: Progress) -> Inspection:
+def inspect(source: DatasetSpec, progress: Progress) -> Inspection:
     """Inspect a recording.
 
     Args:
@@ -46,9 +46,9 @@ def inspect(source: Source, progress: Progress) -> Inspection:
         DataError: there is nothing that can be recognised as a recording.
         ConfigError: a kind that does not exist.
     """
-    kind = kind_of(source)
+    kind = detect_format(source)
     try:
-        drive = KINDS[kind].drive(source)
+        drive = FORMATS[kind].open_dataset(source)
     except DataError as error:
         findings = _images_alone(source, kind, str(error), progress)
     else:
@@ -56,10 +56,10 @@ def inspect(source: Source, progress: Progress) -> Inspection:
     return Inspection(str(source.path), kind, tuple(findings))
 
 
-def _images_alone(source: Source, kind: str, trouble: str, progress: Progress) -> list[Finding]:
+def _images_alone(source: DatasetSpec, kind: str, trouble: str, progress: Progress) -> list[Finding]:
     """Judge what is left where a trouble keeps the recording from being opened as a drive."""
     try:
-        images = KINDS[kind].images(source)
+        images = FORMATS[kind].open_images(source)
     except DataError as error:
         if str(error) == trouble:
             return [bad("opening", trouble, EVERYTHING)]
@@ -126,7 +126,7 @@ def _count(count: int, things: str) -> Finding:
     return good("count", f"{count} {things}", count=count)
 
 
-def _truth(recording: Dataset | ImageRecording) -> Finding:
+def _truth(recording: Dataset | ImageDataset) -> Finding:
     try:
         poses = recording.ground_truth
     except DataError as error:

@@ -12,7 +12,7 @@ from odometry.motion import Motion
 from place_recognition.recognizer import RowSink
 from slam.config import RunConfig
 from slam.datasets.dataset import Frame
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import DataError
 from slam.loop_closing import Landmarks, LoopCloser, same_unit
 from slam.loop_geometry import compare_units
@@ -71,7 +71,7 @@ def read_drive(path: Path) -> Stopped:
     return Stopped(file, sessions[0], frames)
 
 
-def source_of(path: Path) -> Source:
+def source_of(path: Path) -> DatasetSpec:
     """The recording of which a map was made.
 
     Raises:
@@ -79,7 +79,7 @@ def source_of(path: Path) -> Source:
     """
     drive = read_drive(path)
     try:
-        return Source.from_metrics(drive.session.provenance["recording"])
+        return DatasetSpec.from_metrics(drive.session.provenance["recording"])
     except (KeyError, TypeError) as error:
         raise DataError(
             f"{drive.map_file}: expected the map to name its recording, found none; --source DIR"

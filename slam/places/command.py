@@ -10,8 +10,8 @@ from rich.console import Console
 
 from place_recognition.paradigms.catalogue import ParadigmsConfig, excluding
 from place_recognition.recognizer import Belief
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.open import open_left_images
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.open import open_images
 from slam.errors import ConfigError
 from slam.evaluation.truth import KnownTruth, check_size, read_truth, truth_of_poses
 from slam.places.drive import Bench, Recognised, recognise
@@ -40,14 +40,14 @@ def recognise_places(options: PlacesOptions, messages: Console, results: Console
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     check(options)
-    images = open_left_images(options.recording)
+    images = open_images(options.recording)
     record = recognise_images(options, images, find_truth(options, images), messages)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
 
 def recognise_images(
-    options: PlacesOptions, images: ImageRecording, truth: KnownTruth, messages: Console
+    options: PlacesOptions, images: ImageDataset, truth: KnownTruth, messages: Console
 ) -> PlacesRecord:
     """Recognise the places of images that are open already, and write every result into `options.out`.
 
@@ -63,7 +63,7 @@ def recognise_images(
     return record
 
 
-def find_truth(options: PlacesOptions, images: ImageRecording) -> KnownTruth:
+def find_truth(options: PlacesOptions, images: ImageDataset) -> KnownTruth:
     """The truth that was named, else that of the poses which the recording brings along, else none.
 
     Raises:
@@ -79,7 +79,7 @@ def find_truth(options: PlacesOptions, images: ImageRecording) -> KnownTruth:
     return truth
 
 
-def without_recent(beliefs: Sequence[Belief], images: ImageRecording, seconds: float | None) -> list[Belief]:
+def without_recent(beliefs: Sequence[Belief], images: ImageDataset, seconds: float | None) -> list[Belief]:
     """Take matches less than so many seconds old for no detection."""
     times = images.timestamps
     if seconds is None or times is None:
@@ -89,7 +89,7 @@ def without_recent(beliefs: Sequence[Belief], images: ImageRecording, seconds: f
 
 
 def _recognised(
-    options: PlacesOptions, config: ParadigmsConfig, images: ImageRecording, messages: Console
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, messages: Console
 ) -> Recognised:
     import cv2
 
@@ -102,7 +102,7 @@ def _recognised(
     return replace(done, beliefs=without_recent(done.beliefs, images, options.exclude))
 
 
-def _config(options: PlacesOptions, images: ImageRecording) -> ParadigmsConfig:
+def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     """Settings of the command line over the defaults.
 
     Raises:

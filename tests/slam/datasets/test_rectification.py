@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.datasets.lens import Lens
-from slam.datasets.rectification import AsItIs, Rectification, rectify_alike, rectify_pair
+from slam.datasets.lens import CameraModel
+from slam.datasets.rectification import IdentityMap, Rectification, rectify_pair, rectify_parallel
 from slam.inspection.calibration import match_rows
 
 from .rig import IDEAL, RIGS, SIZE, Rig, Walls, seen_at, turned
@@ -69,7 +69,7 @@ def test_the_same_images_unrectified_do_not() -> None:
 
 def test_an_ideal_pair_is_left_as_it_is() -> None:
     ideal = rectified(IDEAL)
-    assert isinstance(ideal.left, AsItIs)
+    assert isinstance(ideal.left, IdentityMap)
     assert (ideal.camera.fx, ideal.camera.cx, ideal.camera.cy, ideal.camera.baseline) == (260.0, 160.0, 118.0, 0.3)
     image = Walls().image(IDEAL.left, np.eye(4))
     assert ideal.left(image) is image
@@ -89,9 +89,9 @@ def test_the_axes_are_those_of_opencv_up_to_a_turn_about_the_baseline(name: str)
 
 def test_one_camera_becomes_straight() -> None:
     lens = RIGS["radtan"].left
-    alone = rectify_alike(lens, SIZE)
+    alone = rectify_parallel(lens, SIZE)
     image = alone.left(Walls().image(lens, np.eye(4)))
-    straight = Lens(alone.camera.fx, alone.camera.fy, alone.camera.cx, alone.camera.cy)
+    straight = CameraModel(alone.camera.fx, alone.camera.fy, alone.camera.cx, alone.camera.cy)
     expected = Walls().image(straight, np.eye(4))
     assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.99
     assert np.corrcoef(image[:, 1:].ravel(), expected[:, :-1].ravel())[0, 1] < 0.97  # a pixel aside is worse
@@ -116,7 +116,7 @@ def test_cameras_that_are_no_pair_are_refused(T_left_right: np.ndarray, message:
 )
 def test_a_lens_that_folds_over_is_refused(model: str, coefficients: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=f"expected {model} coefficients that"):
-        rectify_alike(Lens(100.0, 100.0, 160.0, 120.0, model, coefficients), SIZE)
+        rectify_parallel(CameraModel(100.0, 100.0, 160.0, 120.0, model, coefficients), SIZE)
 
 
 numbers = st.floats(-0.3, 0.3)
@@ -129,14 +129,14 @@ numbers = st.floats(-0.3, 0.3)
     focal=st.floats(30.0, 2000.0),
 )
 def test_any_lens_is_undone_or_refused(model: str, coefficients: tuple[float, ...], focal: float) -> None:
-    lens = Lens(focal, focal, 160.0, 120.0, model, coefficients)
+    lens = CameraModel(focal, focal, 160.0, 120.0, model, coefficients)
     try:
-        alone = rectify_alike(lens, SIZE)
+        alone = rectify_parallel(lens, SIZE)
     except ValueError:
         return
     view = np.array([[3.0, 5.0], [160.0, 120.0], [310.0, 230.0]])
     rays = np.hstack([(view - [alone.camera.cx, alone.camera.cy]) / alone.camera.fx, np.ones((3, 1))])
-    if isinstance(alone.left, AsItIs):
+    if isinstance(alone.left, IdentityMap):
         return
     places = read_at(alone.left.maps)[view[:, 1].astype(int), view[:, 0].astype(int)]
     np.testing.assert_allclose(places, seen_at(lens, rays), atol=0.1)

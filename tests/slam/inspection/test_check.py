@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam import cli
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.inspection.finding import Finding, Inspection, Status, Use
 from slam.inspection.recording import inspect
 
@@ -25,7 +25,7 @@ def ideal() -> Taken:
 
 
 def checked(path: Path) -> Inspection:
-    return inspect(Source(path), lambda done, total: None)
+    return inspect(DatasetSpec(path), lambda done, total: None)
 
 
 def found(inspection: Inspection, status: Status) -> dict[str, Finding]:
@@ -181,6 +181,6 @@ def test_topics_of_a_bag_are_chosen_on_the_command_line(
 
 
 def test_a_real_drive_is_good(test_data: Path) -> None:
-    inspection = inspect(Source(test_data / "kitti_clips", "06"), lambda done, total: None)
+    inspection = inspect(DatasetSpec(test_data / "kitti_clips", "06"), lambda done, total: None)
     assert inspection.serves == tuple(Use)
     assert found(inspection, Status.GOOD)["rows"].figures["median_px"] < 0.5
