@@ -25,7 +25,7 @@ from typing import Any
 from slam.config import RunConfig, from_values, read_toml
 from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError
-from slam.simulation.spec import SHAPES, DriveSpec
+from slam.simulation.spec import SHAPES, SimulationConfig
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Simulated:
     """
 
     name: str
-    spec: DriveSpec
+    spec: SimulationConfig
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) ->
     if not isinstance(shape, str):
         raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
     path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
-    spec = from_values(DriveSpec, {"shape": path, **settings}, where)
+    spec = from_values(SimulationConfig, {"shape": path, **settings}, where)
     own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
     return Simulated(_file_name(name or own), spec)
 

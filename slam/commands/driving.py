@@ -16,7 +16,7 @@ from slam.commands.options import (
     Overwrite,
     Topic,
 )
-from slam.simulation.spec import DriveSpec
+from slam.simulation.spec import SimulationConfig
 
 
 def demo(
@@ -38,26 +38,32 @@ def demo(
 def simulate(
     shape: Annotated[str, typer.Argument(help="circle, figure-eight, blocks, or the path of a KITTI pose file.")],
     out: Out,
-    laps: Annotated[int, typer.Option(help="Laps to drive.")] = DriveSpec.laps,
-    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = DriveSpec.length,
-    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = DriveSpec.seed,
-    speed: Annotated[float, typer.Option(help="Of the car, metres a second.")] = DriveSpec.speed,
-    frame_rate: Annotated[float, typer.Option(help="Stereo pairs a second.")] = DriveSpec.frame_rate,
-    width: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.width,
-    height: Annotated[int, typer.Option(help="Of the images, pixels.")] = DriveSpec.height,
+    laps: Annotated[int, typer.Option(help="Laps to drive.")] = SimulationConfig.laps,
+    length: Annotated[float, typer.Option(help="Length of one lap, metres.")] = SimulationConfig.length,
+    seed: Annotated[int, typer.Option(help="Seed of the town and of its camera.")] = SimulationConfig.seed,
+    speed: Annotated[float, typer.Option(help="Of the car, metres a second.")] = SimulationConfig.speed,
+    frame_rate: Annotated[float, typer.Option(help="Stereo pairs a second.")] = SimulationConfig.frame_rate,
+    width: Annotated[int, typer.Option(help="Of the images, pixels.")] = SimulationConfig.width,
+    height: Annotated[int, typer.Option(help="Of the images, pixels.")] = SimulationConfig.height,
     lateral_offset: Annotated[float, typer.Option(help="Sideways shift of later laps, metres.")] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive every second lap the opposite way.")] = False,
-    relight: Annotated[bool, typer.Option("--relight", help="Drive later laps in other light.")] = False,
-    alike: Annotated[bool, typer.Option("--alike", help="Make two streets alike (perceptual aliasing).")] = False,
-    moving_cars: Annotated[int, typer.Option(help="Cars met on 360 m.")] = DriveSpec.moving_cars,
+    change_illumination: Annotated[
+        bool, typer.Option("--relight", help="Drive later laps in other light.")
+    ] = False,
+    perceptual_aliasing: Annotated[
+        bool, typer.Option("--alike", help="Make two streets alike (perceptual aliasing).")
+    ] = False,
+    cars_per_360m: Annotated[int, typer.Option("--moving-cars", help="Cars met on 360 m.")] = 6,
     rectification_error: Annotated[
         float, typer.Option(help="Peak error of the calibration, pixels at KITTI's size.")
-    ] = DriveSpec.rectification_error,
+    ] = SimulationConfig.rectification_error,
     lens_error: Annotated[
         float, typer.Option(help="Distortion that calibration has left, pixels at 45 degrees, at KITTI's size.")
-    ] = DriveSpec.lens_error,
+    ] = SimulationConfig.lens_error,
     max_frames: Annotated[int, typer.Option(help="Stop after so many frames; 0 drives all the way.")] = 0,
-    clean: Annotated[bool, typer.Option("--clean", help="Leave out noise, blur, wind and camera faults.")] = False,
+    ideal_sensor: Annotated[
+        bool, typer.Option("--clean", help="Leave out noise, blur, wind and camera faults.")
+    ] = False,
     depth: Annotated[bool, typer.Option("--depth", help="Write the true depth of each image too.")] = False,
 ) -> None:
     """Render a drive through a procedural town: KITTI layout, stereo, exact ground truth.
@@ -69,7 +75,7 @@ def simulate(
     from slam.simulation import simulate as render
 
     with progress_bar(Console(stderr=True), "Rendering") as progress:
-        folder = render(DriveSpec(**settings), out, progress)
+        folder = render(SimulationConfig(**settings), out, progress)
     message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"
     Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
