@@ -64,16 +64,16 @@ def check(
     Example: revisit check data/kitti --sequence 05
     """
     from slam.datasets.source import DatasetSpec
-    from slam.inspection.command import as_json, as_table, check_recording
+    from slam.inspection.command import check_recording, format_json, format_table
     from slam.inspection.map import inspect_map, is_map
 
     if is_map(source):
         inspection = inspect_map(source)
     else:
         inspection = check_recording(DatasetSpec(source, sequence, kind, fps, tuple(topic or ())), Console(stderr=True))
-    shown = as_json(inspection) if json else as_table(inspection)
+    shown = format_json(inspection) if json else format_table(inspection)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
-    raise typer.Exit(0 if inspection.serves else EXIT_FAILED)
+    raise typer.Exit(0 if inspection.possible_uses else EXIT_FAILED)
 
 
 def export(

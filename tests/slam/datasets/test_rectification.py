@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from odometry import se3
 from slam.datasets.lens import CameraModel
 from slam.datasets.rectification import IdentityMap, Rectification, rectify_pair, rectify_parallel
-from slam.inspection.calibration import match_rows
+from slam.inspection.calibration import match_displacements
 
 from .rig import IDEAL, RIGS, SIZE, Rig, Walls, seen_at, turned
 
@@ -54,7 +54,7 @@ def test_the_ideal_pair_shows_nothing_that_a_camera_has_not_seen(name: str) -> N
 def test_matches_of_rectified_images_lie_in_common_rows(name: str) -> None:
     rig, ideal = RIGS[name], rectified(RIGS[name])
     left, right = Walls().pair(rig, np.eye(4))
-    moved = match_rows(ideal.left(left), ideal.right(right))
+    moved = match_displacements(ideal.left(left), ideal.right(right))
     assert len(moved) > 50
     assert np.median(np.abs(moved[:, 1])) < 0.3
     # walls 6 and 12 m ahead, a little to each side of it where the pair was turned
@@ -64,7 +64,7 @@ def test_matches_of_rectified_images_lie_in_common_rows(name: str) -> None:
 
 def test_the_same_images_unrectified_do_not() -> None:
     left, right = Walls().pair(RIGS["radtan"], np.eye(4))
-    assert np.median(np.abs(match_rows(left, right)[:, 1])) > 2.0
+    assert np.median(np.abs(match_displacements(left, right)[:, 1])) > 2.0
 
 
 def test_an_ideal_pair_is_left_as_it_is() -> None:
