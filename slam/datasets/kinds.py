@@ -71,7 +71,7 @@ def _has_files(pattern: str, min_count: int = 1) -> Callable[[Path], bool]:
 
 
 def _count_up_to(folder: Path, name: re.Pattern[str], limit: int) -> int:
-    # Stops at the limit: a folder may hold a hundred thousand images.
+    # Matching stops at the limit: a folder may hold a hundred thousand images.
     matching = (item for item in folder.iterdir() if name.fullmatch(item.name))
     return len(list(islice(matching, limit)))
 

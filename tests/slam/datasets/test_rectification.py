@@ -140,3 +140,44 @@ def test_any_lens_is_undone_or_refused(model: str, coefficients: tuple[float, ..
         return
     places = read_at(alone.left.maps)[view[:, 1].astype(int), view[:, 0].astype(int)]
     np.testing.assert_allclose(places, seen_at(lens, rays), atol=0.1)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_unprojected_pixels_project_back_to_themselves(name: str) -> None:
+    model = RIGS[name].left
+    pixels = np.random.default_rng(2).uniform([60.0, 40.0], [260.0, 200.0], (50, 2))
+    rays = model.unproject(pixels)
+    np.testing.assert_array_equal(rays[:, 2], 1.0)
+    np.testing.assert_allclose(seen_at(model, rays), pixels, atol=0.02)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rotation=st.tuples(*[st.floats(-8.0, 8.0)] * 3),
+    offset=st.tuples(st.floats(0.05, 2.0), st.floats(-0.03, 0.03), st.floats(-0.03, 0.03)),
+)
+def test_rectified_points_lie_in_one_row_with_the_disparity_of_their_depth(
+    rotation: tuple[float, float, float], offset: tuple[float, float, float]
+) -> None:
+    T_left_right = turned(rotation, offset)
+    ideal = rectify_pair(IDEAL.left, IDEAL.right, T_left_right, SIZE)
+    points_view = np.random.default_rng(0).uniform([-2, -1.5, 4], [2, 1.5, 30], (40, 3))
+    points_left = se3.transform(ideal.T_camera_view, points_view)
+    # The same rotation, seen from the right camera: both rectified cameras have the axes of the left view.
+    T_left_rightview = ideal.T_camera_view.copy()
+    T_left_rightview[:3, 3] = T_left_right[:3, 3]
+    left = ideal.camera.project(points_view)
+    in_right = se3.transform(se3.inverse(T_left_rightview), points_left)
+    u_right = ideal.camera.fx * in_right[:, 0] / in_right[:, 2] + ideal.camera.cx
+    v_right = ideal.camera.fy * in_right[:, 1] / in_right[:, 2] + ideal.camera.cy
+    np.testing.assert_allclose(v_right, left[:, 2], atol=1e-6)
+    np.testing.assert_allclose(
+        left[:, 0] - u_right, ideal.camera.fx * ideal.camera.baseline / points_view[:, 2], atol=1e-6
+    )
+
+
+def test_the_pose_of_a_rectified_camera_is_a_rotation() -> None:
+    for name in RIGS:
+        T = rectified(RIGS[name]).T_camera_view
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_array_equal(T[:3, 3], 0.0)
