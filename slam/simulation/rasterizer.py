@@ -1,8 +1,8 @@
 """Compiled rasterisation with four samples per pixel: which triangle is visible at each sample.
 
 Edges are planes through the centre of projection (Olano and Greer, Triangle scan conversion using 2D homogeneous
-coordinates, 1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image, so
-triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges: no cracks.
+coordinates, 1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image,
+so triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges: no cracks.
 """
 
 from typing import Any
