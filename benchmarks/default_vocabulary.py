@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map import vocabulary
 from place_recognition.map.vocabulary_training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
-from slam.simulation import DriveSpec, simulate
+from slam.simulation import SimulationConfig, simulate
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -94,7 +94,7 @@ def _town_views(folder: Path) -> Iterator[Image]:
         drive = folder / f"t{seed}"
         if not drive.exists():
             shape = SHAPES[(seed - TOWNS[0]) % len(SHAPES)]
-            spec = DriveSpec(shape=shape, length=500, laps=1, speed=9, frame_rate=1, max_frames=40, seed=seed)
+            spec = SimulationConfig(shape=shape, length=500, laps=1, speed=9, frame_rate=1, max_frames=40, seed=seed)
             simulate(spec, drive, lambda done, total: None)
         for side in STEREO:
             for file in sorted((drive / "sequences" / "00" / side).glob("*.png")):

@@ -27,9 +27,9 @@ from slam.mapping.occupancy import FREE, OCCUPIED, OccupancyGrid, build_occupanc
 from slam.mapping.submaps import SubmapStore
 from slam.provenance import peak_memory_mb
 from slam.simulation.drive import MANIFEST
-from slam.simulation.routes import plan_drive
-from slam.simulation.spec import DriveSpec
-from slam.simulation.surfaces import true_surfaces
+from slam.simulation.routes import plan_trajectory
+from slam.simulation.spec import SimulationConfig
+from slam.simulation.surfaces import ground_truth_surfaces
 
 Array = NDArray[np.float64]
 REACH_M = 25.0
@@ -60,9 +60,9 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
     return np.concatenate(out)
 
 
-def agreement(grid: OccupancyGrid, fit: Similarity, spec: DriveSpec, scene: open3d.t.geometry.RaycastingScene) -> str:
+def agreement(grid: OccupancyGrid, fit: Similarity, spec: SimulationConfig, scene: open3d.t.geometry.RaycastingScene) -> str:
     """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
-    T_town_world = plan_drive(spec).T_town_camera[0]
+    T_town_world = plan_trajectory(spec).T_town_camera[0]
     shares = {}
     for value, near in ((OCCUPIED, 0.3), (FREE, 0.1)):
         rows, columns = np.nonzero(grid.cells[::-1] == value)
@@ -96,8 +96,8 @@ def main() -> None:
     folder = Path(sys.argv[1])
     run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
-    spec = DriveSpec(**json.loads((source / MANIFEST).read_text())["spec"])
-    corners = true_surfaces(spec).astype(np.float32)
+    spec = SimulationConfig(**json.loads((source / MANIFEST).read_text())["config"])
+    corners = ground_truth_surfaces(spec).astype(np.float32)
     scene = open3d.t.geometry.RaycastingScene()
     rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
     scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig
-from slam.datasets.images import ImageSequence, open_images
+from slam.datasets.images import ImageSequence, open_image_sequence
 from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.place_metrics import evaluate_places
 from slam.places.drive import PlaceRecognitionRun, RecognizerFactory, run_recognizer, stage_times
@@ -29,7 +29,7 @@ PARTS = 5
 def main() -> None:
     """Run the benchmark."""
     given = parser().parse_args()
-    images, truth = open_images(given.source, given.sequence), RevisitTruth(None, "none")
+    images, truth = open_image_sequence(given.source, given.sequence), RevisitTruth(None, "none")
     if given.truth is not None:
         truth = read_revisit_truth(given.truth)
         check_truth_size(truth, len(images), given.source)

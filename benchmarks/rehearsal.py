@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slam.simulation import DriveSpec, simulate
+from slam.simulation import SimulationConfig, simulate
 
 PARADIGMS = ("sequence-histograms", "dynamic-sequences", "hierarchical-places", "tracked-words")
 SPEED = 8.2  # m/s: as many frames on the way as KITTI has
@@ -27,7 +27,7 @@ _TIMES = 500  # frames at the beginning and at the end, whose times are compared
 def render(poses: Path, folder: Path) -> None:
     """Render the drive, unless it is there."""
     if not (folder / "poses").is_dir():
-        simulate(DriveSpec(shape=str(poses.resolve()), speed=SPEED), folder)
+        simulate(SimulationConfig(shape=str(poses.resolve()), speed=SPEED), folder)
 
 
 def run_all(drive: Path, out: Path) -> None:

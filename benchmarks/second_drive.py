@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
 from slam.localisation.command import LocateOptions, QueryResult, locate
 from slam.localisation.locator import LocalizationResult
@@ -87,7 +87,7 @@ def main() -> None:
     revisit("run", one, "--out", out / "first", "--no-record")
     revisit("run", other, "--map", out / "first", "--out", out / "second", "--no-record")
     queries = np.linspace(middle, len(truth) - 1, arguments.images).astype(int)
-    options = LocateOptions(out / "first", Source(link_images(drive, queries, out / "queries")))
+    options = LocateOptions(out / "first", DatasetSpec(link_images(drive, queries, out / "queries")))
     answers = locate(options, Console(stderr=True))
     merge = json.loads((out / "second/metrics.json").read_text())["map"]
     with MapDatabase.open(map_file(out / "second")) as store:

@@ -8,7 +8,7 @@ that every other example and `revisit run` can read it.
 
 from street import arguments, street
 
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style_axes
 
@@ -16,7 +16,7 @@ given = arguments(__doc__).parse_args()
 
 root = street(given)
 
-drive = open_drive(root)
+drive = open_dataset(root)
 print(f"{root}: {len(drive)} stereo pairs, {drive.timestamps[-1]:.0f} s, baseline {drive.camera.baseline} m")
 
 first = drive[0]

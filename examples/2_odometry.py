@@ -10,13 +10,13 @@ import numpy as np
 from street import arguments, street
 
 from odometry.stereo import StereoOdometry
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
 from slam.report import colours
 from slam.report.figures import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
-drive = open_drive(street(given))
+drive = open_dataset(street(given))
 
 odometry = StereoOdometry(drive.camera)
 poses = []  # T_world_camera; the world is the first camera

@@ -14,7 +14,7 @@ from place_recognition.evaluation.precision_recall import accepted_counts, preci
 from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.report.figures import save_png
 from slam.report.place_figures import plot_places, plot_precision_recall
 from slam.simulation import loop_truth
@@ -22,7 +22,7 @@ from slam.simulation import loop_truth
 parser = arguments(__doc__)
 parser.add_argument("--paradigm", choices=PARADIGMS, default="tracked-words", help="how places are recognised")
 given = parser.parse_args()
-drive = open_drive(street(given))
+drive = open_dataset(street(given))
 
 rows = MatrixRecorder()  # keeps what the recogniser compared, for the picture only
 recogniser = make_recognizer(given.paradigm, FeatureCache(Surf()), rows=rows)

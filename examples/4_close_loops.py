@@ -10,7 +10,7 @@ import numpy as np
 from street import arguments, street
 
 from slam.config import RunConfig
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.parts import build_components
 from slam.report import colours
@@ -18,7 +18,7 @@ from slam.report.figures import new_figure, save_png, style_axes
 from slam.system import Slam
 
 given = arguments(__doc__).parse_args()
-drive = open_drive(street(given))
+drive = open_dataset(street(given))
 
 config = RunConfig()
 slam = Slam(build_components(drive.camera, config))

@@ -14,7 +14,7 @@ from place_recognition.image_processing.features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.catalogue import make_recognizer
 from place_recognition.recognizer import Belief
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.report.figures import save_png
 from slam.report.place_figures import plot_precision_recall
 from slam.simulation import loop_truth
@@ -55,7 +55,7 @@ class BrightnessPattern:
 
 
 given = arguments(__doc__).parse_args()
-drive = open_drive(street(given))
+drive = open_dataset(street(given))
 truth = loop_truth(drive.ground_truth).astype(bool)
 
 recognisers = {

@@ -16,13 +16,13 @@ from place_recognition.image_processing.surf import Surf
 from place_recognition.map.sequences import FixedDistanceSegmentation, WordVariance
 from place_recognition.map.vocabulary import default_vocabulary, word_histogram
 from place_recognition.paradigms.catalogue import make_recognizer
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.report import colours
 from slam.report.figures import new_figure, save_png
 from slam.simulation import loop_truth
 
 given = arguments(__doc__).parse_args()
-drive = open_drive(street(given))
+drive = open_dataset(street(given))
 images, poses = [frame.left for frame in drive], drive.ground_truth
 query = 3 * len(images) // 4  # in the second lap
 figure = new_figure(13.0, 10.5)

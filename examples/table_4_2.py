@@ -19,7 +19,7 @@ from rich.console import Console
 
 from place_recognition.paradigms.catalogue import PARADIGMS
 from slam.datasets.city_centre import open_city_centre
-from slam.datasets.images import ImageSequence, open_images
+from slam.datasets.images import ImageSequence, open_image_sequence
 from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
 from slam.errors import DataError, RevisitError
@@ -53,8 +53,8 @@ RECORDINGS = dict(
     zip(
         DATASETS,
         (
-            Recording("kitti", lambda root: open_images(root, "00"), "groundTruthKITTI00.mat"),
-            Recording("kitti", lambda root: open_images(root, "05"), "groundTruthKITTI05.mat"),
+            Recording("kitti", lambda root: open_image_sequence(root, "00"), "groundTruthKITTI00.mat"),
+            Recording("kitti", lambda root: open_image_sequence(root, "05"), "groundTruthKITTI05.mat"),
             Recording("malaga_6L", open_malaga, "groundTruthMalaga6L.mat"),
             Recording("new_college", open_new_college, "groundTruthNC.mat"),
             Recording("city_centre", open_city_centre, "groundTruthCityCentre.mat"),

@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from slam.progress import progress_bar
-from slam.simulation import DriveSpec, simulate
+from slam.simulation import SimulationConfig, simulate
 
 # Three laps at 43 km/h: long enough for odometry's own drift to show, short enough to render in minutes.
 DEMO_LAPS, DEMO_LENGTH_M, DEMO_SPEED_M_S = 3, 360.0, 12.0
@@ -20,7 +20,7 @@ def cache_folder() -> Path:
 
 def demo_dataset(seed: int, messages: Console) -> Path:
     """Render the dataset of the demo, or find it in the cache; its root, in KITTI layout."""
-    spec = DriveSpec(shape="circle", laps=DEMO_LAPS, length=DEMO_LENGTH_M, speed=DEMO_SPEED_M_S, seed=seed)
+    spec = SimulationConfig(shape="circle", laps=DEMO_LAPS, length=DEMO_LENGTH_M, speed=DEMO_SPEED_M_S, seed=seed)
     with progress_bar(messages, "Rendering the town") as progress:
         return simulate(spec, cache_folder() / f"demo-{seed}", progress)
 

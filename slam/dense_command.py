@@ -14,8 +14,8 @@ from rich.console import Console
 from odometry.calibration import Calibration
 from slam.config import read_config
 from slam.datasets.dataset import Dataset
-from slam.datasets.open import open_source
-from slam.datasets.source import Source
+from slam.datasets.open import open_dataset
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError, DataError, OutputError
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_map import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
@@ -106,7 +106,7 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
         DataError: a file is missing or damaged, or files do not belong to one run.
     """
     calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
-    drive = open_source(recording)
+    drive = open_dataset(recording)
     if not drive.has_right or drive.camera != calibration.camera:
         raise DataError(
             f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
@@ -122,10 +122,10 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
     return MappedRun(drive, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
 
 
-def _recording(run: Path, source: Path | None) -> Source:
+def _recording(run: Path, source: Path | None) -> DatasetSpec:
     metrics = read_metrics(run / "metrics.json")
     try:
-        recording = Source.from_metrics(metrics["recording"])  # type: ignore[arg-type]
+        recording = DatasetSpec.from_metrics(metrics["recording"])  # type: ignore[arg-type]
     except (KeyError, TypeError):
         raise DataError(
             f"{run / 'metrics.json'}: expected the recording that was read, found none; make the run again"

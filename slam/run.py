@@ -13,9 +13,9 @@ from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.clock import timed
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset
-from slam.datasets.open import open_source
+from slam.datasets.open import open_dataset
 from slam.datasets.prefetch import prefetch
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.drive_log import RunLog
 from slam.errors import ConfigError, DataError, OutputError
 from slam.map_store.keeping import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
@@ -84,9 +84,9 @@ class RunOptions:
     reuse_map: Path | None = None
 
     @property
-    def recording(self) -> Source:
+    def recording(self) -> DatasetSpec:
         """What to read."""
-        return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
+        return DatasetSpec(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
 def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
@@ -233,7 +233,7 @@ def open_dataset(options: RunOptions, config: RunConfig) -> Dataset:
     Raises:
         DataError: it cannot be read, or has no right images and two cameras are asked for.
     """
-    dataset = open_source(options.recording)
+    dataset = open_dataset(options.recording)
     if not dataset.has_right and not config.mono:
         raise DataError(
             f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"

@@ -9,9 +9,9 @@ from place_recognition.image_processing.features import FeatureExtractor
 from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.map.vocabulary_training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
 from slam.datasets.kitti_files import sequence_names
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.open import open_left_images
-from slam.datasets.source import Source
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.open import open_images
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError, DataError, OutputError
 
 Progress = Callable[[int, int], None]
@@ -46,7 +46,7 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
         OutputError: the file cannot be written; a missing folder is found before the work begins.
     """
     config, extractor = _make_config(settings), _make_extractor(options.features)
-    recordings = [open_left_images(source) for folder in options.sources for source in _sequences(folder)]
+    recordings = [open_images(source) for folder in options.sources for source in _sequences(folder)]
     _check_folder(options.out)
     sample = _sample_descriptors(recordings, extractor, config, progress)
     try:
@@ -89,11 +89,11 @@ def _make_config(settings: dict[str, int]) -> VocabularyTrainingConfig:
         raise ConfigError(str(error)) from error
 
 
-def _sequences(folder: Path) -> list[Source]:
+def _sequences(folder: Path) -> list[DatasetSpec]:
     """List the recordings in a folder: all sequences of KITTI layout, or the folder itself."""
     names = sequence_names(folder) or (None,)
     # Words do not depend on the times of the images, so any frame rate will do.
-    return [Source(folder.absolute(), name, fps=1.0) for name in names]
+    return [DatasetSpec(folder.absolute(), name, fps=1.0) for name in names]
 
 
 def _check_folder(out: Path) -> None:

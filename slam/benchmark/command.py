@@ -14,7 +14,7 @@ from slam.benchmark.latex import write_latex
 from slam.benchmark.report import write_benchmark_report
 from slam.benchmark.results import ResultRow, format_row, make_row, summary_table, write_csv, write_json
 from slam.benchmark.sweep import RecordedSource, SimulatedSource, Sweep, read_sweep
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.engine.choice import make_executor
 from slam.engine.engine import Executor, Failed
 from slam.errors import OutputError
@@ -92,7 +92,7 @@ def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
     return [
         Job(
             source.name,
-            source.source if isinstance(source, RecordedSource) else Source(_rendered_folder(source, out)),
+            source.source if isinstance(source, RecordedSource) else DatasetSpec(_rendered_folder(source, out)),
             out / "jobs" / f"{source.name}.{paradigm}.{robust}.{seed}",
             sweep.config,
             paradigm,

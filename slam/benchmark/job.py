@@ -11,7 +11,7 @@ from uuid import uuid4
 from rich.console import Console
 
 from slam.config import RunConfig, read_config
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import OutputError, RevisitError
 from slam.run import RunOptions, resolve_config, run_pipeline
 from slam.storage.atomic import atomic_writer
@@ -33,7 +33,7 @@ class Job:
     """
 
     source_name: str
-    source: Source
+    source: DatasetSpec
     folder: Path
     settings_file: Path | None
     paradigm: str
@@ -54,7 +54,7 @@ class Job:
             sequence=source.sequence,
             out=out,
             config=self.settings_file,
-            kind=source.kind,
+            kind=source.format,
             command=self.command,
         )
 
@@ -83,7 +83,7 @@ class Job:
         """Words after `revisit` of the command that repeats this run alone."""
         named = {
             "--sequence": self.source.sequence,
-            "--format": self.source.kind,
+            "--format": self.source.format,
             "--paradigm": self.paradigm,
             "--robust": self.robust,
             "--seed": self.seed,
@@ -140,11 +140,11 @@ def check_job(job: Job) -> None:
         )
 
 
-def _source(done: JobResult) -> Source | None:
+def _source(done: JobResult) -> DatasetSpec | None:
     """Source of a finished run; None if its metrics do not name it."""
     recording = done.metrics.get("recording")
     try:
-        return Source.from_metrics(recording) if isinstance(recording, Mapping) else None
+        return DatasetSpec.from_metrics(recording) if isinstance(recording, Mapping) else None
     except (KeyError, TypeError):
         return None
 

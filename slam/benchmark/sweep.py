@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 from slam.config import RunConfig, from_values, read_toml
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError
-from slam.simulation.spec import SHAPES, DriveSpec
+from slam.simulation.spec import SHAPES, SimulationConfig
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RecordedSource:
     """
 
     name: str
-    source: Source
+    source: DatasetSpec
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class SimulatedSource:
     """
 
     name: str
-    spec: DriveSpec
+    spec: SimulationConfig
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> 
     written = from_values(_SourceFile, settings, where)
     path = _path(written.path, folder, f"{where}: path")
     own = "-".join(part for part in (path.name, written.sequence) if part)
-    return RecordedSource(_file_name(name or own), Source(path, written.sequence or None, written.format or None))
+    return RecordedSource(_file_name(name or own), DatasetSpec(path, written.sequence or None, written.format or None))
 
 
 def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> SimulatedSource:
@@ -154,7 +154,7 @@ def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) ->
     if not isinstance(shape, str):
         raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
     path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
-    spec = from_values(DriveSpec, {"shape": path, **settings}, where)
+    spec = from_values(SimulationConfig, {"shape": path, **settings}, where)
     own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
     return SimulatedSource(_file_name(name or own), spec)
 

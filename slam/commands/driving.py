@@ -26,7 +26,7 @@ from slam.commands.options import (
     Sequence,
     Settings,
 )
-from slam.simulation.spec import DriveSpec
+from slam.simulation.spec import SimulationConfig
 
 _ROUTE, _SCENE, _CAMERA = "Route", "Scene", "Camera"
 _FROM_MAP = "as in the map"
@@ -92,7 +92,7 @@ def simulate(
     height: Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)] = DriveSpec.height,
     rectification_error: Annotated[
         float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
-    ] = DriveSpec.rectification_error,
+    ] = SimulationConfig.rectification_error,
     lens_error: Annotated[
         float,
         typer.Option(
@@ -314,7 +314,7 @@ def reprocess(
         overwrite=overwrite,
         reuse_map=map_,
         config=config,
-        kind=found.kind,
+        kind=found.format,
         fps=found.fps,
         topics=found.topics,
     )

@@ -22,11 +22,11 @@ def locate(
 
     Example: revisit locate runs/kitti05 photo.png
     """
-    from slam.datasets.source import Source
+    from slam.datasets.source import DatasetSpec
     from slam.localisation.command import LocateOptions, as_json, as_table
     from slam.localisation.command import locate as place
 
-    answers = place(LocateOptions(map, Source(images, sequence), out), Console(stderr=True))
+    answers = place(LocateOptions(map, DatasetSpec(images, sequence), out), Console(stderr=True))
     shown = as_json(answers) if json else as_table(answers)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
 
@@ -58,18 +58,18 @@ def check(
 
     Example: revisit check data/kitti --sequence 05
     """
-    from slam.datasets.source import Source
-    from slam.inspection.command import as_json, as_table, check_recording
+    from slam.datasets.source import DatasetSpec
+    from slam.inspection.command import check_recording, format_json, format_table
     from slam.inspection.map import inspect_map, is_map
 
     if is_map(source):
         inspection = inspect_map(source)
     else:
-        recording = Source(source, sequence, dataset_format, fps, tuple(image_topic or ()))
+        recording = DatasetSpec(source, sequence, dataset_format, fps, tuple(image_topic or ()))
         inspection = check_recording(recording, Console(stderr=True))
-    shown = as_json(inspection) if json else as_table(inspection)
+    shown = format_json(inspection) if json else format_table(inspection)
     Console().print(shown, markup=not json, highlight=False, soft_wrap=json)
-    raise typer.Exit(0 if inspection.serves else EXIT_FAILED)
+    raise typer.Exit(0 if inspection.possible_uses else EXIT_FAILED)
 
 
 def export(

@@ -1,1 +1,1 @@
-"""Recorded drives, read frame by frame."""
+"""Recorded datasets of every supported format, read frame by frame."""

@@ -1,4 +1,4 @@
-"""What every layout ends in: images and times of one camera or two, and poses, become a drive."""
+"""Builds a dataset from what a format's reader has found: streams of one or two cameras, and ground truth."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_drive import CameraDrive, Images, Picked
-from slam.datasets.moments import SYNCHRONOUS, pair_times, way_at
+from slam.datasets.camera_drive import Images, ImageSubset, RectifiedDataset
+from slam.datasets.moments import MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
 from slam.datasets.rectification import Rectification, Size
-from slam.datasets.stamped import Table, check_increasing, read_image_list
+from slam.datasets.stamped import ListFormat, check_increasing, read_image_list
 from slam.errors import DataError
 from slam.storage.trajectory import read_trajectory
 
@@ -18,134 +18,139 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Eye:
-    """What one camera has recorded.
+class CameraStream:
+    """The raw images of one camera with their times.
 
     Attributes:
-        images: N of them.
-        times: (N,) seconds, increasing.
+        images: N images.
+        timestamps: (N,) seconds, increasing.
     """
 
     images: Images
-    times: Array
+    timestamps: Array
 
-    def only(self, indices: NDArray[np.int64]) -> "Eye":
-        """Some of the images."""
-        return self if len(indices) == len(self.times) else Eye(Picked(self.images, indices), self.times[indices])
+    def subset(self, indices: NDArray[np.int64]) -> "CameraStream":
+        """Return the images of some indices (K,), increasing."""
+        if len(indices) == len(self.timestamps):
+            return self
+        return CameraStream(ImageSubset(self.images, indices), self.timestamps[indices])
 
 
-def read_eye(path: Path, folder: Path, table: Table) -> Eye:
-    """A camera whose images and times stand in a table (see `read_image_list`).
+def read_stream(path: Path, folder: Path, list_format: ListFormat) -> CameraStream:
+    """Read a camera whose file names and times are in a list (see `read_image_list`).
 
     Raises:
-        DataError: the table is damaged, or an image is missing.
+        DataError: the list is damaged, or an image is missing.
     """
-    images = read_image_list(path, folder, table)
+    images = read_image_list(path, folder, list_format)
     assert images.timestamps is not None
-    return Eye(images, images.timestamps)
+    return CameraStream(images, images.timestamps)
 
 
 @dataclass(frozen=True)
-class TrueWay:
-    """Poses that somebody has measured.
+class GroundTruthTrajectory:
+    """Measured poses of the left camera, at times of their own.
 
     Attributes:
-        times: (M,) seconds, increasing.
-        poses: T_world_camera (M, 4, 4), metres, of the left camera as it is.
+        timestamps: (M,) seconds, increasing.
+        poses: T_world_camera (M, 4, 4), metres, of the unrectified left camera.
     """
 
-    times: Array
+    timestamps: Array
     poses: Array
 
 
-def read_true_way(path: Path, left: Eye) -> TrueWay:
-    """Poses of the left camera from a file, TUM with times, or KITTI with one for each image.
+def read_ground_truth(path: Path, left: CameraStream) -> GroundTruthTrajectory:
+    """Read poses of the left camera from a TUM file (with times) or a KITTI file (one pose for each image).
 
     Raises:
-        DataError: the file is missing or damaged, or has another number of poses.
+        DataError: the file is missing or damaged, or a KITTI file has another number of poses.
     """
     times, poses = read_trajectory(path)
-    if times is None and len(poses) != len(left.times):
+    if times is None and len(poses) != len(left.timestamps):
         raise DataError(
-            f"{path}: expected {len(left.times)} poses, one for each image, or poses with times (TUM), found"
+            f"{path}: expected {len(left.timestamps)} poses, one for each image, or poses with times (TUM), found"
             f" {len(poses)}; export it again"
         )
-    times = left.times if times is None else times
+    times = left.timestamps if times is None else times
     check_increasing(path, times)
-    return TrueWay(times, poses)
+    return GroundTruthTrajectory(times, poses)
 
 
 @dataclass(frozen=True)
-class Recording:
-    """All that a layout has to find.
+class RawRecording:
+    """What the reader of a format finds, before synchronisation and rectification.
 
     Attributes:
-        name: for titles.
-        left: camera.
-        right: camera, or None.
-        truth: or None.
-        remarks: what was noticed.
+        name: short name for titles.
+        left: stream of the left camera, or of the only camera.
+        right: stream of the right camera, or None.
+        ground_truth: measured poses, or None.
+        remarks: notes for the user.
     """
 
     name: str
-    left: Eye
-    right: Eye | None = None
-    truth: TrueWay | None = None
+    left: CameraStream
+    right: CameraStream | None = None
+    ground_truth: GroundTruthTrajectory | None = None
     remarks: tuple[str, ...] = ()
 
 
-def assemble(recording: Recording, rectify: Callable[[Size], Rectification]) -> CameraDrive:
-    """Bring together what was recorded together.
+def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:
+    """Synchronise a recording, rectify its images and interpolate its ground truth.
 
     Args:
-        recording: what there is.
-        rectify: what becomes of images of a size.
+        recording: streams and poses as they were recorded.
+        rectify: computes the rectification for an image size (width, height).
 
     Raises:
-        DataError: no pair of images was taken at the same time, or the first image cannot be read.
+        DataError: no two images were taken at the same time, or the first image cannot be read.
     """
-    paired = _paired(recording)
-    height, width = paired.left.images[0].shape
+    recording = _synchronize(recording)
+    height, width = recording.left.images[0].shape
     rectification = rectify((width, height))
-    paired, poses = _with_truth(paired, rectification)
-    return CameraDrive(
-        name=paired.name,
-        timestamps=paired.left.times,
+    recording, poses = _interpolate_ground_truth(recording, rectification)
+    return RectifiedDataset(
+        name=recording.name,
+        timestamps=recording.left.timestamps,
         ground_truth=poses,
-        left=paired.left.images,
-        right=None if paired.right is None else paired.right.images,
+        left=recording.left.images,
+        right=None if recording.right is None else recording.right.images,
         rectification=rectification,
-        remarks=paired.remarks,
+        remarks=recording.remarks,
     )
 
 
-def _paired(recording: Recording) -> Recording:
+def _synchronize(recording: RawRecording) -> RawRecording:
+    """Keep the images that have a partner in the other camera."""
     left, right = recording.left, recording.right
     if right is None:
         return recording
-    pairs = pair_times(left.times, right.times)
+    pairs = associate_timestamps(left.timestamps, right.timestamps)
     if not len(pairs):
         raise DataError(
-            f"{right.images.where(0)}: expected right images within {SYNCHRONOUS:g} s of left ones, found none;"
+            f"{right.images.where(0)}: expected right images within {MAX_PAIR_OFFSET_S:g} s of left ones, found none;"
             " are the two of the same recording?"
         )
-    alone = len(left.times) + len(right.times) - 2 * len(pairs)
+    alone = len(left.timestamps) + len(right.timestamps) - 2 * len(pairs)
     remarks = (f"{alone} images without a partner in the other camera are left out",) if alone else ()
     return replace(
         recording,
-        left=left.only(pairs[:, 0]),
-        right=right.only(pairs[:, 1]),
+        left=left.subset(pairs[:, 0]),
+        right=right.subset(pairs[:, 1]),
         remarks=(*recording.remarks, *remarks),
     )
 
 
-def _with_truth(recording: Recording, rectification: Rectification) -> tuple[Recording, Array | None]:
-    truth = recording.truth
+def _interpolate_ground_truth(
+    recording: RawRecording, rectification: Rectification
+) -> tuple[RawRecording, Array | None]:
+    """Keep the images that have ground truth, and return their poses (N, 4, 4) of the rectified left camera."""
+    truth, left, right = recording.ground_truth, recording.left, recording.right
     if truth is None:
         return recording, None
-    way = way_at(recording.left.times, truth.times, truth.poses @ rectification.T_camera_view)
-    kept = np.arange(len(recording.left.times))[way.frames]
-    right = None if recording.right is None else recording.right.only(kept)
-    remarks = (way.remark,) if way.remark else ()
-    left = recording.left.only(kept)
-    return replace(recording, left=left, right=right, remarks=(*recording.remarks, *remarks)), way.poses
+    trajectory = interpolate_poses(left.timestamps, truth.timestamps, truth.poses @ rectification.T_camera_view)
+    kept = np.arange(len(left.timestamps))[trajectory.frames]
+    remarks = (*recording.remarks, *([trajectory.remark] if trajectory.remark else []))
+    right = None if right is None else right.subset(kept)
+    return replace(recording, left=left.subset(kept), right=right, remarks=remarks), trajectory.poses

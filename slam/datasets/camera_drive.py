@@ -1,4 +1,4 @@
-"""A drive of any layout: images as they were taken, turned into those of an ideal camera or pair on reading."""
+"""A dataset of any format: raw images that are rectified when they are read."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
-from slam.datasets.rectification import Rectification, View
+from slam.datasets.rectification import ImageMap, Rectification
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 
 class Images(Protocol):
-    """Images of one camera, in the order in which they were taken."""
+    """The raw images of one camera in the order of their exposure."""
 
     def __len__(self) -> int: ...
 
@@ -26,23 +26,23 @@ class Images(Protocol):
         ...
 
     def where(self, index: int) -> str:
-        """File of an image, and its place in it, for messages."""
+        """File of an image and its position in the file, for error messages."""
         ...
 
 
 @dataclass(frozen=True)
-class CameraDrive:
-    """A recorded drive (see `slam.datasets.dataset.Dataset`): images are read when asked for.
+class RectifiedDataset:
+    """A dataset (see `slam.datasets.dataset.Dataset`) whose images are read and rectified on demand.
 
     Attributes:
-        name: for titles.
+        name: short name for titles.
         timestamps: (N,) seconds, increasing.
-        ground_truth: T_world_camera (N, 4, 4), metres, of the ideal left camera; world is its first position.
-            None where it is not known.
-        left: N images.
-        right: N images, or None in a drive with one camera.
-        rectification: what becomes of them.
-        remarks: what was left out, or taken for granted, when the drive was opened.
+        ground_truth: T_world_camera (N, 4, 4), metres, of the rectified left camera; world is its first pose.
+            None where it is unknown.
+        left: N raw images.
+        right: N raw images, or None in a dataset with one camera.
+        rectification: map from the raw to the rectified images.
+        remarks: notes about images that were left out and assumptions that were made on opening.
     """
 
     name: str
@@ -55,16 +55,16 @@ class CameraDrive:
 
     @property
     def camera(self) -> StereoCamera:
-        """Intrinsics and baseline of the ideal pair."""
+        """Intrinsics and baseline of the rectified pair."""
         return self.rectification.camera
 
     @property
     def has_right(self) -> bool:
-        """Whether there is a right image for each left one."""
+        """Whether there is a right image for each left image."""
         return self.right is not None
 
-    def with_left_alone(self) -> "CameraDrive":
-        """The same drive with one camera."""
+    def without_right(self) -> "RectifiedDataset":
+        """Return the same dataset with the left camera alone."""
         return replace(self, right=None)
 
     def __len__(self) -> int:
@@ -74,19 +74,19 @@ class CameraDrive:
         """Read one frame.
 
         Raises:
-            IndexError: no such frame.
-            DataError: an image that cannot be read or has another size than the first.
+            IndexError: there is no such frame.
+            DataError: an image cannot be read, or has another size than the first.
         """
         if not 0 <= index < len(self):
             raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
-        left = self._view(self.left, index, self.rectification.left)
-        right = None if self.right is None else self._view(self.right, index, self.rectification.right)
+        left = self._read(self.left, index, self.rectification.left)
+        right = None if self.right is None else self._read(self.right, index, self.rectification.right)
         return Frame(index, float(self.timestamps[index]), left, right)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
-    def _view(self, images: Images, index: int, view: View) -> Image:
+    def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
         image = images[index]
         expected = (self.camera.height, self.camera.width)
         if image.shape != expected:
@@ -94,16 +94,16 @@ class CameraDrive:
                 f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
                 f" found {image.shape[1]} x {image.shape[0]}; copy it again"
             )
-        return view(image)
+        return rectify(image)
 
 
 @dataclass(frozen=True)
-class Picked:
-    """Some of the images of a camera, in an order of their own.
+class ImageSubset:
+    """A selection of the images of a camera.
 
     Attributes:
-        images: all of them.
-        indices: (N,) of those that count.
+        images: all images.
+        indices: (N,) of the selected images.
     """
 
     images: Images
@@ -113,9 +113,9 @@ class Picked:
         return len(self.indices)
 
     def __getitem__(self, index: int) -> Image:
-        """Read one of those that count."""
+        """Read a selected image (H, W) uint8, grey."""
         return self.images[int(self.indices[index])]
 
     def where(self, index: int) -> str:
-        """Its file."""
+        """File of a selected image, for error messages."""
         return self.images.where(int(self.indices[index]))

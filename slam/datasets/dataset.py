@@ -1,4 +1,4 @@
-"""What a recorded drive is, wherever it came from."""
+"""The interface of a dataset: what every format provides once it is opened."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,13 +13,13 @@ from place_recognition.image_processing.features import FeatureExtractor, LocalF
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment of a drive.
+    """One rectified stereo pair, or one image of a dataset with one camera.
 
     Attributes:
-        index: position in the drive, from 0.
-        timestamp: seconds.
+        index: position in the dataset, from 0.
+        timestamp: time of exposure, seconds.
         left: (H, W) uint8, grey, rectified.
-        right: (H, W) uint8, or None in a drive with one camera.
+        right: (H, W) uint8, or None in a dataset with one camera.
         features: local features of the left image; None until somebody has extracted them.
     """
 
@@ -35,7 +35,7 @@ class Frame:
 
 
 class Dataset(Protocol):
-    """A recorded drive. Images are read when asked for; everything else is checked when it is opened."""
+    """A recorded sequence of frames. Images are read on demand; all other files are checked on opening."""
 
     @property
     def name(self) -> str:
@@ -54,17 +54,17 @@ class Dataset(Protocol):
 
     @property
     def ground_truth(self) -> NDArray[np.float64] | None:
-        """T_world_camera (N, 4, 4), metres, or None where it is not known."""
+        """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
         ...
 
     @property
     def has_right(self) -> bool:
-        """Whether there is a right image for each left one."""
+        """Whether there is a right image for each left image."""
         ...
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was left out, or taken for granted, when the drive was opened."""
+        """Notes for the user about images that were left out and assumptions that were made on opening."""
         ...
 
     def __len__(self) -> int: ...

@@ -1,4 +1,4 @@
-"""Which folder holds the drive that is meant."""
+"""Finds the folder of one sequence below the folder that the user named."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,35 +7,34 @@ from slam.errors import DataError
 
 
 def subfolders(root: Path) -> list[Path]:
-    """Folders in a folder, by name; none where there is no such folder."""
+    """Folders in a folder, by name; an empty list if there is no such folder."""
     return sorted(item for item in root.iterdir() if item.is_dir()) if root.is_dir() else []
 
 
-def holds_drives(root: Path, is_drive: Callable[[Path], bool]) -> bool:
-    """Whether a folder is a drive, or holds some."""
-    return root.is_dir() and (is_drive(root) or any(is_drive(folder) for folder in subfolders(root)))
+def contains_dataset(root: Path, is_dataset: Callable[[Path], bool]) -> bool:
+    """Whether a folder is a dataset, or has one directly below it."""
+    return root.is_dir() and (is_dataset(root) or any(is_dataset(folder) for folder in subfolders(root)))
 
 
-def find_drive(root: Path, sequence: str | None, is_drive: Callable[[Path], bool], mark: str) -> Path:
-    """Folder of one drive: `root`, or the one below it of that name.
+def find_dataset(root: Path, sequence: str | None, is_dataset: Callable[[Path], bool], marker: str) -> Path:
+    """Return the folder of one sequence: `root`, or the folder of that name directly below it.
 
     Args:
-        root: what was named.
-        sequence: name of a folder below; None where there is only one drive.
-        is_drive: whether a folder is one.
-        mark: file by which it is known, for the message.
+        root: folder that the user named.
+        sequence: name of a folder below; None where there is only one dataset.
+        is_dataset: whether a folder is a dataset of the format.
+        marker: file by which the format is recognised, for the error message.
 
     Raises:
-        DataError: there is none, or several to choose from.
+        DataError: there is no dataset, or there are several and none was named.
     """
-    if sequence is None and is_drive(root):
+    if sequence is None and is_dataset(root):
         return root
-    drives = {folder.name: folder for folder in subfolders(root) if is_drive(folder)}
-    if not drives:
-        raise DataError(f"{root}: expected {mark} in it or in a folder below, found none; check the path")
-    name = sequence or next(iter(drives))
-    if name not in drives or (sequence is None and len(drives) > 1):
-        found = ", ".join(drives)
-        raise DataError(f"{root}: expected one sequence{f' {sequence}' if sequence else ''}, found {found};"
-                        " choose one with --sequence")  # fmt: skip
-    return drives[name]
+    datasets = {folder.name: folder for folder in subfolders(root) if is_dataset(folder)}
+    if not datasets:
+        raise DataError(f"{root}: expected {marker} in it or in a folder below, found none; check the path")
+    name = sequence or next(iter(datasets))
+    if name not in datasets or (sequence is None and len(datasets) > 1):
+        wanted = f"one sequence {sequence}" if sequence else "one sequence"
+        raise DataError(f"{root}: expected {wanted}, found {', '.join(datasets)}; choose one with --sequence")
+    return datasets[name]

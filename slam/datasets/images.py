@@ -1,4 +1,4 @@
-"""Grey images from files, and recordings that are nothing but images: one camera, no calibration."""
+"""Grey images from files, and sequences of image files of one uncalibrated camera."""
 
 import re
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ from slam.storage.trajectory import read_kitti
 
 Array = NDArray[np.float64]
 
-SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"))
+IMAGE_SUFFIXES = frozenset((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"))
 
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """Images of one camera in the order in which they were taken; each is read when asked for.
+    """The image files of one camera in the order of their exposure; each is read on demand.
 
     Attributes:
-        name: of the folder, or of the KITTI sequence.
+        name: name of the folder, or of the KITTI sequence.
         files: N paths, in order.
-        timestamps: (N,) seconds, increasing; None where neither a file nor a rate says when they were taken.
-        poses: file of ground truth, KITTI, or None.
+        timestamps: (N,) seconds, increasing; None where neither a file nor a frame rate gives them.
+        poses: KITTI file of ground truth, or None.
     """
 
     name: str
@@ -36,7 +36,7 @@ class ImageSequence:
 
     @property
     def ground_truth(self) -> Array | None:
-        """T_world_camera (N, 4, 4), metres, read from the file; None where there is none.
+        """T_world_camera (N, 4, 4), metres, read from the file; None where there is no file.
 
         Raises:
             DataError: the file is damaged.
@@ -50,7 +50,7 @@ class ImageSequence:
         """Read image (H, W) uint8, grey.
 
         Raises:
-            IndexError: no such image.
+            IndexError: there is no such image.
             DataError: the image cannot be read.
         """
         if not 0 <= index < len(self):
@@ -58,29 +58,29 @@ class ImageSequence:
         return read_grey(self.files[index])
 
     def where(self, index: int) -> str:
-        """The image's file."""
+        """Path of an image, for error messages."""
         return str(self.files[index])
 
 
-def open_images(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
-    """Open the left images of a KITTI drive, which need no calibration here, or a folder of images.
+def open_image_sequence(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
+    """Open a folder of images, or the left images of a KITTI sequence, which need no calibration here.
 
     Args:
-        source: folder that holds images, taken in the natural order of their names (2.jpg before 10.jpg), or
-            a folder in KITTI odometry layout.
+        source: folder of images, taken in the natural order of their names (2.jpg before 10.jpg), or a folder in
+            KITTI odometry layout.
         sequence: name of the KITTI sequence; None where there is only one.
-        fps: images in a second, where there is no `times.txt`; None where nobody will ask for times.
+        fps: images per second, where there is no `times.txt`; None if no timestamps are needed.
 
     Raises:
-        DataError: no images, or an `fps` that is none.
+        DataError: there are no images, or `fps` is not a frame rate.
     """
     folder, files = _folder_and_files(source, sequence)
     poses = find_poses(folder) if files[0].parent != folder else None
-    return ImageSequence(folder.absolute().name, files, _times(folder / "times.txt", len(files), fps), poses)
+    return ImageSequence(folder.absolute().name, files, _timestamps(folder / "times.txt", len(files), fps), poses)
 
 
 def _folder_and_files(source: Path, sequence: str | None) -> tuple[Path, tuple[Path, ...]]:
-    files = images_in(source)
+    files = list_images(source)
     if files:
         return source, files
     if source.is_dir() and not any(item.is_dir() for item in source.iterdir()):
@@ -90,15 +90,15 @@ def _folder_and_files(source: Path, sequence: str | None) -> tuple[Path, tuple[P
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
-    """Read an image (H, W) uint8; colour becomes grey.
+    """Read an image (H, W) uint8; colour is converted to grey.
 
     Raises:
-        DataError: the file is missing or damaged, or its name is no text.
+        DataError: the file is missing or damaged, or its name is not valid Unicode.
     """
     _check_name(path)
     try:
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    except cv2.error:  # sizes that no image has
+    except cv2.error:  # raised for a header with a size that OpenCV refuses to allocate
         image = None
     if image is None and not path.exists():
         raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
@@ -110,16 +110,16 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 def _check_name(path: Path) -> None:
     try:
         str(path).encode()
-    except UnicodeEncodeError:  # OpenCV would take the whole program down
+    except UnicodeEncodeError:  # OpenCV would abort the process on such a name
         shown = str(path).encode(errors="replace").decode()
-        raise DataError(f"{shown}: expected a file name of characters, found other bytes; rename it") from None
+        raise DataError(f"{shown}: expected a file name in Unicode, found other bytes; rename it") from None
 
 
 def read_times(path: Path, count: int) -> Array:
-    """Read `count` increasing times, seconds, one a line.
+    """Read `count` increasing times, seconds, one per line.
 
     Raises:
-        DataError: missing file, another count, no numbers, not increasing.
+        DataError: the file is missing, has another number of times, or they do not increase.
     """
     times = read_numbers(path, 1)[:, 0]
     if len(times) != count:
@@ -128,11 +128,11 @@ def read_times(path: Path, count: int) -> Array:
         )
     if (np.diff(times) <= 0).any():
         at = int(np.argmax(np.diff(times) <= 0)) + 1
-        raise DataError(f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; mend that line")
+        raise DataError(f"{path}: expected increasing times, found {times[at]} after {times[at - 1]}; correct the line")
     return times
 
 
-def _times(path: Path, count: int, fps: float | None) -> Array | None:
+def _timestamps(path: Path, count: int, fps: float | None) -> Array | None:
     if path.is_file():
         return read_times(path, count)
     if fps is None:
@@ -144,15 +144,15 @@ def _times(path: Path, count: int, fps: float | None) -> Array | None:
     return np.arange(count) / fps
 
 
-def images_in(folder: Path) -> tuple[Path, ...]:
-    """Images of a folder in the natural order of their names (2.jpg before 10.jpg); none where there is no folder."""
+def list_images(folder: Path) -> tuple[Path, ...]:
+    """Image files of a folder in the natural order of their names (2.jpg before 10.jpg); none if it does not exist."""
     if not folder.is_dir():
         return ()
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.name[0] != "."]
-    return tuple(sorted(files, key=natural))
+    files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES and file.name[0] != "."]
+    return tuple(sorted(files, key=natural_sort_key))
 
 
-def natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def natural_sort_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     """Key that sorts names by the numbers in them."""
     parts = re.findall(r"(\d+)|(\D+)", path.name)
     return [(0, int(digits), "") if digits else (1, 0, word) for digits, word in parts], path.name

@@ -1,71 +1,79 @@
-"""The layouts of recordings that can be read, and how each is told from the others."""
+"""The registry of dataset formats, and the detection of a dataset's format from its files.
+
+A new format is a file in this folder and a line in `FORMATS`: see docs/add_a_dataset.md. Why a format is detected
+by its files: docs/decisions/datasets_by_content.md.
+"""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from slam.datasets.bag import left_of_bag, open_bag
+from slam.datasets.bag import open_bag, open_bag_images
 from slam.datasets.bag_file import is_bag
 from slam.datasets.city_centre import open_city_centre
 from slam.datasets.dataset import Dataset
-from slam.datasets.euroc import is_euroc, left_of_euroc, open_euroc
-from slam.datasets.folders import holds_drives, subfolders
-from slam.datasets.images import ImageSequence, open_images
+from slam.datasets.euroc import is_euroc, open_euroc, open_euroc_images
+from slam.datasets.folders import contains_dataset, subfolders
+from slam.datasets.images import ImageSequence, open_image_sequence
 from slam.datasets.kitti import open_kitti
 from slam.datasets.kitti_files import sequence_names
-from slam.datasets.left_images import ImageRecording
+from slam.datasets.left_images import ImageDataset
 from slam.datasets.malaga import open_malaga
 from slam.datasets.new_college import open_new_college
-from slam.datasets.own_camera import is_described, is_own_camera, left_of_own_camera, open_own_camera
-from slam.datasets.source import Source
-from slam.datasets.tum_rgbd import is_tum_rgbd, left_of_tum_rgbd, open_tum_rgbd
+from slam.datasets.own_camera import has_camera_toml, is_custom_camera, open_custom_camera, open_custom_camera_images
+from slam.datasets.source import DatasetSpec
+from slam.datasets.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
 from slam.errors import ConfigError, DataError
 
-_CITY_CENTRE_IMAGES = 2474
+_CITY_CENTRE_IMAGES = 2474  # fewer numbered .jpg files may be anybody's
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A layout.
+class DatasetFormat:
+    """How datasets of one format are detected and opened.
 
     Attributes:
-        recognises: whether a path is of this kind.
-        drive: opens it for the whole chain, and checks everything but the images themselves.
-        images: opens what the left camera saw, for place recognition.
+        matches: whether a path holds a dataset of this format.
+        open_dataset: opens it for SLAM; checks all files but the images themselves.
+        open_images: opens the left camera's images for place recognition; needs no calibration.
     """
 
-    recognises: Callable[[Path], bool]
-    drive: Callable[[Source], Dataset]
-    images: Callable[[Source], ImageRecording]
+    matches: Callable[[Path], bool]
+    open_dataset: Callable[[DatasetSpec], Dataset]
+    open_images: Callable[[DatasetSpec], ImageDataset]
 
 
-def _for_places(recognises: Callable[[Path], bool], images: Callable[[Path], ImageSequence]) -> Kind:
-    """A recording that the chapter recognises places in, and nothing else."""
+def _images_only(matches: Callable[[Path], bool], open_images: Callable[[Path], ImageSequence]) -> DatasetFormat:
+    """Return a format without calibration, which serves place recognition alone."""
 
-    def refuse(source: Source) -> Dataset:
+    def refuse(spec: DatasetSpec) -> Dataset:
         raise DataError(
-            f"{source.path}: expected a calibration, found images of places alone; use it with revisit places"
+            f"{spec.path}: expected a calibration, found images of places alone; use it with revisit places"
         )
 
-    return Kind(recognises, refuse, lambda source: images(source.path))
+    return DatasetFormat(matches, refuse, lambda spec: open_images(spec.path))
 
 
-def _named(pattern: str, count: int = 1) -> Callable[[Path], bool]:
-    """Whether a folder, or one at most two below it, holds at least so many files whose whole name matches."""
+def _has_files(pattern: str, min_count: int = 1) -> Callable[[Path], bool]:
+    """Return a test whether a folder, or one up to two levels below it, has `min_count` files of matching names."""
     name = re.compile(pattern, re.IGNORECASE)
 
-    def recognises(root: Path) -> bool:
+    def matches(root: Path) -> bool:
+        if not root.is_dir():
+            return False
         below = subfolders(root)
-        folders = [root, *below, *(inner for folder in below for inner in subfolders(folder))] if root.is_dir() else []
-        return any(len(list(islice(_matching(folder, name), count))) == count for folder in folders)
+        folders = [root, *below, *(inner for folder in below for inner in subfolders(folder))]
+        return any(_count_up_to(folder, name, min_count) == min_count for folder in folders)
 
-    return recognises
+    return matches
 
 
-def _matching(folder: Path, name: re.Pattern[str]) -> Iterator[Path]:
-    return (item for item in folder.iterdir() if name.fullmatch(item.name))
+def _count_up_to(folder: Path, name: re.Pattern[str], limit: int) -> int:
+    # Matching stops at the limit: a folder may hold a hundred thousand images.
+    matching = (item for item in folder.iterdir() if name.fullmatch(item.name))
+    return len(list(islice(matching, limit)))
 
 
 def _is_kitti(root: Path) -> bool:
@@ -73,41 +81,41 @@ def _is_kitti(root: Path) -> bool:
     return any((f / "image_0").is_dir() or (f / "image_2").is_dir() for f in folders) or bool(sequence_names(root))
 
 
-# In this order: what says most about itself comes first, and a folder of images last.
-KINDS = {
-    "bag": Kind(is_bag, open_bag, left_of_bag),
-    "euroc": Kind(lambda root: holds_drives(root, is_euroc), open_euroc, left_of_euroc),
-    "tum-rgbd": Kind(lambda root: holds_drives(root, is_tum_rgbd), open_tum_rgbd, left_of_tum_rgbd),
-    "own-camera": Kind(is_described, open_own_camera, left_of_own_camera),
-    "kitti": Kind(
+# The order matters: formats with the most distinctive files come first, a bare folder of images comes last.
+FORMATS = {
+    "bag": DatasetFormat(is_bag, open_bag, open_bag_images),
+    "euroc": DatasetFormat(lambda root: contains_dataset(root, is_euroc), open_euroc, open_euroc_images),
+    "tum-rgbd": DatasetFormat(lambda root: contains_dataset(root, is_tum_rgbd), open_tum_rgbd, open_tum_rgbd_images),
+    "own-camera": DatasetFormat(has_camera_toml, open_custom_camera, open_custom_camera_images),
+    "kitti": DatasetFormat(
         _is_kitti,
-        lambda source: open_kitti(source.path, source.sequence),
-        lambda source: open_images(source.path, source.sequence, source.fps),
+        lambda spec: open_kitti(spec.path, spec.sequence),
+        lambda spec: open_image_sequence(spec.path, spec.sequence, spec.fps),
     ),
-    "malaga": _for_places(_named(r"CAMERA1_[\d.]+_left\.(jpg|png)"), open_malaga),
-    "new-college": _for_places(_named(r"StereoImages__[\d.]+-left\.(pnm|ppm|pgm|png|jpg)"), open_new_college),
-    "city-centre": _for_places(_named(r"\d{4}\.jpg", _CITY_CENTRE_IMAGES), open_city_centre),
-    "images": Kind(is_own_camera, open_own_camera, left_of_own_camera),
+    "malaga": _images_only(_has_files(r"CAMERA1_[\d.]+_left\.(jpg|png)"), open_malaga),
+    "new-college": _images_only(_has_files(r"StereoImages__[\d.]+-left\.(pnm|ppm|pgm|png|jpg)"), open_new_college),
+    "city-centre": _images_only(_has_files(r"\d{4}\.jpg", _CITY_CENTRE_IMAGES), open_city_centre),
+    "images": DatasetFormat(is_custom_camera, open_custom_camera, open_custom_camera_images),
 }
 
 
-def kind_of(source: Source) -> str:
-    """Name of the layout that was named, else of the first one that recognises the source.
+def detect_format(spec: DatasetSpec) -> str:
+    """Return the name of the requested format, or of the first format that matches the path.
 
     Raises:
-        ConfigError: the named one does not exist.
-        DataError: nothing recognises it.
+        ConfigError: the requested format does not exist.
+        DataError: no format matches.
     """
-    if source.kind is not None:
-        if source.kind not in KINDS:
-            raise ConfigError(f"--format: expected one of {', '.join(KINDS)}, found {source.kind!r}")
-        return source.kind
-    if not source.path.exists():
-        raise DataError(f"{source.path}: expected a recording, found nothing; check the path")
-    found = next((name for name, kind in KINDS.items() if kind.recognises(source.path)), None)
+    if spec.format is not None:
+        if spec.format not in FORMATS:
+            raise ConfigError(f"--format: expected one of {', '.join(FORMATS)}, found {spec.format!r}")
+        return spec.format
+    if not spec.path.exists():
+        raise DataError(f"{spec.path}: expected a recording, found nothing; check the path")
+    found = next((name for name, candidate in FORMATS.items() if candidate.matches(spec.path)), None)
     if found is None:
         raise DataError(
-            f"{source.path}: expected images or a folder in KITTI layout, found neither, nor a recording of another"
-            f" kind ({', '.join(KINDS)}); check the path"
+            f"{spec.path}: expected images or a folder in KITTI layout, found neither, nor a recording of another"
+            f" format ({', '.join(FORMATS)}); check the path"
         )
     return found

@@ -1,4 +1,4 @@
-"""Where a KITTI odometry sequence keeps its files, in all the ways that people unpack it.
+"""Finds the files of a KITTI odometry sequence, however the archives were unpacked.
 
 `<root>/[dataset/]sequences/XX/{image_0, image_1, image_2, image_3, calib.txt, times.txt}` and `poses/XX.txt`
 beside `sequences`. Cameras 0 and 1 are the grey pair, 2 and 3 the colour pair; numbering and layout: KITTI
@@ -12,17 +12,18 @@ import numpy as np
 
 from slam.errors import DataError
 
-_PAIRS = ((0, 1), (2, 3))  # grey first: it needs no conversion
+# KITTI's numbers of the left and right cameras. The grey pair is preferred because it needs no conversion.
+_PAIRS = ((0, 1), (2, 3))
 
 
 @dataclass(frozen=True)
 class StereoFiles:
-    """The images of a drive.
+    """Paths of the images of a sequence.
 
     Attributes:
-        cameras: KITTI's numbers of the left and the right camera, (0, 1) grey or (2, 3) colour.
+        cameras: KITTI's numbers of the left and right camera, (0, 1) grey or (2, 3) colour.
         left: N paths, in order.
-        right: N paths with the same names, or None in a drive with one camera.
+        right: N paths with the same names, or None in a sequence with one camera.
     """
 
     cameras: tuple[int, int]
@@ -31,15 +32,14 @@ class StereoFiles:
 
 
 def find_sequence(root: Path, sequence: str | None) -> Path:
-    """Folder of one sequence.
+    """Return the folder of one sequence.
 
     Args:
-        root: the folder that holds `sequences`, its parent, `sequences` itself, or the folder of one
-            sequence.
-        sequence: its name ("00"); None where there is only one.
+        root: folder that contains `sequences`, its parent, `sequences` itself, or the folder of one sequence.
+        sequence: name of the sequence ("00"); None where there is only one.
 
     Raises:
-        DataError: no such folder, no such sequence, or several and none named.
+        DataError: the folder or the sequence does not exist, or there are several sequences and none was named.
     """
     if not root.is_dir():
         found = "a file" if root.exists() else "nothing"
@@ -62,12 +62,12 @@ def _choose(root: Path, folders: dict[str, Path], sequence: str | None) -> Path:
 
 
 def sequence_names(root: Path) -> tuple[str, ...]:
-    """Names of all sequences below a folder in KITTI layout; none where there are none."""
+    """Names of all sequences below a folder in KITTI layout; empty if it has none."""
     return tuple(_sequences(root)) if root.is_dir() else ()
 
 
 def find_poses(sequence: Path) -> Path | None:
-    """Ground truth poses of the sequence in this folder; None where there are none."""
+    """File of the ground-truth poses of the sequence in a folder; None where there is none."""
     here = sequence.absolute()
     name = f"{here.name}.txt"
     places = [here.parent.parent / "poses" / name, here.parent / "poses" / name, here / "poses.txt"]
@@ -75,13 +75,13 @@ def find_poses(sequence: Path) -> Path | None:
 
 
 def find_images(sequence: Path) -> StereoFiles:
-    """Images of a sequence: the grey pair, else the colour pair, else the left images of either.
+    """Find the images of a sequence: the grey pair, else the colour pair, else the left images of either.
 
     Raises:
-        DataError: no images, gaps in their numbering, left and right images that do not belong together.
+        DataError: there are no images, their numbering has gaps, or left and right numbers differ.
     """
     present = [pair for pair in _PAIRS if (sequence / f"image_{pair[0]}").is_dir()]
-    present.sort(key=lambda pair: not (sequence / f"image_{pair[1]}").is_dir())  # two cameras before one
+    present.sort(key=lambda pair: not (sequence / f"image_{pair[1]}").is_dir())  # a pair before a single camera
     if present:
         left, right = (sequence / f"image_{camera}" for camera in present[0])
         return _stereo_files(present[0], left, right)

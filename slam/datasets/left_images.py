@@ -1,4 +1,4 @@
-"""Images alone, for place recognition: of any drive the left camera's, in whatever layout it was recorded."""
+"""Datasets of single images for place recognition: the left camera of any recording, calibrated or not."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,28 +6,28 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_drive import CameraDrive, Images
+from slam.datasets.camera_drive import Images, RectifiedDataset
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
-class ImageRecording(Protocol):
-    """Images of one camera in the order in which they were taken."""
+class ImageDataset(Protocol):
+    """The images of one camera in the order of their exposure."""
 
     @property
     def name(self) -> str:
-        """For titles."""
+        """Short name for titles."""
         ...
 
     @property
     def timestamps(self) -> Array | None:
-        """(N,) seconds, increasing; None where nothing says when they were taken."""
+        """(N,) seconds, increasing; None where the times are unknown."""
         ...
 
     @property
     def ground_truth(self) -> Array | None:
-        """T_world_camera (N, 4, 4), metres, or None where it is not known."""
+        """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
         ...
 
     def __len__(self) -> int: ...
@@ -37,41 +37,52 @@ class ImageRecording(Protocol):
 
 @dataclass(frozen=True)
 class LeftImages:
-    """The ideal left camera's images of a drive (an ImageRecording)."""
+    """The rectified images of the left camera of a dataset (an ImageDataset).
 
-    drive: CameraDrive
+    Attributes:
+        dataset: a dataset without right images, which would only cost time to decode.
+    """
+
+    dataset: RectifiedDataset
+
+    @classmethod
+    def of(cls, dataset: RectifiedDataset) -> "LeftImages":
+        """Return the left images of a dataset with one camera or two."""
+        return cls(dataset.without_right())
 
     @property
     def name(self) -> str:
-        """Of the drive."""
-        return self.drive.name
+        """Name of the dataset."""
+        return self.dataset.name
 
     @property
     def timestamps(self) -> Array:
         """(N,) seconds, increasing."""
-        return self.drive.timestamps
+        return self.dataset.timestamps
 
     @property
     def ground_truth(self) -> Array | None:
         """T_world_camera (N, 4, 4), metres, or None."""
-        return self.drive.ground_truth
+        return self.dataset.ground_truth
 
     def __len__(self) -> int:
-        return len(self.drive)
+        return len(self.dataset)
 
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8, grey."""
-        return self.drive[index].left
-
-
-def left_images(drive: CameraDrive) -> LeftImages:
-    """Of a drive with one camera or two."""
-    return LeftImages(drive.with_left_alone())
+        return self.dataset[index].left
 
 
 @dataclass(frozen=True)
-class RawImages:
-    """Images of a camera of which nothing is known (an ImageRecording)."""
+class UncalibratedImages:
+    """The images of a camera without calibration, as they were recorded (an ImageDataset).
+
+    Attributes:
+        name: short name for titles.
+        images: N images.
+        timestamps: (N,) seconds, increasing, or None.
+        ground_truth: T_world_camera (N, 4, 4), metres, or None.
+    """
 
     name: str
     images: Images

@@ -6,23 +6,23 @@ The left images of the rectified stereo pair, 1024 x 768 at 7.5 Hz: 3,474 of the
 from pathlib import Path
 
 from slam.datasets.images import ImageSequence
-from slam.datasets.named import images_named, times_in_names
+from slam.datasets.named import find_named_images, parse_times
 from slam.errors import DataError
 
 ORIGIN = "https://www.mrpt.org/Paper:Malaga_Dataset_2009 (parking 6L, rectified stereo images)"
-RATE = 7.5
+FPS = 7.5
 
 
 def open_malaga(root: Path) -> ImageSequence:
-    """Open the recording unpacked somewhere below `root`: `CAMERA1_<seconds>_left.jpg`.
+    """Open the images unpacked anywhere below `root`: `CAMERA1_<seconds>_left.jpg`.
 
     Raises:
         DataError: there are no such images.
     """
     if not root.is_dir():
         raise DataError(f"{root}: expected the Malaga parking 6L recording, found nothing; get it from {ORIGIN}")
-    # Unpacked beside the raw images, the rectified ones lie in a folder that says so.
+    # If the raw images were unpacked too, the rectified ones are in a folder with this word in its name.
     rectified = next((item for item in sorted(root.rglob("*rectified*")) if item.is_dir()), root)
     pattern = r".*left.*\.(jpg|jpeg|png|bmp)"
-    files = images_named(rectified, pattern, "CAMERA1_1228314331.283640_left.jpg", ORIGIN)
-    return ImageSequence("Malaga 2009 6L", files, times_in_names(files, RATE))
+    files = find_named_images(rectified, pattern, "CAMERA1_1228314331.283640_left.jpg", ORIGIN)
+    return ImageSequence("Malaga 2009 6L", files, parse_times(files, FPS))

@@ -1,4 +1,4 @@
-"""Images that are known by their names, wherever below a folder they were unpacked."""
+"""Finds the images of published place-recognition datasets by their names, anywhere below a folder."""
 
 import re
 from collections.abc import Sequence
@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.images import natural
+from slam.datasets.images import natural_sort_key
 from slam.errors import DataError
 
 
-def images_named(root: Path, pattern: str, example: str, origin: str) -> tuple[Path, ...]:
-    """Files below `root` whose whole name matches, in the natural order of the names.
+def find_named_images(root: Path, pattern: str, example: str, origin: str) -> tuple[Path, ...]:
+    """Files below `root` whose whole name matches a pattern, in natural order of the names.
 
     Args:
-        root: where somebody unpacked the recording.
-        pattern: regular expression of a name, whatever its case.
-        example: such a name, for the message.
-        origin: where the recording is to be had, for the message.
+        root: folder into which the dataset was unpacked.
+        pattern: regular expression of a file name, matched without regard to case.
+        example: a matching name, for the error message.
+        origin: address from which the dataset can be downloaded, for the error message.
 
     Raises:
-        DataError: there is none, or the same name twice: two recordings, or one unpacked twice.
+        DataError: no file matches, or two files have the same name (two datasets, or one unpacked twice).
     """
     name = re.compile(pattern, re.IGNORECASE)
     found = [path for path in root.rglob("*") if name.fullmatch(path.name) and path.is_file()]
@@ -32,16 +32,16 @@ def images_named(root: Path, pattern: str, example: str, origin: str) -> tuple[P
         raise DataError(
             f"{root}: expected each image once, found {len(found)} files of {len(names)} names; keep one set"
         )
-    return tuple(sorted(found, key=lambda path: natural(Path(path.name))))
+    return tuple(sorted(found, key=lambda path: natural_sort_key(Path(path.name))))
 
 
-def times_in_names(files: Sequence[Path], rate: float) -> NDArray[np.float64]:
-    """Times (N,) of images, seconds, that stand in their names; where these do not increase, equal steps at a rate.
+def parse_times(files: Sequence[Path], fps: float) -> NDArray[np.float64]:
+    """Times (N,) of images from their file names, seconds; at a fixed rate if the names have no increasing times.
 
     Args:
         files: N paths.
-        rate: images a second.
+        fps: images per second of the fixed rate.
     """
     numbers = [re.search(r"\d+\.\d+", file.stem) for file in files]
     times = np.array([float(number.group()) if number else np.nan for number in numbers])
-    return times if (np.diff(times) > 0).all() and np.isfinite(times).all() else np.arange(len(files)) / rate
+    return times if (np.diff(times) > 0).all() and np.isfinite(times).all() else np.arange(len(files)) / fps

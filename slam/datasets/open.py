@@ -1,41 +1,33 @@
-"""The one door to recordings."""
+"""Opens a dataset, whatever its format."""
 
 from pathlib import Path
 
 from slam.datasets.dataset import Dataset
-from slam.datasets.kinds import KINDS, kind_of
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.source import Source
+from slam.datasets.kinds import FORMATS, detect_format
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.source import DatasetSpec
 
 
-def open_drive(source: Path | str, sequence: str | None = None) -> Dataset:
-    """Open a recorded drive of whatever kind.
+def open_dataset(source: DatasetSpec | Path | str, sequence: str | None = None) -> Dataset:
+    """Open a calibrated dataset of any format in `FORMATS`.
 
     Args:
-        source: folder or file.
-        sequence: name of one of several drives below the folder ("00"); None where there is only one.
+        source: folder, file, or a full specification.
+        sequence: name of one of several sequences below the folder ("00"); None where there is only one.
 
     Raises:
-        DataError: the drive is missing, damaged or inconsistent.
+        DataError: the dataset is missing, damaged or inconsistent, or it has no calibration.
+        ConfigError: the format does not exist.
     """
-    return open_source(Source(Path(source), sequence))
+    spec = source if isinstance(source, DatasetSpec) else DatasetSpec(Path(source), sequence)
+    return FORMATS[detect_format(spec)].open_dataset(spec)
 
 
-def open_source(source: Source) -> Dataset:
-    """Open a recorded drive; a new layout is a new file in this folder and a line in `KINDS`.
+def open_images(spec: DatasetSpec) -> ImageDataset:
+    """Open the left camera's images of a dataset. They are undistorted if there is a calibration; none is needed.
 
     Raises:
-        DataError: the drive is missing, damaged or inconsistent, or has no calibration.
-        ConfigError: a kind that does not exist.
+        DataError: the images are missing, damaged or inconsistent.
+        ConfigError: the format does not exist.
     """
-    return KINDS[kind_of(source)].drive(source)
-
-
-def open_left_images(source: Source) -> ImageRecording:
-    """Open what the left camera of a recording saw. A calibration is used where there is one, and not needed.
-
-    Raises:
-        DataError: there are no images, or they are damaged or inconsistent.
-        ConfigError: a kind that does not exist.
-    """
-    return KINDS[kind_of(source)].images(source)
+    return FORMATS[detect_format(spec)].open_images(spec)

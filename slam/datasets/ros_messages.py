@@ -1,4 +1,7 @@
-"""Messages of cameras in ROS 1 and ROS 2: images to grey values, and calibrations."""
+"""Decodes camera messages of ROS 1 and ROS 2: images to grey values, CameraInfo to calibrations.
+
+Why not the package `rosbags-image`: docs/decisions/ros_messages.md.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,12 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.lens import MODELS, Lens
+from slam.datasets.lens import DISTORTION_MODELS, FISHEYE_MODELS, CameraModel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# Encodings (sensor_msgs/image_encodings.hpp): type of a value, values a pixel, OpenCV's conversion to grey if any.
+# Encodings of sensor_msgs/image_encodings.hpp: type of a value, values per pixel, OpenCV's conversion to grey or None.
+# A Bayer pattern is named by its first two pixels in ROS.
 ENCODINGS = {
     "mono8": (np.uint8, 1, None),
     "8UC1": (np.uint8, 1, None),
@@ -34,45 +38,46 @@ ENCODINGS = {
 }
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CALIBRATION_TYPE = "sensor_msgs/msg/CameraInfo"
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 
 
-def stamp(message: Any) -> float:
-    """When the camera says that it saw this, seconds."""
+def read_timestamp(message: Any) -> float:
+    """Time of exposure in a message's header, seconds."""
     time = message.header.stamp
     return float(time.sec) + 1e-9 * float(time.nanosec)
 
 
-def grey(message: Any) -> Image:
-    """Grey values (H, W) uint8 of an Image or a CompressedImage.
+def decode_image(message: Any) -> Image:
+    """Decode an Image or a CompressedImage message to grey values (H, W) uint8.
 
     Raises:
-        ValueError: an encoding that is not known, or other data than it needs.
+        ValueError: the encoding is not supported, or the data do not fit the encoding.
     """
     try:
-        return _image(message) if hasattr(message, "encoding") else _compressed(message)
-    except cv2.error as error:  # sizes that a conversion cannot work on
+        return _decode_raw(message) if hasattr(message, "encoding") else _decode_compressed(message)
+    except cv2.error as error:  # raised for sizes that a conversion does not support, such as an odd width of YUV 4:2:2
         raise ValueError(f"expected an image that can be converted, found {error.err}") from None
 
 
-def _compressed(message: Any) -> Image:
+def _decode_compressed(message: Any) -> Image:
     image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
     if image is None:
         raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
     return np.asarray(image, np.uint8)
 
 
-def _image(message: Any) -> Image:
+def _decode_raw(message: Any) -> Image:
     if message.encoding not in ENCODINGS:
         raise ValueError(f"expected one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
     kind, channels, conversion = ENCODINGS[message.encoding]
-    values = _values(message, np.dtype(kind), channels)
+    values = _read_values(message, np.dtype(kind), channels)
     if kind is np.uint16:
         return (values[..., 0] >> 8).astype(np.uint8)
     return np.ascontiguousarray(values[..., 0] if conversion is None else cv2.cvtColor(values, conversion))
 
 
-def _values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
+def _read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
+    """Values (H, W, channels) of an Image message, without the padding that its rows may have."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * kind.itemsize
     data = np.frombuffer(message.data, np.uint8)
@@ -86,51 +91,52 @@ def _values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """A CameraInfo.
+class CameraInfo:
+    """Contents of a CameraInfo message.
 
     Attributes:
-        lens: intrinsics and distortion of the raw image.
-        R_view_camera: (3, 3) rotation from the camera to the rectified view.
-        P: (3, 4) projection of the rectified view; its last column places the right camera. Zeros where there is none.
-        size: width and height.
+        model: intrinsics and distortion of the raw image.
+        R_view_camera: (3, 3) rotation from the raw to the rectified camera.
+        P: (3, 4) projection matrix of the rectified camera; the last column holds -fx times its offset to the right of
+            the pair's left camera. Zeros if the camera is not rectified.
+        size: width and height of the raw image, pixels; zeros if unknown.
     """
 
-    lens: Lens
+    model: CameraModel
     R_view_camera: Array
     P: Array
     size: tuple[int, int]
 
     @property
-    def rectified(self) -> bool:
-        """Whether it says what the rectified view is."""
+    def has_rectification(self) -> bool:
+        """Whether the message defines a rectified camera."""
         return bool(self.P[0, 0] > 0 and self.P[1, 1] > 0)
 
     @property
-    def to_right(self) -> float:
-        """How far to the right of the left camera of its pair, metres: 0 for the left one, or one that is alone."""
-        return float(-self.P[0, 3] / self.P[0, 0]) if self.rectified else 0.0
+    def offset_right_m(self) -> float:
+        """Position to the right of the pair's left camera: 0 for the left or a single camera, else the baseline."""
+        return float(-self.P[0, 3] / self.P[0, 0]) if self.has_rectification else 0.0
 
 
-def calibration(message: Any) -> Calibration:
-    """Calibration of a CameraInfo.
+def read_camera_info(message: Any) -> CameraInfo:
+    """Convert a CameraInfo message.
 
     Raises:
-        ValueError: values that no camera has.
+        ValueError: the message contains values that no camera has.
     """
-    # ROS 1 writes the names of the matrices large, ROS 2 small
+    # The fields are called K, D, R, P in ROS 1 and k, d, r, p in ROS 2.
     K, D, R, P = (np.asarray(getattr(message, n, getattr(message, n.lower(), None)), np.float64) for n in "KDRP")
     R = R.reshape(3, 3) if np.any(R) else np.eye(3)
-    model, coefficients = _distortion(str(message.distortion_model), tuple(D.tolist()))
-    lens = Lens(float(K[0]), float(K[4]), float(K[2]), float(K[5]), model, coefficients)
+    model, coefficients = _parse_distortion(str(message.distortion_model), tuple(D.tolist()))
+    camera_model = CameraModel(float(K[0]), float(K[4]), float(K[2]), float(K[5]), model, coefficients)
     if not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or not np.isfinite(P).all():
         raise ValueError("expected a rotation R and finite numbers P in CameraInfo")
-    return Calibration(lens, R, P.reshape(3, 4), (int(message.width), int(message.height)))
+    return CameraInfo(camera_model, R, P.reshape(3, 4), (int(message.width), int(message.height)))
 
 
-def _distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
-    if not any(coefficients) and model not in ("equidistant", "fisheye"):
+def _parse_distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
+    if not any(coefficients) and model not in FISHEYE_MODELS:
         return "none", ()
-    if model not in MODELS:
-        raise ValueError(f"expected one of the distortion models {', '.join(MODELS)}, found {model!r}")
+    if model not in DISTORTION_MODELS:
+        raise ValueError(f"expected one of the distortion models {', '.join(DISTORTION_MODELS)}, found {model!r}")
     return model, coefficients

@@ -1,4 +1,4 @@
-"""What the user asks to be read."""
+"""The user's request for a dataset: path, format and the values that the files do not contain."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -7,49 +7,52 @@ from typing import Any
 
 from slam.errors import ConfigError
 
+# Frames per second that a recording can have: from one image in eleven days to beyond any camera.
+_MIN_FPS, _MAX_FPS = 1e-6, 1e6
 
-def is_rate(fps: float) -> bool:
-    """Whether so many images a second are a rate: from one in eleven days to what no camera reaches."""
-    return 1e-6 <= fps <= 1e6
+
+def is_valid_fps(fps: float) -> bool:
+    """Whether a number can be a frame rate, in images per second."""
+    return _MIN_FPS <= fps <= _MAX_FPS
 
 
 @dataclass(frozen=True)
-class Source:
-    """A recording, and how to read it.
+class DatasetSpec:
+    """A dataset to open, and how to read it.
 
     Attributes:
         path: folder or file.
-        sequence: which of several drives below the folder; None where there is one.
-        kind: layout, by its name in `slam.datasets.kinds.KINDS`; None to recognise it.
-        fps: images a second, where no file says when they were taken.
-        topics: of a bag: the left, then the right camera's; empty to find them.
+        sequence: name of one of several sequences below the folder; None where there is only one.
+        format: name of a format in `slam.datasets.kinds.FORMATS`; None to detect it.
+        fps: images per second, for recordings without timestamps.
+        topics: image topics of a bag, the left camera's first; empty to find them.
 
     Raises:
-        ConfigError: a rate that is none, or more topics than eyes.
+        ConfigError: `fps` is not a frame rate, or there are more than two topics.
     """
 
     path: Path
     sequence: str | None = None
-    kind: str | None = None
+    format: str | None = None
     fps: float | None = None
     topics: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.fps is not None and not is_rate(self.fps):
-            raise ConfigError(f"--fps: expected images a second above 0, found {self.fps}")
+        if self.fps is not None and not is_valid_fps(self.fps):
+            raise ConfigError(f"--fps: expected images per second, above 0, found {self.fps}")
         if len(self.topics) > 2:
             raise ConfigError(f"--image-topic: expected one, or left and right, found {len(self.topics)}")
 
     def as_metrics(self) -> dict[str, object]:
-        """What was asked, for metrics.json; what was not is left out."""
+        """Return the fields that were given, for metrics.json."""
         return {name: value for name, value in asdict(self).items() if value not in (None, ())}
 
     @classmethod
-    def from_metrics(cls, asked: Mapping[str, Any]) -> "Source":
-        """What `as_metrics` said.
+    def from_metrics(cls, fields: Mapping[str, Any]) -> "DatasetSpec":
+        """Return the specification that `as_metrics` has written.
 
         Raises:
-            KeyError, TypeError: it was not said.
+            KeyError, TypeError: the fields are not those of a specification.
         """
-        known = dict(asked)
-        return cls(Path(known.pop("path")), topics=tuple(known.pop("topics", ())), **known)
+        rest = dict(fields)
+        return cls(Path(rest.pop("path")), topics=tuple(rest.pop("topics", ())), **rest)

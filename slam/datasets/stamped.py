@@ -1,4 +1,4 @@
-"""Tables whose first column is a time: lists of images and of poses, as EuRoC (csv) and TUM (blanks) write them."""
+"""Reads lists whose first column is a time: images and poses, as EuRoC (commas) and TUM (spaces) write them."""
 
 import re
 from dataclasses import dataclass
@@ -15,35 +15,35 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Table:
-    """How a table is written.
+class ListFormat:
+    """The syntax of a list.
 
     Attributes:
-        separator: regular expression between cells.
-        second: of the first column, how many make one second.
+        separator: regular expression between the cells of a line.
+        ticks_per_second: units of the first column in one second.
     """
 
     separator: str
-    second: float
+    ticks_per_second: float
 
 
-CSV_NANOSECONDS = Table(r"\s*,\s*", 1e9)
-BLANKS_SECONDS = Table(r"\s+", 1.0)
+CSV_NANOSECONDS = ListFormat(r"\s*,\s*", 1e9)
+SPACE_SEPARATED_SECONDS = ListFormat(r"\s+", 1.0)
 
 
-def read_image_list(path: Path, folder: Path, table: Table) -> ImageSequence:
-    """Images that a table lists: time and file name.
+def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageSequence:
+    """Read a list of images: time and file name in each line.
 
     Args:
-        path: of the table.
-        folder: where the files lie.
-        table: how it is written.
+        path: list to read.
+        folder: folder that the file names are relative to.
+        list_format: syntax of the list.
 
     Raises:
-        DataError: the table is missing, empty, damaged or not in the order of time, or an image is missing.
+        DataError: the list is missing, empty, damaged or not in the order of time, or an image is missing.
     """
-    rows = _cells(path, table, 2)
-    times = np.array([_number(path, cells[0]) for cells in rows]) / table.second
+    rows = _cells(path, list_format, 2)
+    times = np.array([_number(path, cells[0]) for cells in rows]) / list_format.ticks_per_second
     check_increasing(path, times)
     files = tuple(folder / cells[1] for cells in rows)
     missing = next((file for file in files if not _is_file(file)), None)
@@ -52,14 +52,14 @@ def read_image_list(path: Path, folder: Path, table: Table) -> ImageSequence:
     return ImageSequence(path.parent.name, files, times)
 
 
-def read_stamped(path: Path, table: Table, columns: int) -> Array:
-    """Numbers (N, columns) of a table; the first column becomes seconds, and increases. Further columns are left out.
+def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> Array:
+    """Read the first columns of a list of numbers: (N, columns), the first column in seconds, increasing.
 
     Raises:
-        DataError: the table is missing, empty, damaged or not in the order of time.
+        DataError: the list is missing, empty, damaged or not in the order of time.
     """
-    rows = np.array([[_number(path, cell) for cell in cells[:columns]] for cells in _cells(path, table, columns)])
-    rows[:, 0] /= table.second
+    rows = np.array([[_number(path, cell) for cell in cells[:columns]] for cells in _cells(path, list_format, columns)])
+    rows[:, 0] /= list_format.ticks_per_second
     check_increasing(path, rows[:, 0])
     return rows
 
@@ -70,18 +70,18 @@ def check_increasing(path: Path, times: Array) -> None:
     if wrong.any():
         at = int(np.argmax(wrong))
         raise DataError(
-            f"{path}: expected increasing times, found {times[at + 1]:.6f} after {times[at]:.6f}; mend those lines"
+            f"{path}: expected increasing times, found {times[at + 1]:.6f} after {times[at]:.6f}; correct those lines"
         )
 
 
-def _cells(path: Path, table: Table, columns: int) -> list[list[str]]:
-    """Lines that say something, in at least so many cells."""
+def _cells(path: Path, list_format: ListFormat, columns: int) -> list[list[str]]:
+    """Split all lines but comments and empty ones into cells, at least `columns` in each."""
     rows = []
     for number, line in enumerate(read_lines(path), start=1):
         text = line.strip()
         if not text or text.startswith("#"):
             continue
-        cells = re.split(table.separator, text)
+        cells = re.split(list_format.separator, text)
         if len(cells) < columns:
             raise DataError(f"{path}, line {number}: expected {columns} cells, found {len(cells)}; copy the file again")
         rows.append(cells)
@@ -103,5 +103,5 @@ def _number(path: Path, cell: str) -> float:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # a name too long to be one
+    except OSError:  # a name that is too long for the file system
         return False

@@ -1,73 +1,78 @@
-"""Drives in the layout of TUM RGB-D (Sturm et al., IROS 2012), of which the colour images are read.
+"""Datasets in the layout of TUM RGB-D (Sturm et al., IROS 2012); the depth images are not read.
 
-`[NAME/]{rgb.txt, rgb/<seconds>.png, groundtruth.txt}`. The layout has no place for the calibration: it is taken from a
-`camera.toml` beside `rgb.txt`, else from the name of the sequence.
+`[NAME/]{rgb.txt, rgb/<seconds>.png, groundtruth.txt}`. The layout does not include a calibration: it is read
+from a `camera.toml` beside `rgb.txt`, or taken from the benchmark's cameras by the name of the sequence.
 """
 
 import re
 from pathlib import Path
 
-from slam.datasets.assembly import Recording, assemble, read_eye, read_true_way
-from slam.datasets.camera_drive import CameraDrive
-from slam.datasets.camera_file import NAME, CameraFile, read_camera_file
-from slam.datasets.folders import find_drive
-from slam.datasets.left_images import ImageRecording, RawImages, left_images
-from slam.datasets.lens import Lens
-from slam.datasets.source import Source
-from slam.datasets.stamped import BLANKS_SECONDS
+from slam.datasets.assembly import RawRecording, build_dataset, read_ground_truth, read_stream
+from slam.datasets.camera_drive import RectifiedDataset
+from slam.datasets.camera_file import CAMERA_TOML, CameraToml, read_camera_toml
+from slam.datasets.folders import find_dataset
+from slam.datasets.left_images import ImageDataset, LeftImages, UncalibratedImages
+from slam.datasets.lens import CameraModel
+from slam.datasets.source import DatasetSpec
+from slam.datasets.stamped import SPACE_SEPARATED_SECONDS
 from slam.errors import DataError
 
-# Colour cameras of the benchmark by the number of the place (its page "Intrinsic Camera Calibration of the Kinect").
+# Colour cameras of the benchmark by the number in the sequence's name, from the benchmark's page "Intrinsic Camera
+# Calibration of the Kinect".
 FREIBURG = {
-    "1": Lens(517.306, 516.469, 318.643, 255.314, "radtan", (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)),
-    "2": Lens(520.909, 521.007, 325.141, 249.702, "radtan", (0.231222, -0.784899, -0.003257, -0.000105, 0.917205)),
-    "3": Lens(535.4, 539.2, 320.1, 247.6),
+    "1": CameraModel(
+        517.306, 516.469, 318.643, 255.314, "radtan", (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
+    ),
+    "2": CameraModel(
+        520.909, 521.007, 325.141, 249.702, "radtan", (0.231222, -0.784899, -0.003257, -0.000105, 0.917205)
+    ),
+    "3": CameraModel(535.4, 539.2, 320.1, 247.6),
 }
 
 
 def is_tum_rgbd(folder: Path) -> bool:
-    """Whether a folder is one drive in this layout."""
+    """Whether a folder is one sequence in this layout."""
     return (folder / "rgb.txt").is_file()
 
 
-def open_tum_rgbd(source: Source) -> CameraDrive:
-    """Open a drive and check everything but the images themselves.
+def open_tum_rgbd(spec: DatasetSpec) -> RectifiedDataset:
+    """Open a sequence and check all files but the images themselves.
 
     Raises:
-        DataError: one line that names the file, what was expected and found, and the remedy.
+        DataError: a file is missing, damaged or inconsistent with the others.
     """
-    folder = _folder(source)
+    folder = _folder(spec)
     camera = _camera(folder)
     if camera is None:
         raise DataError(
-            f"{folder / NAME}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found none;"
-            " write one with fx, fy, cx and cy"
+            f"{folder / CAMERA_TOML}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found"
+            " none; write one with fx, fy, cx and cy"
         )
-    left, truth = read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS), folder / "groundtruth.txt"
-    way = read_true_way(truth, left) if truth.is_file() else None
-    return assemble(Recording(folder.absolute().name, left, truth=way), camera.rectification)
+    left, poses = read_stream(folder / "rgb.txt", folder, SPACE_SEPARATED_SECONDS), folder / "groundtruth.txt"
+    truth = read_ground_truth(poses, left) if poses.is_file() else None
+    return build_dataset(RawRecording(folder.absolute().name, left, ground_truth=truth), camera.rectification)
 
 
-def left_of_tum_rgbd(source: Source) -> ImageRecording:
-    """The colour images, straightened where the camera is known.
+def open_tum_rgbd_images(spec: DatasetSpec) -> ImageDataset:
+    """Open the colour images; they are undistorted if the camera is known.
 
     Raises:
-        DataError: one line that names the file, what was expected and found, and the remedy.
+        DataError: a file is missing, damaged or inconsistent with the others.
     """
-    folder = _folder(source)
+    folder = _folder(spec)
     if _camera(folder) is not None:
-        return left_images(open_tum_rgbd(source))
-    eye = read_eye(folder / "rgb.txt", folder, BLANKS_SECONDS)
-    return RawImages(folder.absolute().name, eye.images, eye.times)
+        return LeftImages.of(open_tum_rgbd(spec))
+    stream = read_stream(folder / "rgb.txt", folder, SPACE_SEPARATED_SECONDS)
+    return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps)
 
 
-def _folder(source: Source) -> Path:
-    return find_drive(source.path, source.sequence, is_tum_rgbd, "rgb.txt")
+def _folder(spec: DatasetSpec) -> Path:
+    return find_dataset(spec.path, spec.sequence, is_tum_rgbd, "rgb.txt")
 
 
-def _camera(folder: Path) -> CameraFile | None:
-    path = folder / NAME
+def _camera(folder: Path) -> CameraToml | None:
+    path = folder / CAMERA_TOML
     if path.is_file():
-        return read_camera_file(path)
+        return read_camera_toml(path)
     place = re.search(r"freiburg([123])", folder.absolute().name)
-    return None if place is None else CameraFile(path, FREIBURG[place.group(1)])
+    return None if place is None else CameraToml(path, FREIBURG[place.group(1)])

@@ -1,4 +1,4 @@
-"""Video files, read with OpenCV."""
+"""Reads video files with OpenCV: any image by its index, at the time of its exposure."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,29 +8,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.cursors import Cursors
+from slam.datasets.cursors import SequentialReader
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
+VIDEO_SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
 
-_USUAL_RATE = 30.0  # images a second, where a video does not even say that
+_DEFAULT_FPS = 30.0  # of a video without frame times and without a frame rate
 
 
 @dataclass(frozen=True)
 class Video:
-    """A video file, read once from end to end on opening, since headers are wrong about counts and times.
+    """A video file. Opening decodes it once from end to end, because headers are wrong about counts and times.
 
     Attributes:
-        path: of the file.
-        timestamps: (N,) seconds since its beginning, increasing.
+        path: video file.
+        timestamps: (N,) seconds since the beginning of the video, increasing.
     """
 
     path: Path
     timestamps: Array
-    _cursors: Cursors
+    _reader: SequentialReader
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -39,68 +39,68 @@ class Video:
         """Read image (H, W) uint8, grey.
 
         Raises:
-            IndexError: no such image.
-            DataError: it cannot be read any more.
+            IndexError: there is no such image.
+            DataError: the image cannot be decoded any more.
         """
-        return self._cursors.image(index, len(self), self.where, "video")
+        return self._reader.read(index, len(self), self.where, "video")
 
     def where(self, index: int) -> str:
-        """The file and the image's number in it."""
+        """File and index of an image, for error messages."""
         return f"{self.path}, image {index}"
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path is that of a video file, by its name."""
-    return path.suffix.lower() in SUFFIXES and path.is_file()
+    """Whether a path is a video file, by its suffix."""
+    return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()
 
 
 def open_video(path: Path) -> Video:
-    """Open a video and find out how many images it has, and when each was taken.
+    """Open a video, count its images and read their times.
 
     Raises:
         DataError: the file is missing or damaged.
     """
     if not path.is_file():
         raise DataError(f"{path}: expected a video, found no such file; check the path")
-    capture = _opened(path)
-    rate, moments = capture.get(cv2.CAP_PROP_FPS), []
+    capture = _open_capture(path)
+    fps, times_s = capture.get(cv2.CAP_PROP_FPS), []
     while capture.grab():
-        moments.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
+        times_s.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     capture.release()
-    if not moments:
+    if not times_s:
         raise DataError(f"{path}: expected a video, found no image that can be decoded; copy it again or convert it")
-    stamps = np.array(moments)
-    timed = bool((np.diff(stamps) > 0).all())  # some containers have no times of their own
-    times = stamps if timed else np.arange(len(stamps)) / (rate if 0 < rate < np.inf else _USUAL_RATE)
-    return Video(path, times, Cursors(lambda index: _images(path, stamps if timed else None, index)))
+    stamps = np.array(times_s)
+    has_times = bool((np.diff(stamps) > 0).all())  # some containers store no frame times
+    times = stamps if has_times else np.arange(len(stamps)) / (fps if 0 < fps < np.inf else _DEFAULT_FPS)
+    return Video(path, times, SequentialReader(lambda index: _decode_from(path, stamps if has_times else None, index)))
 
 
-def _opened(path: Path) -> cv2.VideoCapture:
+def _open_capture(path: Path) -> cv2.VideoCapture:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise DataError(f"{path}: expected a video, found a file that cannot be decoded; copy it again or convert it")
     return capture
 
 
-def _images(path: Path, stamps: Array | None, start: int) -> Iterator[Image]:
-    """Images from one on. Those before it are decoded too where the file cannot be entered exactly there."""
-    capture = _opened(path)
+def _decode_from(path: Path, stamps: Array | None, start: int) -> Iterator[Image]:
+    """Decode the images from an index on. If seeking misses it, all images before it are decoded too."""
+    capture = _open_capture(path)
     try:
-        there = start > 0 and _enter(capture, stamps, start)
-        if not there:
+        is_open = start > 0 and _seek(capture, stamps, start)
+        if not is_open:
             capture.release()
-            capture = _opened(path)
-            there = all(capture.grab() for _ in range(start + 1))
-        while there:
+            capture = _open_capture(path)
+            is_open = all(capture.grab() for _ in range(start + 1))
+        while is_open:
             _, image = capture.retrieve()
             yield np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-            there = capture.grab()
+            is_open = capture.grab()
     finally:
         capture.release()
 
 
-def _enter(capture: cv2.VideoCapture, stamps: Array | None, index: int) -> bool:
-    """Go to an image and tell by its time whether it is that one: where steps vary, a decoder may only guess."""
+def _seek(capture: cv2.VideoCapture, stamps: Array | None, index: int) -> bool:
+    """Seek to an image and return whether its time is the expected one: decoders may miss if frame times vary."""
     if stamps is None or not (capture.set(cv2.CAP_PROP_POS_FRAMES, index) and capture.grab()):
         return False
     nearest = np.argmin(np.abs(stamps - capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0))

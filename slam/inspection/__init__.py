@@ -1,1 +1,1 @@
-"""A recording looked at before a run: `revisit check`."""
+"""Diagnostics of datasets and saved maps before they are used: `revisit check`."""

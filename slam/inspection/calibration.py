@@ -1,4 +1,4 @@
-"""Can these numbers be a camera's? And do they hold in the images, where a pair's rows must be common?"""
+"""Checks of a calibration: plausible intrinsics and baseline, and common rows in the images of a rectified pair."""
 
 from collections.abc import Sequence
 
@@ -7,108 +7,114 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.inspection.finding import DRIVING, Finding, Use, bad, doubtful, good
+from place_recognition.belief.matching import mutual_matches
+from slam.inspection.finding import SLAM_USES, Finding, Use, report_fault, report_ok, report_warning
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_USUAL_VIEW, _POSSIBLE_VIEW = (35.0, 120.0), (5.0, 170.0)  # degrees across
-_CENTRED, _INSIDE = 0.12, 0.5  # of width and height, principal point off the middle
-_SQUARE = 0.05  # by how much fx and fy may differ
-_USUAL_BASELINE = (0.03, 2.0)  # m
-_FEATURES, _RATIO, _INLIER_PX = 1000, 0.8, 2.0
-_ENOUGH = 50  # matches, in all pairs together
-_GOOD_ROWS_PX, _POSSIBLE_ROWS_PX = 0.7, 2.0  # off the common row, median; the odometry lets matches be so far off
-_AHEAD = 0.8  # share of matches that must have a disparity of the right sign
+_USUAL_VIEW_DEG, _POSSIBLE_VIEW_DEG = (35.0, 120.0), (5.0, 170.0)  # horizontal field of view
+# Distance of the principal point from the image centre, in shares of width and height: usual, and inside the image.
+_MAX_USUAL_OFFSET, _MAX_POSSIBLE_OFFSET = 0.12, 0.5
+_MAX_ASPECT_DIFFERENCE = 0.05  # of fx / fy from 1
+_USUAL_BASELINE_M = (0.03, 2.0)
+_FEATURES, _MAX_RATIO, _MAX_EPIPOLAR_PX = 1000, 0.8, 2.0  # SIFT features, Lowe's ratio, distance of an inlier
+_MIN_IMAGE_MATCHES = 8  # that determine a fundamental matrix
+_MIN_MATCHES = 50  # in all pairs together, for a median
+# Median distance from the common row. Odometry accepts matches up to 3 px from their row.
+_MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
+_MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
+_MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
 
 
-def judge_camera(camera: StereoCamera, is_pair: bool) -> list[Finding]:
-    """Judge the intrinsics, and the baseline where there is one."""
-    findings = [_view(camera), _centre(camera), _pixels(camera)]
-    return [*findings, _baseline(camera)] if is_pair else findings
+def check_camera(camera: StereoCamera, is_pair: bool) -> list[Finding]:
+    """Check the intrinsics, and the baseline of a pair."""
+    findings = [_check_field_of_view(camera), _check_principal_point(camera), _check_pixels(camera)]
+    return [*findings, _check_baseline(camera)] if is_pair else findings
 
 
-def _view(camera: StereoCamera) -> Finding:
+def _check_field_of_view(camera: StereoCamera) -> Finding:
     degrees = float(2 * np.degrees(np.arctan(camera.width / (2 * camera.fx))))
     text = f"{degrees:.0f} degrees across (fx = {camera.fx:.1f} for {camera.width} pixels)"
-    if not _POSSIBLE_VIEW[0] < degrees < _POSSIBLE_VIEW[1]:
-        return bad("field of view", f"{text}: no camera is like that; mend fx", DRIVING, degrees=degrees)
-    if not _USUAL_VIEW[0] < degrees < _USUAL_VIEW[1]:
-        return doubtful("field of view", f"{text}: unusual; is fx of images of this size?", degrees=degrees)
-    return good("field of view", text, degrees=degrees)
+    if not _POSSIBLE_VIEW_DEG[0] < degrees < _POSSIBLE_VIEW_DEG[1]:
+        return report_fault("field of view", f"{text}: impossible; correct fx", SLAM_USES, degrees=degrees)
+    if not _USUAL_VIEW_DEG[0] < degrees < _USUAL_VIEW_DEG[1]:
+        return report_warning("field of view", f"{text}: unusual; is fx of images of this size?", degrees=degrees)
+    return report_ok("field of view", text, degrees=degrees)
 
 
-def _centre(camera: StereoCamera) -> Finding:
+def _check_principal_point(camera: StereoCamera) -> Finding:
     off = [(camera.cx + 0.5) / camera.width - 0.5, (camera.cy + 0.5) / camera.height - 0.5]
     worst = float(np.abs(off).max())
     text = f"principal point {off[0]:+.0%} of the width and {off[1]:+.0%} of the height off the middle"
-    if worst > _INSIDE:
-        return bad("principal point", f"{text}, outside of the image; mend cx, cy", DRIVING, off=off)
-    if worst > _CENTRED:
-        return doubtful("principal point", f"{text}; are cx, cy of images of this size?", off=off)
-    return good("principal point", text, off=off)
+    if worst > _MAX_POSSIBLE_OFFSET:
+        return report_fault("principal point", f"{text}, outside of the image; correct cx, cy", SLAM_USES, off=off)
+    if worst > _MAX_USUAL_OFFSET:
+        return report_warning("principal point", f"{text}; are cx, cy of images of this size?", off=off)
+    return report_ok("principal point", text, off=off)
 
 
-def _pixels(camera: StereoCamera) -> Finding:
+def _check_pixels(camera: StereoCamera) -> Finding:
     ratio = camera.fx / camera.fy
     text = f"fx / fy = {ratio:.3f}"
-    if abs(ratio - 1.0) > _SQUARE:
-        return doubtful("pixels", f"{text}: they are not square; were the images stretched?", ratio=ratio)
-    return good("pixels", text, ratio=ratio)
+    if abs(ratio - 1.0) > _MAX_ASPECT_DIFFERENCE:
+        return report_warning("pixels", f"{text}: they are not square; were the images stretched?", ratio=ratio)
+    return report_ok("pixels", text, ratio=ratio)
 
 
-def _baseline(camera: StereoCamera) -> Finding:
-    low, high = _USUAL_BASELINE
+def _check_baseline(camera: StereoCamera) -> Finding:
+    low, high = _USUAL_BASELINE_M
     text = f"baseline {camera.baseline:.3f} m"
     if not low <= camera.baseline <= high:
-        return doubtful("baseline", f"{text}: unusual; is it in metres?", metres=camera.baseline)
-    return good("baseline", text, metres=camera.baseline)
+        return report_warning("baseline", f"{text}: unusual; is it in metres?", metres=camera.baseline)
+    return report_ok("baseline", text, metres=camera.baseline)
 
 
-def judge_rows(pairs: Sequence[tuple[Image, Image]]) -> Finding:
-    """Measure in pairs of images whether left and right show the same things in the same rows."""
-    steps = [match_rows(left, right) for left, right in pairs]
-    moved = np.concatenate(steps) if steps else np.empty((0, 2))
-    if len(moved) < _ENOUGH:
-        return doubtful(
+def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
+    """Check in pairs of images that the same points are in the same rows, and farther left in the right image."""
+    displacements = [match_displacements(left, right) for left, right in pairs]
+    moved = np.concatenate(displacements) if displacements else np.empty((0, 2))
+    if len(moved) < _MIN_MATCHES:
+        return report_warning(
             "rows", f"{len(moved)} matches between left and right: too few to measure the rows", matches=len(moved)
         )
     disparity, row = moved.T
-    off, bias, ahead = float(np.median(np.abs(row))), float(np.median(row)), float((disparity > -1.0).mean())
+    off, bias = float(np.median(np.abs(row))), float(np.median(row))
+    ahead = float((disparity > _MIN_DISPARITY_PX).mean())
     figures = {"median_px": off, "bias_px": bias, "share_ahead": ahead, "matches": len(moved)}
     text = f"matches between left and right are {off:.2f} px off the common row (median of {len(moved)})"
-    if ahead < _AHEAD:
+    if ahead < _MIN_POSITIVE_SHARE:
         trouble = f"{1 - ahead:.0%} of the matches lie to the wrong side; swap left and right"
-        return bad("rows", trouble, (Use.STEREO,), **figures)
-    if off > _POSSIBLE_ROWS_PX:
-        return bad("rows", f"{text}: not rectified; calibrate again, or mend it", (Use.STEREO,), **figures)
-    if off > _GOOD_ROWS_PX:
-        return doubtful("rows", f"{text}; a new calibration would help", **figures)
-    return good("rows", text, **figures)
+        return report_fault("rows", trouble, (Use.STEREO,), **figures)
+    if off > _MAX_POSSIBLE_ROWS_PX:
+        return report_fault("rows", f"{text}: not rectified; correct the calibration", (Use.STEREO,), **figures)
+    if off > _MAX_GOOD_ROWS_PX:
+        return report_warning("rows", f"{text}; a new calibration would help", **figures)
+    return report_ok("rows", text, **figures)
 
 
-def match_rows(left: Image, right: Image) -> Array:
-    """Disparity and shift across rows (N, 2), pixels, of what is found in both images of a pair, wherever it is."""
-    sift = cv2.SIFT.create(_FEATURES)
-    (points, described), (others, other_described) = (sift.detectAndCompute(image, None) for image in (left, right))
-    if len(points) < 8 or len(others) < 8:
+def match_displacements(left: Image, right: Image) -> Array:
+    """Displacements (N, 2), left minus right pixel, of matched SIFT features that agree with one epipolar geometry.
+
+    Unlike the odometry's stereo matching, the search is not limited to rows and positive disparities, so that it also
+    measures pairs that are not rectified or swapped.
+    """
+    (left_pixels, left_descriptors), (right_pixels, right_descriptors) = map(_detect, (left, right))
+    matches = mutual_matches(left_descriptors, right_descriptors, _MAX_RATIO)
+    if len(matches) < _MIN_IMAGE_MATCHES:
         return np.empty((0, 2))
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    there, back = matcher.knnMatch(described, other_described, 2), matcher.match(other_described, described)
-    partner = {match.queryIdx: match.trainIdx for match in back}
-    mutual = [
-        (match.queryIdx, match.trainIdx)
-        for match, second in there
-        if match.distance < _RATIO * second.distance and partner.get(match.trainIdx) == match.queryIdx
-    ]
-    if len(mutual) < 8:
-        return np.empty((0, 2))
-    a, b = (
-        np.array([p[i].pt for i in ids]) for p, ids in zip((points, others), zip(*mutual, strict=True), strict=True)
-    )
-    cv2.setRNGSeed(0)
-    _, inliers = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, _INLIER_PX, 0.999)
+    a, b = left_pixels[matches[:, 0]], right_pixels[matches[:, 1]]
+    cv2.setRNGSeed(0)  # the same finding for the same images
+    _, inliers = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, _MAX_EPIPOLAR_PX, 0.999)
     if inliers is None:
         return np.empty((0, 2))
-    moved = (a - b)[inliers.ravel() == 1]
-    return np.asarray(moved, np.float64)
+    return np.asarray((a - b)[inliers.ravel() == 1], np.float64)
+
+
+def _detect(image: Image) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels (N, 2) and descriptors (N, 128) of unit length of SIFT features."""
+    key_points, descriptors = cv2.SIFT.create(_FEATURES).detectAndCompute(image, None)
+    if not key_points:
+        return np.empty((0, 2)), np.empty((0, 128), np.float32)
+    lengths = np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-12)
+    return np.array([point.pt for point in key_points]), np.ascontiguousarray(descriptors / lengths, np.float32)

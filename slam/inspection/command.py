@@ -1,4 +1,4 @@
-"""`revisit check`: a recording in, a table or JSON of findings out, and what can be done with it."""
+"""`revisit check`: prints the findings about a dataset or a map, and its possible uses, as a table or JSON."""
 
 import json
 from enum import StrEnum
@@ -7,47 +7,47 @@ from rich.console import Console, Group
 from rich.markup import escape
 from rich.table import Table
 
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.inspection.finding import Inspection, Status
-from slam.inspection.recording import inspect
+from slam.inspection.recording import inspect_dataset
 from slam.progress import progress_bar
 
-_COLOURS = {Status.GOOD: "green", Status.DOUBTFUL: "yellow", Status.BAD: "red"}
+_COLOURS = {Status.OK: "green", Status.WARNING: "yellow", Status.FAULT: "red"}
 
 
-def check_recording(source: Source, messages: Console) -> Inspection:
-    """Inspect a recording with a progress bar.
+def check_recording(spec: DatasetSpec, messages: Console) -> Inspection:
+    """Inspect a dataset with a progress bar.
 
     Raises:
-        RevisitError: there is nothing that can be recognised as a recording, or a kind that does not exist.
+        RevisitError: the path is no dataset of any format, or the requested format does not exist.
     """
     with progress_bar(messages, "Looking") as progress:
-        return inspect(source, progress)
+        return inspect_dataset(spec, progress)
 
 
-def as_table(inspection: Inspection) -> Group:
-    """Findings, one a line, and what the recording serves for."""
-    table = Table(title=escape(f"{inspection.source}: {inspection.kind}"), show_header=False, title_justify="left")
+def format_table(inspection: Inspection) -> Group:
+    """Format the findings, one per line, and the possible uses."""
+    table = Table(title=escape(f"{inspection.source}: {inspection.format}"), show_header=False, title_justify="left")
     for finding in inspection.findings:
         colour = _COLOURS[finding.status]
         table.add_row(f"[{colour}]{finding.status}[/{colour}]", finding.topic, escape(finding.text))
-    return Group(table, *(_verdict(inspection, use) for use in inspection.uses))
+    return Group(table, *(_format_use(inspection, use) for use in inspection.uses))
 
 
-def _verdict(inspection: Inspection, use: StrEnum) -> str:
-    reasons = inspection.hindrances(use)
+def _format_use(inspection: Inspection, use: StrEnum) -> str:
+    reasons = inspection.reasons_against(use)
     return f"{use}: will not work: {escape('; '.join(reasons))}" if reasons else f"{use}: will work"
 
 
-def as_json(inspection: Inspection) -> str:
-    """The same for scripts."""
+def format_json(inspection: Inspection) -> str:
+    """Format the same as JSON, for scripts."""
     table = {
         "source": inspection.source,
-        "kind": inspection.kind,
+        "format": inspection.format,
         "findings": [
             {"topic": f.topic, "status": f.status, "text": f.text, "figures": f.figures} for f in inspection.findings
         ],
-        "works": {use.name.lower(): not inspection.hindrances(use) for use in inspection.uses},
-        "reasons": {use.name.lower(): inspection.hindrances(use) for use in inspection.uses},
+        "works": {use.name.lower(): not inspection.reasons_against(use) for use in inspection.uses},
+        "reasons": {use.name.lower(): inspection.reasons_against(use) for use in inspection.uses},
     }
     return json.dumps(table, indent=2)

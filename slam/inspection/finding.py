@@ -1,46 +1,46 @@
-"""What was found out about a recording, and what that means for its use."""
+"""Findings about a dataset or a map, and the uses that they rule out."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 
 class Use(StrEnum):
-    """What a recording can serve for; the value is what to type."""
+    """Uses of a dataset; the value is the command."""
 
     STEREO = "revisit run"
     MONO = "revisit run --mono"
     PLACES = "revisit places"
 
 
-DRIVING = (Use.STEREO, Use.MONO)
-EVERYTHING = tuple(Use)
+SLAM_USES = (Use.STEREO, Use.MONO)
+ALL_USES = tuple(Use)
 
 
 class MapUse(StrEnum):
-    """What a saved map can serve for."""
+    """Uses of a saved map; the value is the command."""
 
     LOCATE = "revisit locate"
     RESUME = "revisit run --resume"
 
 
 class Status(StrEnum):
-    """How bad a finding is."""
+    """Severity of a finding: no effect, worse results, or an impossible use."""
 
-    GOOD = "ok"
-    DOUBTFUL = "warning"
-    BAD = "fault"
+    OK = "ok"
+    WARNING = "warning"
+    FAULT = "fault"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
-        topic: what, in a word or two.
-        status: how bad.
-        text: what was found, and a remedy where it is not good.
-        figures: the numbers behind it, SI units and pixels.
-        forbids: what cannot be done, because of it.
+        topic: subject of the check, in a word or two.
+        status: severity.
+        text: what was found, and a remedy unless the status is OK.
+        figures: measured numbers, SI units and pixels.
+        forbids: uses that the finding makes impossible.
     """
 
     topic: str
@@ -50,42 +50,42 @@ class Finding:
     forbids: tuple[StrEnum, ...] = ()
 
 
-def good(topic: str, text: str, **figures: object) -> Finding:
-    """A finding that nobody needs to worry about."""
-    return Finding(topic, Status.GOOD, text, figures)
+def report_ok(topic: str, text: str, **figures: object) -> Finding:
+    """Return a finding without consequences."""
+    return Finding(topic, Status.OK, text, figures)
 
 
-def doubtful(topic: str, text: str, **figures: object) -> Finding:
-    """A finding that makes results worse."""
-    return Finding(topic, Status.DOUBTFUL, text, figures)
+def report_warning(topic: str, text: str, **figures: object) -> Finding:
+    """Return a finding that makes results worse."""
+    return Finding(topic, Status.WARNING, text, figures)
 
 
-def bad(topic: str, text: str, forbids: tuple[StrEnum, ...], **figures: object) -> Finding:
-    """A finding that makes something impossible."""
-    return Finding(topic, Status.BAD, text, figures, forbids)
+def report_fault(topic: str, text: str, forbids: tuple[StrEnum, ...], **figures: object) -> Finding:
+    """Return a finding that makes some uses impossible."""
+    return Finding(topic, Status.FAULT, text, figures, forbids)
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """All findings about a recording or a map.
+    """All findings about a dataset or a map.
 
     Attributes:
-        source: path, as it was named.
-        kind: layout.
-        findings: in the order in which they would be mended.
-        uses: what such things are for.
+        source: path, as the user gave it.
+        format: name of the dataset format, or "map".
+        findings: results of all checks, those to be corrected first at the beginning.
+        uses: all uses of a dataset or of a map.
     """
 
     source: str
-    kind: str
+    format: str
     findings: tuple[Finding, ...]
-    uses: tuple[StrEnum, ...] = EVERYTHING
+    uses: tuple[StrEnum, ...] = ALL_USES
 
-    def hindrances(self, use: StrEnum) -> list[str]:
-        """Why it cannot serve for something; empty where it can."""
+    def reasons_against(self, use: StrEnum) -> list[str]:
+        """Texts of the findings that make a use impossible; empty if it is possible."""
         return [finding.text for finding in self.findings if use in finding.forbids]
 
     @property
-    def serves(self) -> tuple[StrEnum, ...]:
-        """What it can serve for."""
-        return tuple(use for use in self.uses if not self.hindrances(use))
+    def possible_uses(self) -> tuple[StrEnum, ...]:
+        """Uses that no finding makes impossible."""
+        return tuple(use for use in self.uses if not self.reasons_against(use))

@@ -1,4 +1,4 @@
-"""Do the images show something? Light, blanks, repetitions, sizes."""
+"""Checks of images: light, blank and repeated images, sizes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,76 +6,84 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.inspection.finding import EVERYTHING, Finding, bad, doubtful, good
+from slam.inspection.finding import ALL_USES, Finding, report_fault, report_ok, report_warning
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_DARK, _BRIGHT = 30, 250  # grey values
-_SHARE_BRIGHT = 0.25  # of the pixels, from which on an image is over-exposed
-_FLAT = 4.0  # grey values, deviation of an image that shows nothing
-_FEW = 0.05  # share of the images that does no harm
+_MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
+_MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
+_MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
+_HARMLESS_SHARE = 0.05  # of the images
 
 
 @dataclass(frozen=True)
-class Looks:
-    """What can be said of an image by itself.
+class ImageStatistics:
+    """Properties of one image.
 
     Attributes:
         shape: (height, width).
-        dark: nine tenths of it are nearly black.
-        glaring: a quarter of it is white.
-        blank: it shows nothing.
-        repeated: it equals the one before.
+        is_dark: whether nine tenths of the pixels are nearly black.
+        is_overexposed: whether a quarter of the pixels is white.
+        is_blank: whether the image has no contrast.
+        is_repeated: whether it equals the image before.
     """
 
     shape: tuple[int, int]
-    dark: bool
-    glaring: bool
-    blank: bool
-    repeated: bool
+    is_dark: bool
+    is_overexposed: bool
+    is_blank: bool
+    is_repeated: bool
 
 
-def look(image: Image, before: Image | None) -> Looks:
-    """Look at an image (H, W) uint8, and at the one before it, if there is one."""
-    return Looks(
+def measure_image(image: Image, before: Image | None) -> ImageStatistics:
+    """Measure an image (H, W) uint8, and compare it with the image before it, if there is one."""
+    return ImageStatistics(
         shape=(image.shape[0], image.shape[1]),
-        dark=bool(np.percentile(image, 90) < _DARK),
-        glaring=bool((image >= _BRIGHT).mean() > _SHARE_BRIGHT),
-        blank=bool(image.std() < _FLAT),
-        repeated=before is not None and np.array_equal(image, before),
+        is_dark=bool(np.percentile(image, 90) < _MAX_DARK),
+        is_overexposed=bool((image >= _MIN_BRIGHT).mean() > _MAX_BRIGHT_SHARE),
+        is_blank=bool(image.std() < _MIN_DEVIATION),
+        is_repeated=before is not None and np.array_equal(image, before),
     )
 
 
-def judge_images(looks: Sequence[Looks], pairs: Sequence[Looks]) -> list[Finding]:
-    """Judge some images.
+def check_images(images: Sequence[ImageStatistics], successors: Sequence[ImageStatistics]) -> list[Finding]:
+    """Check the light, the contrast, the repetitions and the sizes of images.
 
     Args:
-        looks: at all of them.
-        pairs: at those among them that came right after another one that was looked at.
+        images: all measured images.
+        successors: those of them whose predecessor was measured too.
     """
     return [
-        _sizes(looks),
-        _share("light", [one.dark for one in looks], "dark: more light or a longer exposure would help"),
-        _share("light", [one.glaring for one in looks], "over-exposed: a shorter exposure would help"),
-        _share("blanks", [one.blank for one in looks], "blank: was the lens covered, or the camera not ready?"),
-        _share("repetitions", [one.repeated for one in pairs], "the same as the one before: remove the copies"),
+        _check_sizes(images),
+        _check_share("light", [image.is_dark for image in images], "dark: more light or a longer exposure would help"),
+        _check_share(
+            "light", [image.is_overexposed for image in images], "over-exposed: a shorter exposure would help"
+        ),
+        _check_share(
+            "blanks", [image.is_blank for image in images], "blank: was the lens covered, or the camera not ready?"
+        ),
+        _check_share(
+            "repetitions", [image.is_repeated for image in successors], "the same as the one before: remove the copies"
+        ),
     ]
 
 
-def _sizes(looks: Sequence[Looks]) -> Finding:
-    shapes = sorted({one.shape for one in looks})
+def _check_sizes(images: Sequence[ImageStatistics]) -> Finding:
+    shapes = sorted({image.shape for image in images})
     text = ", ".join(f"{width} x {height}" for height, width in shapes)
     if len(shapes) > 1:
-        return doubtful("sizes", f"images of several sizes, {text}; only places can be recognised in them", sizes=text)
-    return good("sizes", f"{text} pixels, in all {len(looks)} images looked at", sizes=text)
+        return report_warning(
+            "sizes", f"images of several sizes, {text}; only places can be recognised in them", sizes=text
+        )
+    return report_ok("sizes", f"{text} pixels, in all {len(images)} images looked at", sizes=text)
 
 
-def _share(topic: str, which: Sequence[bool], trouble: str) -> Finding:
-    share = float(np.mean(which)) if which else 0.0
+def _check_share(topic: str, flags: Sequence[bool], trouble: str) -> Finding:
+    share = float(np.mean(flags)) if flags else 0.0
     word = trouble.split(":", maxsplit=1)[0]
-    if share > 1.0 - _FEW:
-        return bad(topic, f"{share:.0%} of the images are {trouble}", EVERYTHING, share=share)
-    if share > _FEW:
-        return doubtful(topic, f"{share:.0%} of the images are {trouble}", share=share)
-    return good(topic, f"{share:.0%} of the images are {word}", share=share)
+    if share > 1.0 - _HARMLESS_SHARE:
+        return report_fault(topic, f"{share:.0%} of the images are {trouble}", ALL_USES, share=share)
+    if share > _HARMLESS_SHARE:
+        return report_warning(topic, f"{share:.0%} of the images are {trouble}", share=share)
+    return report_ok(topic, f"{share:.0%} of the images are {word}", share=share)

@@ -1,4 +1,4 @@
-"""Looks through a saved map: whether the file is whole, and what it says can be true."""
+"""Checks of a saved map: whether the file is complete, and its contents are consistent."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from slam.errors import DataError
 from slam.frame_record import FrameRecord
-from slam.inspection.finding import Finding, Inspection, MapUse, Status, bad
+from slam.inspection.finding import Finding, Inspection, MapUse, Status, report_fault
 from slam.map_store import schema
 from slam.map_store.freezing import serialize
 from slam.map_store.store import MAP_FILE, MapDatabase, map_file
 
 Array = NDArray[np.float64]
 
-Verdict = tuple[Status, str]
-Judge = Callable[[MapDatabase], Verdict]
+CheckResult = tuple[Status, str]
+Check = Callable[[MapDatabase], CheckResult]
 
 _EVERYTHING = tuple(MapUse)
 _HEADER, _APPLICATION_AT = b"SQLite format 3\0", 68  # of the file format, section 1.3
@@ -42,68 +42,68 @@ def inspect_map(path: Path) -> Inspection:
     file = map_file(path)
     try:
         with MapDatabase.open(file) as store:
-            findings = tuple(_judged(topic, judge, store) for topic, judge in _JUDGES.items())
+            findings = tuple(_run_check(topic, check, store) for topic, check in _CHECKS.items())
     except DataError as error:
-        findings = (bad("file", str(error), _EVERYTHING),)
+        findings = (report_fault("file", str(error), _EVERYTHING),)
     return Inspection(str(path), "map", findings, _EVERYTHING)
 
 
-def _judged(topic: str, judge: Judge, store: MapDatabase) -> Finding:
+def _run_check(topic: str, check: Check, store: MapDatabase) -> Finding:
     forbids = (MapUse.RESUME,) if topic == "checkpoint" else _EVERYTHING
     try:
-        status, text = judge(store)
+        status, text = check(store)
     except DataError as error:
-        status, text = Status.BAD, str(error)
-    return Finding(topic, status, text, forbids=forbids if status is Status.BAD else ())
+        status, text = Status.FAULT, str(error)
+    return Finding(topic, status, text, forbids=forbids if status is Status.FAULT else ())
 
 
-def _file(store: MapDatabase) -> Verdict:
+def _file(store: MapDatabase) -> CheckResult:
     said = [row[0] for row in store.ask("PRAGMA integrity_check(3)")]
     if said != ["ok"]:
-        return Status.BAD, f"{store.path}: expected a sound file, SQLite finds {said[0]}; copy it again or run again"
+        return Status.FAULT, f"{store.path}: expected a sound file, SQLite finds {said[0]}; copy it again or run again"
     size = sum(row[0] for row in store.ask("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
-    return Status.GOOD, f"sound, {size / 1e6:.1f} MB"
+    return Status.OK, f"sound, {size / 1e6:.1f} MB"
 
 
-def _tables(store: MapDatabase) -> Verdict:
+def _tables(store: MapDatabase) -> CheckResult:
     lost = schema.missing_columns(store.ask)
     if lost:
-        return Status.BAD, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
+        return Status.FAULT, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
     stray = store.ask("PRAGMA foreign_key_check")
     if stray:
-        return Status.BAD, f"{len(stray)} rows of {stray[0]['table']} belong to no {stray[0]['parent']}; run again"
-    return Status.GOOD, f"version {schema.VERSION}, all rows belong together"
+        return Status.FAULT, f"{len(stray)} rows of {stray[0]['table']} belong to no {stray[0]['parent']}; run again"
+    return Status.OK, f"version {schema.VERSION}, all rows belong together"
 
 
-def _drives(store: MapDatabase) -> Verdict:
+def _drives(store: MapDatabase) -> CheckResult:
     sessions = store.sessions()
     if not sessions:
-        return Status.BAD, "expected a drive, found none; a run writes one: revisit run SOURCE --out DIR"
+        return Status.FAULT, "expected a drive, found none; a run writes one: revisit run SOURCE --out DIR"
     counts = [store.images(session.number) for session in sessions]
     firsts = [session.first_image for session in sessions]
     if firsts != np.concatenate([[0], np.cumsum(counts)[:-1]]).tolist():
-        return Status.BAD, f"expected drives that follow one another, found them begin at images {firsts}; run again"
+        return Status.FAULT, f"expected drives that follow one another, found them begin at images {firsts}; run again"
     unfinished = [session.name for session in sessions if not session.finished]
     if unfinished:
-        return Status.DOUBTFUL, f"{', '.join(unfinished)} did not end, no pose is corrected yet; go on with --resume"
-    return Status.GOOD, f"{len(sessions)}, all driven to their end"
+        return Status.WARNING, f"{', '.join(unfinished)} did not end, no pose is corrected yet; go on with --resume"
+    return Status.OK, f"{len(sessions)}, all driven to their end"
 
 
-def _frames(store: MapDatabase) -> Verdict:
+def _frames(store: MapDatabase) -> CheckResult:
     count, landmarks, numbers = store.images(), 0, set()
     for expected, frame in enumerate(store.frames()):
         if frame.image != expected:
-            return Status.BAD, f"image {expected} is missing, or its landmarks are; run again"
+            return Status.FAULT, f"image {expected} is missing, or its landmarks are; run again"
         fault = _fault(frame)
         if fault:
-            return Status.BAD, f"image {frame.image}: {fault}; run again"
+            return Status.FAULT, f"image {frame.image}: {fault}; run again"
         landmarks += len(frame.landmarks)
         numbers |= {frame.landmarks.descriptors.shape[1]} if len(frame.landmarks) else set()
     if store.count("landmark") != count or len(numbers) > 1:
-        return Status.BAD, f"expected landmarks of one kind for {count} images, found others; run again"
+        return Status.FAULT, f"expected landmarks of one kind for {count} images, found others; run again"
     if landmarks == 0:
-        return Status.BAD, "expected landmarks, found none in any image; nothing can be recognised by it"
-    return Status.GOOD, f"{count}, {len(store.key_frames())} key frames, {landmarks} landmarks"
+        return Status.FAULT, "expected landmarks, found none in any image; nothing can be recognised by it"
+    return Status.OK, f"{count}, {len(store.key_frames())} key frames, {landmarks} landmarks"
 
 
 def _fault(frame: FrameRecord) -> str:
@@ -127,32 +127,32 @@ def _is_pose(T: Array) -> bool:
     return bool(np.isfinite(T).all() and rigid)
 
 
-def _loops(store: MapDatabase) -> Verdict:
+def _loops(store: MapDatabase) -> CheckResult:
     images = store.images()
     for number, candidate in enumerate(store.candidates()):
         belief = candidate.belief
         match = belief.query - 1 if belief.match is None else belief.match
         if not -1 <= match < belief.query < images:
             found = f"{belief.query} and {belief.match}"
-            return Status.BAD, f"candidate {number}: expected two of {images} images, found {found}; run again"
+            return Status.FAULT, f"candidate {number}: expected two of {images} images, found {found}; run again"
     (row,) = store.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
-    return Status.GOOD, f"{row[0]} answers of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
+    return Status.OK, f"{row[0]} answers of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
 
 
-def _checkpoint(store: MapDatabase) -> Verdict:
+def _checkpoint(store: MapDatabase) -> CheckResult:
     sessions = store.sessions()
     newest = sessions[-1].number if sessions else 0
     checkpoint = store.checkpoint(newest)
     if checkpoint is None:
-        return Status.DOUBTFUL, "there is none; to go on would be to begin again"
+        return Status.WARNING, "there is none; to go on would be to begin again"
     frames = store.images(newest)
     if checkpoint.frames != frames:
-        return Status.BAD, f"expected it after {frames} frames, found it after {checkpoint.frames}; run again"
+        return Status.FAULT, f"expected it after {frames} frames, found it after {checkpoint.frames}; run again"
     _, arrays = serialize(checkpoint.state)
-    return Status.GOOD, f"after {frames} frames, {sum(array.nbytes for array in arrays) / 1e6:.1f} MB"
+    return Status.OK, f"after {frames} frames, {sum(array.nbytes for array in arrays) / 1e6:.1f} MB"
 
 
-_JUDGES: dict[str, Judge] = {
+_CHECKS: dict[str, Check] = {
     "file": _file,
     "tables": _tables,
     "drives": _drives,

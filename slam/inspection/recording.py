@@ -1,4 +1,4 @@
-"""Looks through a recording: opens it, reads some of its images, and judges what it finds."""
+"""Checks of a dataset: opens it, reads some of its images, and collects the findings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,88 +7,111 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.dataset import Dataset
-from slam.datasets.kinds import KINDS, kind_of
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.source import Source
+from slam.datasets.kinds import FORMATS, detect_format
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.source import DatasetSpec
 from slam.errors import DataError
 from slam.evaluation.trajectory import path_length
-from slam.inspection.calibration import judge_camera, judge_rows
-from slam.inspection.finding import DRIVING, EVERYTHING, Finding, Inspection, Use, bad, doubtful, good
-from slam.inspection.images import Looks, judge_images, look
-from slam.inspection.times import judge_times
+from slam.inspection.calibration import check_camera, check_rectification
+from slam.inspection.finding import (
+    ALL_USES,
+    SLAM_USES,
+    Finding,
+    Inspection,
+    Use,
+    report_fault,
+    report_ok,
+    report_warning,
+)
+from slam.inspection.images import ImageStatistics, check_images, measure_image
+from slam.inspection.times import check_timestamps
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
-_MOMENTS, _RUN = 40, 3  # places where successive images are looked at; three tell where each is there twice
-_PAIRS = 8  # of left and right, in which rows are compared
+# Samples of a long dataset: runs of successive images, evenly spread. Three in a run show images that are stored twice.
+_RUNS, _RUN_LENGTH = 40, 3
+_STEREO_PAIRS = 8  # pairs of left and right images in which rows are compared
 
 
 @dataclass
-class _Seen:
-    """What was seen of the images: looks at all, looks at those after another one, pairs of left and right."""
+class _Samples:
+    """What was read of a dataset.
 
-    looks: list[Looks] = field(default_factory=list)
-    successors: list[Looks] = field(default_factory=list)
+    Attributes:
+        images: statistics of all sampled left images.
+        successors: those of them whose predecessor was sampled too.
+        pairs: some pairs of left and right images.
+        fault: message of the first image that cannot be read; empty if there is none.
+    """
+
+    images: list[ImageStatistics] = field(default_factory=list)
+    successors: list[ImageStatistics] = field(default_factory=list)
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
     fault: str = ""
 
 
-def inspect(source: Source, progress: Progress) -> Inspection:
-    """Inspect a recording.
+def inspect_dataset(spec: DatasetSpec, progress: Progress) -> Inspection:
+    """Inspect a dataset; a fault that keeps it from being opened is a finding too.
 
     Args:
-        source: what to read.
-        progress: told images looked at, and in all.
+        spec: dataset to inspect.
+        progress: called with the number of images read, and of all images to read.
 
     Raises:
-        DataError: there is nothing that can be recognised as a recording.
-        ConfigError: a kind that does not exist.
+        DataError: the path is no dataset of any format.
+        ConfigError: the requested format does not exist.
     """
-    kind = kind_of(source)
+    name = detect_format(spec)
     try:
-        drive = KINDS[kind].drive(source)
+        dataset = FORMATS[name].open_dataset(spec)
     except DataError as error:
-        findings = _images_alone(source, kind, str(error), progress)
+        findings = _check_images_alone(spec, name, str(error), progress)
     else:
-        findings = _drive(drive, progress)
-    return Inspection(str(source.path), kind, tuple(findings))
+        findings = _check_dataset(dataset, progress)
+    return Inspection(str(spec.path), name, tuple(findings))
 
 
-def _images_alone(source: Source, kind: str, trouble: str, progress: Progress) -> list[Finding]:
-    """Judge what is left where a trouble keeps the recording from being opened as a drive."""
+def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Progress) -> list[Finding]:
+    """Check the left images of a dataset that cannot be opened for SLAM."""
     try:
-        images = KINDS[kind].images(source)
+        images = FORMATS[name].open_images(spec)
     except DataError as error:
         if str(error) == trouble:
-            return [bad("opening", trouble, EVERYTHING)]
-        return [bad("opening", trouble, DRIVING), bad("images", str(error), (Use.PLACES,))]
-    seen = _look_through(len(images), lambda index: (images[index], None), progress)
-    times = [] if images.timestamps is None else judge_times(images.timestamps)
-    return [bad("opening", trouble, DRIVING), _count(len(images), "images"), *_judge(seen), *times, _truth(images)]
+            return [report_fault("opening", trouble, ALL_USES)]
+        return [report_fault("opening", trouble, SLAM_USES), report_fault("images", str(error), (Use.PLACES,))]
+    seen = _sample(len(images), lambda index: (images[index], None), progress)
+    times = [] if images.timestamps is None else check_timestamps(images.timestamps)
+    return [
+        report_fault("opening", trouble, SLAM_USES),
+        _check_count(len(images), "images"),
+        *_check_samples(seen),
+        *times,
+        _check_ground_truth(images),
+    ]
 
 
-def _drive(drive: Dataset, progress: Progress) -> list[Finding]:
+def _check_dataset(dataset: Dataset, progress: Progress) -> list[Finding]:
     def read(index: int) -> tuple[Image, Image | None]:
-        frame = drive[index]
+        frame = dataset[index]
         return frame.left, frame.right
 
-    seen = _look_through(len(drive), read, progress)
-    findings = [_count(len(drive), "pairs of images" if drive.has_right else "images"), *_judge(seen)]
-    findings += [*judge_times(drive.timestamps), *judge_camera(drive.camera, drive.has_right)]
-    if drive.has_right:
-        findings.append(judge_rows(seen.pairs))
+    seen = _sample(len(dataset), read, progress)
+    findings = [_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"), *_check_samples(seen)]
+    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
+    if dataset.has_right:
+        findings.append(check_rectification(seen.pairs))
     else:
-        findings.append(bad("second camera", "there are images of one camera", (Use.STEREO,)))
-    findings.append(_truth(drive))
-    return [*findings, *(doubtful("left out", remark) for remark in drive.remarks)]
+        findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
+    findings.append(_check_ground_truth(dataset))
+    return [*findings, *(report_warning("left out", remark) for remark in dataset.remarks)]
 
 
-def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Seen:
-    """Look at images all over the recording, up to the first that cannot be read."""
-    seen, indices = _Seen(), _spread(count)
-    compared = set(np.linspace(0, len(indices) - 1, _PAIRS).astype(int).tolist())
+def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Samples:
+    """Read images from all parts of a dataset, up to the first that cannot be read."""
+    seen, indices = _Samples(), _sample_indices(count)
+    compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
     last, before = -1, None
     for done, index in enumerate(indices):
         try:
@@ -97,9 +120,9 @@ def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]],
             seen.fault = str(error)
             return seen
         follows = before is not None and index == last + 1
-        seen.looks.append(look(left, before if follows else None))
+        seen.images.append(measure_image(left, before if follows else None))
         if follows:
-            seen.successors.append(seen.looks[-1])
+            seen.successors.append(seen.images[-1])
         if right is not None and done in compared:
             seen.pairs.append((left, right))
         last, before = index, left
@@ -107,31 +130,31 @@ def _look_through(count: int, read: Callable[[int], tuple[Image, Image | None]],
     return seen
 
 
-def _spread(count: int) -> list[int]:
-    """All images, or the runs of successive ones."""
-    if count <= _MOMENTS * _RUN:
+def _sample_indices(count: int) -> list[int]:
+    """Indices of all images, or of runs of successive images of a long dataset."""
+    if count <= _RUNS * _RUN_LENGTH:
         return list(range(count))
-    first = np.linspace(0, count - _RUN, _MOMENTS).astype(int)
-    return [int(index) for index in (first[:, None] + np.arange(_RUN)).ravel()]
+    first = np.linspace(0, count - _RUN_LENGTH, _RUNS).astype(int)
+    return [int(index) for index in (first[:, None] + np.arange(_RUN_LENGTH)).ravel()]
 
 
-def _judge(seen: _Seen) -> list[Finding]:
-    faults = [bad("images", seen.fault, EVERYTHING)] if seen.fault else []
-    return faults + (judge_images(seen.looks, seen.successors) if seen.looks else [])
+def _check_samples(seen: _Samples) -> list[Finding]:
+    faults = [report_fault("images", seen.fault, ALL_USES)] if seen.fault else []
+    return faults + (check_images(seen.images, seen.successors) if seen.images else [])
 
 
-def _count(count: int, things: str) -> Finding:
+def _check_count(count: int, things: str) -> Finding:
     if count < 2:
-        return bad("count", f"{count} {things}: a drive has more; check the folder", EVERYTHING, count=count)
-    return good("count", f"{count} {things}", count=count)
+        return report_fault("count", f"{count} {things}: too few; check the folder", ALL_USES, count=count)
+    return report_ok("count", f"{count} {things}", count=count)
 
 
-def _truth(recording: Dataset | ImageRecording) -> Finding:
+def _check_ground_truth(dataset: Dataset | ImageDataset) -> Finding:
     try:
-        poses = recording.ground_truth
+        poses = dataset.ground_truth
     except DataError as error:
-        return doubtful("ground truth", str(error))
+        return report_warning("ground truth", str(error))
     if poses is None:
-        return good("ground truth", "none: errors will not be known", metres=None)
+        return report_ok("ground truth", "none: errors will not be known", metres=None)
     metres = float(path_length(poses))
-    return good("ground truth", f"{len(poses)} poses, {metres:.1f} m of way", metres=metres)
+    return report_ok("ground truth", f"{len(poses)} poses, {metres:.1f} m long", metres=metres)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from place_recognition.image_processing.features import FeatureExtractor
 from place_recognition.paradigms.catalogue import make_feature_extractor
 from slam.config import RunConfig, from_values
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError, DataError
 from slam.localisation.images import open_queries
 from slam.localisation.locator import LocalizationResult, Localizer, NotLocalized
@@ -41,7 +41,7 @@ class LocateOptions:
     """
 
     map: Path
-    images: Source
+    images: DatasetSpec
     out: Path | None = None
 
 

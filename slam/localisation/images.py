@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.datasets.images import SUFFIXES, ImageSequence
-from slam.datasets.left_images import ImageRecording, LeftImages
-from slam.datasets.open import open_left_images
-from slam.datasets.source import Source
+from slam.datasets.images import IMAGE_SUFFIXES, ImageSequence
+from slam.datasets.left_images import ImageDataset, LeftImages
+from slam.datasets.open import open_images
+from slam.datasets.source import DatasetSpec
 from slam.errors import DataError
 
 Image = NDArray[np.uint8]
@@ -28,7 +28,7 @@ class Queries:
         camera: camera of the map.
     """
 
-    images: ImageRecording
+    images: ImageDataset
     camera: StereoCamera
 
     def __len__(self) -> int:
@@ -57,17 +57,17 @@ class Queries:
         return self.images.where(index) if isinstance(self.images, ImageSequence) else f"{self.images.name}:{index}"
 
 
-def open_queries(source: Source, camera: StereoCamera) -> Queries:
+def open_queries(source: DatasetSpec, camera: StereoCamera) -> Queries:
     """Open images that the camera of a map has taken.
 
     Raises:
         DataError: there are none, or they are said to come from another camera.
     """
-    if source.path.is_file() and source.path.suffix.lower() in SUFFIXES:
+    if source.path.is_file() and source.path.suffix.lower() in IMAGE_SUFFIXES:
         return Queries(ImageSequence(source.path.stem, (source.path,), None), camera)
-    images = open_left_images(source)
+    images = open_images(source)
     if isinstance(images, LeftImages):
-        _compare(source.path, images.drive.camera, camera)
+        _compare(source.path, images.dataset.camera, camera)
     return Queries(images, camera)
 
 

@@ -13,7 +13,7 @@ from odometry.motion import Motion
 from place_recognition.recognizer import MatrixSink
 from slam.config import RunConfig
 from slam.datasets.dataset import Frame
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import DataError
 from slam.loop_closing import FrameLandmarks, LoopCloser
 from slam.map_store.resuming import ResumableRun
@@ -83,7 +83,7 @@ def read_session(path: Path) -> ResumableRun:
     return ResumableRun(file, sessions[0], frames)
 
 
-def source_of(path: Path) -> Source:
+def source_of(path: Path) -> DatasetSpec:
     """The recording of which a map was made.
 
     Raises:
@@ -91,7 +91,7 @@ def source_of(path: Path) -> Source:
     """
     drive = read_session(path)
     try:
-        return Source.from_metrics(drive.session.provenance["recording"])
+        return DatasetSpec.from_metrics(drive.session.provenance["recording"])
     except (KeyError, TypeError) as error:
         raise DataError(
             f"{drive.map_file}: expected the map to name its recording, found none; --source DIR"

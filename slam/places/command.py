@@ -10,8 +10,8 @@ from rich.console import Console
 
 from place_recognition.paradigms.catalogue import ParadigmsConfig, with_exclusion
 from place_recognition.recognizer import Belief
-from slam.datasets.left_images import ImageRecording
-from slam.datasets.open import open_left_images
+from slam.datasets.left_images import ImageDataset
+from slam.datasets.open import open_images
 from slam.errors import ConfigError
 from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
 from slam.places.drive import PlaceRecognitionRun, RecognizerFactory, run_recognizer
@@ -40,14 +40,14 @@ def recognize_places(options: PlacesOptions, messages: Console, results: Console
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     check_options(options)
-    images = open_left_images(options.recording)
+    images = open_images(options.recording)
     record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
 
 def recognize_images(
-    options: PlacesOptions, images: ImageRecording, truth: RevisitTruth, messages: Console
+    options: PlacesOptions, images: ImageDataset, truth: RevisitTruth, messages: Console
 ) -> PlacesRecord:
     """Recognise the places of opened images and write every result into `options.out`.
 
@@ -63,7 +63,7 @@ def recognize_images(
     return record
 
 
-def resolve_ground_truth(options: PlacesOptions, images: ImageRecording) -> RevisitTruth:
+def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> RevisitTruth:
     """Return the ground truth of the option, else that of the recording's own poses, else an unknown truth.
 
     Raises:
@@ -79,7 +79,7 @@ def resolve_ground_truth(options: PlacesOptions, images: ImageRecording) -> Revi
     return truth
 
 
-def drop_recent_matches(beliefs: Sequence[Belief], images: ImageRecording, min_age_s: float | None) -> list[Belief]:
+def drop_recent_matches(beliefs: Sequence[Belief], images: ImageDataset, min_age_s: float | None) -> list[Belief]:
     """Replace beliefs whose match is less than `min_age_s` older than the query by beliefs without match."""
     times = images.timestamps
     if min_age_s is None or times is None:
@@ -89,7 +89,7 @@ def drop_recent_matches(beliefs: Sequence[Belief], images: ImageRecording, min_a
 
 
 def _run(
-    options: PlacesOptions, config: ParadigmsConfig, images: ImageRecording, messages: Console
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, messages: Console
 ) -> PlaceRecognitionRun:
     import cv2
 
@@ -102,7 +102,7 @@ def _run(
     return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude))
 
 
-def _config(options: PlacesOptions, images: ImageRecording) -> ParadigmsConfig:
+def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     """The settings of the paradigm: the defaults, changed by the options.
 
     Raises:

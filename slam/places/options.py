@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError
 from slam.parts import check_features, check_paradigm
 
@@ -47,9 +47,9 @@ class PlacesOptions:
     topics: tuple[str, ...] = ()
 
     @property
-    def recording(self) -> Source:
+    def recording(self) -> DatasetSpec:
         """The source with the options of how to read it."""
-        return Source(self.source, self.sequence, self.kind, self.fps, self.topics)
+        return DatasetSpec(self.source, self.sequence, self.kind, self.fps, self.topics)
 
 
 def check_options(options: PlacesOptions) -> None:

@@ -1,21 +1,21 @@
-"""A simulated drive through a procedural town: the data source that needs no download.
+"""Simulated datasets: a stereo camera drives through a procedural town. They need no download and have exact truth.
 
-`DriveSpec` says what to drive; `simulate` renders it; `loop_truth` says which images show the same place.
+`SimulationConfig` describes a dataset, `simulate` renders it, `loop_truth` returns which images show the same place.
 """
 
 from typing import TYPE_CHECKING
 
-from slam.simulation.spec import DriveSpec
+from slam.simulation.spec import SimulationConfig
 
 if TYPE_CHECKING:
     from slam.simulation.drive import simulate
     from slam.simulation.truth import loop_truth
 
-__all__ = ["DriveSpec", "loop_truth", "simulate"]
+__all__ = ["SimulationConfig", "loop_truth", "simulate"]
 
 
 def __getattr__(name: str) -> object:
-    """Import the renderer, with its compiler, when it is first asked for."""
+    """Import the renderer and its compiler on first use: the command line needs the configuration alone."""
     if name == "simulate":
         from slam.simulation.drive import simulate
 

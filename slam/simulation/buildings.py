@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slam.simulation import materials as m
 from slam.simulation.facades import BAY, FRONT_WIDTH, STOREY
-from slam.simulation.mesh import Mesh, boxes, join, panel, quads, triangles
+from slam.simulation.mesh import Mesh, boxes, merge_meshes, panel, quads, triangles
 
 Array = NDArray[np.float64]
 Z = np.array([0.0, 0.0, 1.0])
@@ -56,7 +56,7 @@ def build_house(h: House, rng: np.random.Generator, urban: bool) -> Mesh:
         parts.append(_awning(h, rng))
     parts.append(_sills(h))
     parts += [_poster(h, rng) for _ in range(rng.integers(0, 3))]
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _wall(h: House, origin: Array, along: Array, shift: int) -> Mesh:
@@ -68,7 +68,9 @@ def _wall(h: House, origin: Array, along: Array, shift: int) -> Mesh:
     if h.storeys == 1:
         return street
     tiles = np.array([u0, 0, u1, (h.storeys - 1) / 3])
-    return join([street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)])
+    return merge_meshes(
+        [street, panel(origin + Z * base, along, Z * (h.eaves - base), m.UPPER + h.front, tiles, h.tint)]
+    )
 
 
 def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
@@ -81,7 +83,7 @@ def _walls_behind(h: House, rng: np.random.Generator) -> Mesh:
         else:
             tiles = np.array([0, 0, h.depth / 5, h.eaves / 5])
             parts.append(panel(origin, along, Z * h.eaves, int(rng.choice([m.PLASTER, m.BRICK])), tiles, h.tint))
-    return join([*parts, _wall(h, w + d, -w, 2)])
+    return merge_meshes([*parts, _wall(h, w + d, -w, 2)])
 
 
 def _roof(h: House, rng: np.random.Generator) -> Mesh:
@@ -111,7 +113,7 @@ def _roof(h: House, rng: np.random.Generator) -> Mesh:
         parts.append(boxes([x, y - 0.9, top - 1.2], [x + 0.6, y - 0.3, top + 0.9], m.BRICK, 0.7))
     if h.width > 9:
         parts += [_dormer(h, x, rise) for x in np.arange(2.0, h.width - 3, 4.0) if rng.random() < 0.6]
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _dormer(h: House, x: float, rise: float) -> Mesh:
@@ -119,7 +121,7 @@ def _dormer(h: House, x: float, rise: float) -> Mesh:
     z = h.eaves + 0.25 * rise
     low, high = np.array([x, 0.22 * h.depth, z - 0.4]), np.array([x + 1.5, 0.5 * h.depth, z + 1.2])
     face = panel([x + 0.15, 0.215 * h.depth, z], [1.2, 0, 0], [0, 0, 1.0], m.GLASS, np.array([0, 0, 1, 1]), 0.15)
-    return join([boxes(low, high, m.SLATE, 0.9), face])
+    return merge_meshes([boxes(low, high, m.SLATE, 0.9), face])
 
 
 def _cornice(h: House) -> Mesh:
@@ -140,14 +142,14 @@ def _sills(h: House) -> Mesh:
     z = 0.4 + storeys.ravel() * STOREY + 0.55
     keep = (x > 0.9) & (x < h.width - 0.9)
     low = np.stack([x - 0.85, np.full_like(x, -0.16), z], axis=1)[keep]
-    return boxes(low, low + np.array([1.7, 0.16, 0.1]), m.PLASTER, 1.1, 3.0) if len(low) else join([])
+    return boxes(low, low + np.array([1.7, 0.16, 0.1]), m.PLASTER, 1.1, 3.0) if len(low) else merge_meshes([])
 
 
 def _bay_window(h: House, rng: np.random.Generator) -> Mesh:
     """Build a part of the front, one to two bays wide, that stands out by about a metre."""
     width, out = BAY * float(rng.integers(1, 3)), float(rng.uniform(0.5, 1.2))
     if h.width < width + 2:
-        return join([])
+        return merge_meshes([])
     x = float(rng.uniform(0.5, h.width - width - 0.5))
     high = h.eaves - (STOREY * rng.integers(0, 2) if h.storeys > 1 else 0.2)
     u = h.bay / 4 + x / FRONT_WIDTH
@@ -155,7 +157,7 @@ def _bay_window(h: House, rng: np.random.Generator) -> Mesh:
     o = np.array([x, -out, 0.0])
     front = panel(o, [width, 0, 0], Z * high, m.UPPER + h.front, tiles, h.tint)
     sides = boxes([x, -out + 0.01, 0], [x + width, 0, high], m.PLASTER, h.tint, 5.0)
-    return join([front, sides])
+    return merge_meshes([front, sides])
 
 
 def _balconies(h: House, rng: np.random.Generator) -> Mesh:
@@ -169,7 +171,7 @@ def _balconies(h: House, rng: np.random.Generator) -> Mesh:
         low = np.stack([bars, np.full_like(bars, -1.18), np.full_like(bars, z)], axis=1)
         parts.append(boxes(low, low + np.array([0.03, 0.03, 0.95]), m.METAL, 0.4))
         parts.append(boxes([x, -1.2, z + 0.95], [x + 2.6, -1.15, z + 1.0], m.METAL, 0.4))
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _awning(h: House, rng: np.random.Generator) -> Mesh:
@@ -189,7 +191,7 @@ def _awning(h: House, rng: np.random.Generator) -> Mesh:
         m.POSTER + int(rng.integers(m.POSTERS)),
         np.array([0, 0, 3, 0.3]),
     )
-    return join([cloth, rim])
+    return merge_meshes([cloth, rim])
 
 
 def _poster(h: House, rng: np.random.Generator) -> Mesh:

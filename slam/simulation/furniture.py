@@ -1,13 +1,13 @@
-"""What stands along pavements: lamps, signs, fences, railings and walls.
+"""Street furniture: lamps, signs, fences, railings and walls.
 
-Each stands on the origin; borders run along +x, metres.
+Each mesh stands on the origin; borders run along +x, metres.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation import materials as m
-from slam.simulation.mesh import Mesh, boxes, join, panel, prism
+from slam.simulation.mesh import Mesh, boxes, merge_meshes, panel, prism
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ def lamp_post() -> Mesh:
     """Build a mast of 6 m with an arm over the road (-y)."""
     arm = boxes([-0.04, -1.5, 5.9], [0.04, 0.0, 5.98], m.METAL, 0.6)
     head = boxes([-0.12, -1.9, 5.86], [0.12, -1.3, 6.02], m.METAL, 0.9)
-    return join([prism(0.09, 0.05, 6.0, m.METAL, 6).tinted(0.6), arm, head])
+    return merge_meshes([prism(0.09, 0.05, 6.0, m.METAL, 6).scale_brightness(0.6), arm, head])
 
 
 def sign(rng: np.random.Generator) -> Mesh:
@@ -29,7 +29,7 @@ def sign(rng: np.random.Generator) -> Mesh:
         m.POSTER + int(rng.integers(m.POSTERS)),
         np.array([0, 0, 1, 1]),
     )
-    return join([prism(0.035, 0.035, height + size, m.METAL, 5), plate])
+    return merge_meshes([prism(0.035, 0.035, height + size, m.METAL, 5), plate])
 
 
 def border(kind: int, length: float, rng: np.random.Generator) -> Mesh:
@@ -48,7 +48,7 @@ def _pickets(length: float, tint: float) -> Mesh:
     low, high = _bars(length, 0.14, np.array([0.08, 0.02, 0.95]), 0.05)
     rails = boxes([[0, 0.02, 0.3], [0, 0.02, 0.75]], [[length, 0.06, 0.38], [length, 0.06, 0.83]], m.WOOD, tint)
     posts = boxes(*_bars(length, 2.4, np.array([0.12, 0.12, 1.1]), 0.0), m.WOOD, tint)
-    return join([boxes(low, high, m.WOOD, 1.4 * tint), rails, posts])
+    return merge_meshes([boxes(low, high, m.WOOD, 1.4 * tint), rails, posts])
 
 
 def _railing(length: float, tint: float) -> Mesh:
@@ -56,13 +56,13 @@ def _railing(length: float, tint: float) -> Mesh:
     rails = boxes([[0, 0, 0.35], [0, 0, 1.1]], [[length, 0.03, 0.39], [length, 0.03, 1.14]], m.METAL, 0.25)
     plinth = boxes([0, -0.12, 0], [length, 0.14, 0.3], m.PLASTER, tint, 2.5)
     pillars = boxes(*_bars(length, 3.2, np.array([0.32, 0.32, 1.3]), 0.0), m.BRICK, tint)
-    return join([boxes(low, high, m.METAL, 0.25), rails, plinth, pillars])
+    return merge_meshes([boxes(low, high, m.METAL, 0.25), rails, plinth, pillars])
 
 
 def _wall(length: float, tint: float) -> Mesh:
     body = boxes([0, -0.1, 0], [length, 0.12, 0.9], m.BRICK if tint < 1 else m.PLASTER, tint, 2.5)
     cap = boxes([0, -0.15, 0.9], [length, 0.17, 0.98], m.PLASTER, 0.9, 2.5)
-    return join([body, cap, boxes(*_bars(length, 4.0, np.array([0.45, 0.3, 1.25]), 0.0), m.BRICK, tint)])
+    return merge_meshes([body, cap, boxes(*_bars(length, 4.0, np.array([0.45, 0.3, 1.25]), 0.0), m.BRICK, tint)])
 
 
 def _boards(length: float, tint: float) -> Mesh:

@@ -1,4 +1,4 @@
-"""Every material of the town by name, and the table that the shader reads."""
+"""All materials of the town by name, and the table of their properties that the shader reads."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation import facades, textures
-from slam.simulation.spec import DriveSpec
+from slam.simulation.spec import SimulationConfig
 
 Array = NDArray[np.floating]
 
@@ -25,13 +25,12 @@ POSTER = ROAD + ROADS
 
 @dataclass(frozen=True)
 class Materials:
-    """What the shader needs to know of all surfaces.
+    """Textures and properties of all materials.
 
     Attributes:
         atlas: the textures.
         table: (M, 7) float64, columns as in `shading`: texture, detail texture, detail tiles per tile
             across and up, strength of the detail, gloss, leaf.
-
     """
 
     atlas: textures.Atlas
@@ -49,15 +48,15 @@ def _row(
     return [texture, detail, *tiles, strength, gloss, leaf]
 
 
-def build_materials(spec: DriveSpec) -> Materials:
-    """Paint all textures of a drive's town."""
-    return _painted(spec.seed)
+def build_materials(config: SimulationConfig) -> Materials:
+    """Paint the textures of a town."""
+    return _paint_all(config.seed)
 
 
 @lru_cache(maxsize=2)
-def _painted(seed: int) -> Materials:
-    """Drives of one seed share their paint; painting takes longer than a few small frames."""
-    rng = DriveSpec(seed=seed).rng(2)
+def _paint_all(seed: int) -> Materials:
+    """Paint the textures of a seed once: painting takes longer than rendering a few small frames."""
+    rng = SimulationConfig(seed=seed).rng(2)
     images: list[tuple[Array, Array | None]] = [facades.upper_front(rng) for _ in range(FRONTS)]
     images += [facades.ground_front(rng) for _ in range(FRONTS)]
     images += [(textures.road(rng), None) for _ in range(ROADS)]

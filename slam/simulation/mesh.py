@@ -1,4 +1,4 @@
-"""Triangles with texture coordinates, and the few solids a town is made of.
+"""Triangle meshes with texture coordinates, and the solids that the town consists of.
 
 Town frame: x and y along the ground, z up, metres. Texture coordinates count tiles of the material's texture.
 """
@@ -20,7 +20,6 @@ class Mesh:
         uv: (T, 3, 2) tiles.
         material: (T,) row of the material table.
         tint: (T,) factor on the texture's brightness.
-
     """
 
     corners: Array
@@ -31,19 +30,19 @@ class Mesh:
     def __len__(self) -> int:
         return len(self.material)
 
-    def moved(self, yaw: float, at: Array, scale: float = 1.0) -> "Mesh":
-        """Scale, turn by yaw (radians, counter-clockwise seen from above) and shift to `at` (3,), metres."""
+    def transform(self, yaw: float, position: Array, scale: float = 1.0) -> "Mesh":
+        """Return the mesh scaled, rotated by yaw (radians, counter-clockwise from above) and moved (3,)."""
         c, s = np.cos(yaw), np.sin(yaw)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Mesh((self.corners * scale) @ turn + np.asarray(at), self.uv, self.material, self.tint)
+        return Mesh((self.corners * scale) @ turn + np.asarray(position), self.uv, self.material, self.tint)
 
-    def tinted(self, factor: float) -> "Mesh":
-        """Make everything brighter or darker."""
+    def scale_brightness(self, factor: float) -> "Mesh":
+        """Return the mesh with all tints multiplied by a factor."""
         return Mesh(self.corners, self.uv, self.material, self.tint * factor)
 
 
-def join(meshes: list[Mesh]) -> Mesh:
-    """One mesh of many; of none, an empty one."""
+def merge_meshes(meshes: list[Mesh]) -> Mesh:
+    """Merge meshes into one; without any, an empty one."""
     if not meshes:
         return Mesh(np.zeros((0, 3, 3)), np.zeros((0, 3, 2)), np.zeros(0, np.int32), np.zeros(0))
     return Mesh(
@@ -96,7 +95,7 @@ def boxes(low: ArrayLike, high: ArrayLike, material: int, tint: float | Array = 
     for corners, axes in faces:
         points = np.stack([np.stack([ends[c[k], :, k] for k in range(3)], -1) for c in corners], axis=1)
         out.append(quads(points, points[:, :, axes] / tile, material, tint))
-    return join(out)
+    return merge_meshes(out)
 
 
 def prism(radius: float, top_radius: float, height: float, material: int, sides: int = 6) -> Mesh:

@@ -1,8 +1,8 @@
-"""Which triangle is seen where: compiled rasterisation with four samples a pixel.
+"""Compiled rasterisation with four samples per pixel: which triangle is visible at each sample.
 
-Edges are planes through the eye (Olano and Greer, Triangle scan conversion using 2D homogeneous coordinates,
-1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image, so
-triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges: no cracks.
+Edges are planes through the centre of projection (Olano and Greer, Triangle scan conversion using 2D homogeneous
+coordinates, 1997): a sample is inside when its ray is on the inner side of all three, and 1/z is linear in the image,
+so triangles that reach behind the camera need no clipping. Neighbours share bit-equal edges: no cracks.
 """
 
 from typing import Any
@@ -18,6 +18,8 @@ SAMPLES = 4
 SAMPLE_X = (-0.125, 0.375, -0.375, 0.125)
 SAMPLE_Y = (-0.375, -0.125, 0.125, 0.375)
 _NEAR = 0.2  # metres; nothing closer is drawn
+# Twice the area of a triangle, in the units of the plane: smaller ones are seen edge on, or are a line.
+_MIN_DETERMINANT = 1e-9
 
 
 @njit(cache=True, inline="always")
@@ -53,7 +55,7 @@ def _edges(v: Buffer, e: Buffer) -> bool:
         e[i, 1] = a[2] * b[0] - a[0] * b[2]
         e[i, 2] = a[0] * b[1] - a[1] * b[0]
     det = v[0, 0] * e[0, 0] + v[0, 1] * e[0, 1] + v[0, 2] * e[0, 2]
-    if abs(det) < 1e-9:
+    if abs(det) < _MIN_DETERMINANT:
         return False
     if det < 0:
         e[:3] *= -1.0
@@ -98,7 +100,7 @@ def _fill(e: Buffer, box: Buffer, triangle: int, inverse_depth: Buffer, ids: Buf
     """Write one triangle into the sample buffers (H, W, 4) where it is nearest."""
     height, width = ids.shape[:2]
     a, b = e[3, 0], e[3, 1]
-    # No sample lies farther than 0.375 from its pixel's centre.
+    # No sample is farther than 0.375 from its pixel's centre in x or y.
     first, last = max(0.0, np.ceil(box[0] - 0.375)), min(width - 1.0, np.floor(box[1] + 0.375))
     for y in range(max(0, int(np.ceil(box[2] - 0.375))), min(height - 1, int(np.floor(box[3] + 0.375))) + 1):
         left, right = first, last
@@ -116,22 +118,31 @@ def _fill(e: Buffer, box: Buffer, triangle: int, inverse_depth: Buffer, ids: Buf
                     ids[y, x, k] = triangle
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _project(corners: Buffer, t: int, P: Buffer, v: Buffer) -> None:
+    """Write the homogeneous pixels of the corners of triangle t into v (3, 3)."""
+    for i in range(3):
+        x, y, z = corners[t, i, 0], corners[t, i, 1], corners[t, i, 2]
+        for k in range(3):
+            v[i, k] = P[k, 0] * x + P[k, 1] * y + P[k, 2] * z + P[k, 3]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def rasterize(corners: Buffer, ranges: Buffer, P: Buffer, inverse_depth: Buffer, ids: Buffer) -> None:
     """Draw triangles of `corners` (T, 3, 3) float32 through P into the sample buffers, which are not cleared.
 
-    ranges: (R, 2) first and past-last triangle, best sorted from near to far.
-    P: (3, 4) float64, town to homogeneous pixels.
-    inverse_depth: (H, W, 4) float32, 1/m, 0 = nothing; ids: (H, W, 4) int32.
+    Args:
+        corners: triangles in the town frame, metres.
+        ranges: (R, 2) first and past-last triangle of each cluster; fastest sorted from near to far.
+        P: (3, 4) float64, town to homogeneous pixels.
+        inverse_depth: (H, W, 4) float32, 1/m, 0 where nothing was drawn; raised here.
+        ids: (H, W, 4) int32 row of the nearest triangle; written here.
     """
     height, width = ids.shape[:2]
     v, e, box = np.empty((3, 3)), np.empty((4, 3)), np.empty(4)
     for r in range(len(ranges)):
         for t in range(ranges[r, 0], ranges[r, 1]):
-            for i in range(3):
-                x, y, z = corners[t, i, 0], corners[t, i, 1], corners[t, i, 2]
-                for k in range(3):
-                    v[i, k] = P[k, 0] * x + P[k, 1] * y + P[k, 2] * z + P[k, 3]
+            _project(corners, t, P, v)
             if not _bounds(v, box) or box[1] < -1 or box[0] > width or box[3] < -1 or box[2] > height:
                 continue
             if _edges(v, e):
@@ -140,11 +151,14 @@ def rasterize(corners: Buffer, ranges: Buffer, P: Buffer, inverse_depth: Buffer,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def rasterize_from_sun(corners: Buffer, axes: Buffer, origin: Buffer, cell: float, height_map: Buffer) -> None:
-    """Height towards the sun of the nearest surface, for each cell of a plane square to the sun.
+    """Write the height towards the sun of the nearest surface into each cell of a plane perpendicular to the sun.
 
-    corners: (T, 3, 3) float32; axes: (3, 3) rows right, up, towards the sun; origin: (2,) of the map's
-        first cell, metres;
-    cell: metres; height_map: (rows, columns) float32, lowered to -inf by the caller, raised here.
+    Args:
+        corners: (T, 3, 3) float32 triangles, metres.
+        axes: (3, 3) rows: right, up, towards the sun.
+        origin: (2,) right and up of the first cell, metres.
+        cell: side of a cell, metres.
+        height_map: (rows, columns) float32, filled with -inf by the caller, raised here.
     """
     rows, columns = height_map.shape
     q = np.empty((3, 3))
@@ -161,7 +175,7 @@ def rasterize_from_sun(corners: Buffer, axes: Buffer, origin: Buffer, cell: floa
 def _fill_height(q: Buffer, rows: int, columns: int, height_map: Buffer) -> None:
     """Raise the height map to one triangle q (3, 3): column, row, height."""
     det = (q[1, 0] - q[0, 0]) * (q[2, 1] - q[0, 1]) - (q[1, 1] - q[0, 1]) * (q[2, 0] - q[0, 0])
-    if abs(det) < 1e-9:
+    if abs(det) < _MIN_DETERMINANT:
         return
     x0, x1 = max(0, int(np.ceil(q[:, 0].min()))), min(columns - 1, int(np.floor(q[:, 0].max())))
     y0, y1 = max(0, int(np.ceil(q[:, 1].min()))), min(rows - 1, int(np.floor(q[:, 1].max())))

@@ -1,4 +1,4 @@
-"""The ground: carriageway, kerbs, pavements, verges along every street, and lawn between them."""
+"""Builds the ground: carriageway, kerbs, pavements and verges along every street, and lawn between streets."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,20 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from slam.simulation import materials as m
-from slam.simulation.mesh import Mesh, join, quads
-from slam.simulation.routes import LANE, STEP, Drive, Way
+from slam.simulation.mesh import Mesh, merge_meshes, quads
+from slam.simulation.routes import LANE, STEP, Polyline, SimulatedTrajectory
 
 Array = NDArray[np.float64]
 
 ROAD_HALF = 4.0  # metres from the middle of the street to the kerb
 PAVEMENT_END = 6.3  # metres to the garden fences
 _VERGE_END = 14.0
-_SEGMENT = 24.0  # metres of one texture of the carriageway, and of one part
+_SEGMENT = 24.0  # metres that one texture of the carriageway covers, and length of one mesh
 _QUAD = 2.0  # metres of street in one flat piece
-_SAME_STREET = 5.0  # two lines closer than this, and as parallel as cos 35 degrees, are one street
-_FORGET = 30.0  # metres of way within which a line is not compared with itself
+# Two passes of the path closer than this, metres, and within 35 degrees of parallel are on one street.
+_SAME_STREET = 5.0
+_MAX_STREET_ANGLE_RAD = np.radians(35)
+_MIN_PATH_GAP = 30.0  # metres along the path: points closer along the path are never two passes of one street
 # Lateral bands of one side: from, to (m from the middle), height at both, material, texture tiles per metre.
 _BANDS = (
     (ROAD_HALF, ROAD_HALF + 0.02, 0.0, 0.11, m.KERB, 0.5),
@@ -30,14 +32,13 @@ _BANDS = (
 
 @dataclass(frozen=True)
 class Streets:
-    """The network that a drive follows.
+    """The street network around a trajectory.
 
     Attributes:
         points: (S, 2) metres, about `_QUAD` apart, middle of the street.
         headings: (S,) radians.
         joined: (S,) bool, a piece of street runs from this point to the next row.
-        route: tree of all places the car drives, for keeping them free.
-
+        route: tree of all points of the camera's path, which must stay free.
     """
 
     points: Array
@@ -45,14 +46,14 @@ class Streets:
     joined: NDArray[np.bool_]
     route: cKDTree
 
-    def clear(self, points: Array, distance: float) -> bool:
-        """Whether no part of the way comes closer to points (N, 2) than `distance`, metres."""
+    def is_clear(self, points: Array, distance: float) -> bool:
+        """Whether the path keeps more than `distance`, metres, from all points (N, 2)."""
         return bool(np.min(self.route.query(points)[0]) > distance)
 
 
-def lay_streets(base: Way, drive: Drive) -> Streets:
-    """One street wherever the base line goes, laid once where it goes twice."""
-    middle = base.shifted(LANE)
+def lay_streets(base: Polyline, trajectory: SimulatedTrajectory) -> Streets:
+    """Lay a street along the path of the first lap; where the path passes twice, one street."""
+    middle = base.offset(LANE)
     step = round(_QUAD / STEP)
     rows = np.arange(0, len(middle.points), step)
     points, headings = middle.points[rows], middle.headings[rows]
@@ -61,15 +62,15 @@ def lay_streets(base: Way, drive: Drive) -> Streets:
     new = _first_visits(points, headings)
     joined = new & np.append(new[1:] | True, False)
     joined[-1] = False
-    return Streets(points, headings, joined, cKDTree(drive.way.points[::2]))
+    return Streets(points, headings, joined, cKDTree(trajectory.path.points[::2]))
 
 
 def _first_visits(points: Array, headings: Array) -> NDArray[np.bool_]:
-    """Rows whose street has not been laid by an earlier row."""
-    gap = int(_FORGET / _QUAD)
+    """Whether each row (N,) is the first on its street."""
+    gap = int(_MIN_PATH_GAP / _QUAD)
     pairs = cKDTree(points).query_pairs(_SAME_STREET, output_type="ndarray")
     late = pairs[:, 1] - pairs[:, 0] > gap
-    parallel = np.abs(np.cos(headings[pairs[:, 1]] - headings[pairs[:, 0]])) > np.cos(np.radians(35))
+    parallel = np.abs(np.cos(headings[pairs[:, 1]] - headings[pairs[:, 0]])) > np.cos(_MAX_STREET_ANGLE_RAD)
     closing = pairs[:, 1] == len(points) - 1
     new = np.ones(len(points), dtype=bool)
     new[pairs[late & parallel & ~closing, 1]] = False
@@ -77,7 +78,7 @@ def _first_visits(points: Array, headings: Array) -> NDArray[np.bool_]:
 
 
 def ground(streets: Streets, rng: np.random.Generator) -> list[Mesh]:
-    """All ground, cut into pieces of about one road texture's length, then lawn and turning places."""
+    """Build all ground: pieces of about one road texture's length, then lawn and turning places."""
     per = int(_SEGMENT / _QUAD)
     pieces = []
     everything = cKDTree(streets.points)
@@ -111,8 +112,8 @@ def _strip(
 def _piece(
     streets: Streets, rows: NDArray[np.int64], first: int, everything: cKDTree, rng: np.random.Generator
 ) -> Mesh:
-    """Carriageway and both sides of some rows."""
-    # Turned over and begun at any of its three dashes, one texture serves for six pieces.
+    """Build carriageway and both sides of some rows."""
+    # Mirrored, and started at any of its three dashes, one texture gives six different pieces.
     v = (rows - first) * _QUAD / _SEGMENT + rng.integers(3) / 3
     step, edge = _QUAD / _SEGMENT, int(rng.integers(2))
     carriageway = _strip(streets, rows, (-ROAD_HALF, ROAD_HALF), (0.0, 0.0))
@@ -128,12 +129,12 @@ def _piece(
     for band in _BANDS:
         for side in (-1, 1):
             parts.append(_band(streets, rows, band, side, everything))
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _sunk(streets: Streets, rows: NDArray[np.int64]) -> Array:
-    """Where a street crosses an earlier one it lies a finger lower, so that one covers the other."""
-    gap = int(_FORGET / _QUAD)
+    """Depth (N,), metres, by which rows are lowered where they cross an earlier street, which then covers them."""
+    gap = int(_MIN_PATH_GAP / _QUAD)
     tree = cKDTree(streets.points)
     near = [tree.query_ball_point(streets.points[row], 2 * ROAD_HALF) for row in rows]
     return np.array([0.012 * any(j < row - gap for j in found) for row, found in zip(rows, near, strict=True)])
@@ -146,14 +147,14 @@ def _band(
     side: int,
     everything: cKDTree,
 ) -> Mesh:
-    """One lateral band on one side, left out where a carriageway or the car's way runs."""
+    """Build one lateral band on one side, left out where a carriageway or the camera's path runs."""
     a, b, za, zb, material, tiles = band
     corners = _strip(streets, rows, (side * a, side * b), (za, zb))
-    # Long bands are judged at several offsets, short ones at their middle.
+    # Wide bands are tested at several offsets, narrow ones at their middle.
     probes = np.linspace(0.0, 1.0, max(1, round((b - a) / 2)) + 2)[1:-1]
     at = corners[:, 0, None, :2] + probes[:, None] * (corners[:, 1, None, :2] - corners[:, 0, None, :2])
-    street, way = (np.reshape(t.query(at.reshape(-1, 2))[0], (len(rows), -1)) for t in (everything, streets.route))
-    keep = (street.min(axis=1) > min(a, ROAD_HALF) - 0.15) & (way.min(axis=1) > 1.6)
+    street, path = (np.reshape(t.query(at.reshape(-1, 2))[0], (len(rows), -1)) for t in (everything, streets.route))
+    keep = (street.min(axis=1) > min(a, ROAD_HALF) - 0.15) & (path.min(axis=1) > 1.6)
     along = rows * _QUAD * tiles
     uv = np.stack(
         [np.stack([np.full(len(rows), u * tiles), along + dv], 1) for u, dv in
@@ -175,7 +176,7 @@ def _square(corner: Array, side: float, height: float) -> Array:
 
 
 def _lawn(streets: Streets) -> list[Mesh]:
-    """Grass squares under and around everything."""
+    """Build grass squares under and around everything."""
     side = 40.0
     out = []
     for corner in _tiles_around(streets.points, side, 120.0):
@@ -185,9 +186,9 @@ def _lawn(streets: Streets) -> list[Mesh]:
 
 
 def _turning_places(streets: Streets) -> list[Mesh]:
-    """Asphalt where the way leaves the street."""
-    way = streets.route.data
-    off = way[cKDTree(streets.points).query(way)[0] > 2.6]
+    """Build asphalt where the path leaves the street."""
+    path = streets.route.data
+    off = path[cKDTree(streets.points).query(path)[0] > 2.6]
     if not len(off):
         return []
     squares = np.stack([_square(corner, 2.0, -0.02) for corner in _tiles_around(off, 2.0, 4.0)])

@@ -1,4 +1,4 @@
-"""The painted surfaces of the town: a table of materials over mip-mapped textures, and the sky.
+"""Procedural textures with mip maps, and the panorama of the sky.
 
 All textures are square, repeat in both directions and hold brightness (albedo) 0..1; row 0 is the lower edge.
 """
@@ -17,12 +17,11 @@ SIZE = 1024
 
 @dataclass(frozen=True)
 class Atlas:
-    """All textures in one row of memory, as the look-up wants them.
+    """All textures in one array, as compiled code reads them.
 
     Attributes:
         texels, gloss: (B,) uint8, mip levels of every texture one after the other.
         table: (K, 3) int64: binary logarithm of the side, whether it has gloss, first texel.
-
     """
 
     texels: NDArray[np.uint8]

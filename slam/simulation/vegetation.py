@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation import materials as m
-from slam.simulation.mesh import Mesh, join, prism, triangles
+from slam.simulation.mesh import Mesh, merge_meshes, prism, triangles
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def broadleaf(rng: np.random.Generator, height: float = 8.0, sprays: int = 2200,
         prism(0.025 * height, 0.014 * height, trunk * 1.6, m.BARK),
     ]
     parts += [_branch(np.array([0, 0, trunk]), b, 0.009 * height) for b in blobs]
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _branch(start: Array, end: Array, radius: float) -> Mesh:
@@ -64,16 +64,18 @@ def conifer(rng: np.random.Generator, height: float = 11.0, sprays: int = 1800) 
     z = 0.1 * height + level * 0.9 * height - 0.25 * reach + whorl
     points = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], axis=1)
     tint = (0.35 + 0.9 * reach / np.maximum((1 - level) * 0.24 * height, 1e-3)) * rng.uniform(0.7, 1.2, sprays)
-    return join([_sprays(points, 0.34, m.NEEDLE, tint, rng), prism(0.02 * height, 0.004 * height, height, m.BARK)])
+    return merge_meshes(
+        [_sprays(points, 0.34, m.NEEDLE, tint, rng), prism(0.02 * height, 0.004 * height, height, m.BARK)]
+    )
 
 
 def sapling(rng: np.random.Generator) -> Mesh:
     """Grow a young street tree with a stake: sky shows through it."""
     points = np.array([0, 0, 3.4]) + _blob(rng, 560, np.array([0.9, 0.9, 1.5]))
     tint = rng.uniform(0.6, 1.4, len(points))
-    stake = prism(0.03, 0.03, 1.8, m.WOOD, 4).moved(0.0, np.array([0.35, 0.1, 0.0]))
+    stake = prism(0.03, 0.03, 1.8, m.WOOD, 4).transform(0.0, np.array([0.35, 0.1, 0.0]))
     branches = [_branch(np.array([0, 0, 1.8]), points[i], 0.018) for i in range(0, 60, 5)]
-    return join([_sprays(points, 0.14, m.LEAF, tint, rng), prism(0.05, 0.02, 3.6, m.BARK, 5), stake, *branches])
+    return merge_meshes([_sprays(points, 0.14, m.LEAF, tint, rng), prism(0.05, 0.02, 3.6, m.BARK, 5), stake, *branches])
 
 
 def bush(rng: np.random.Generator) -> Mesh:

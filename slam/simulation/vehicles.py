@@ -1,4 +1,4 @@
-"""Cars: side outlines pulled across, with glass, wheels, lamps and number plates.
+"""Cars: extruded side outlines with glass, wheels, lamps and number plates.
 
 A car stands on the origin, x forward, y left, z up, metres.
 """
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation import materials as m
-from slam.simulation.mesh import Mesh, boxes, join, panel, quads, triangles
+from slam.simulation.mesh import Mesh, boxes, merge_meshes, panel, quads, triangles
 
 Array = NDArray[np.float64]
 
@@ -28,28 +28,28 @@ _BODIES = {
     "van": ([(2.3, 0.35), (2.35, 0.8), (1.9, 1.15), (1.3, 1.25), (-2.4, 1.3), (-2.4, 0.4)],
             [(1.9, 1.15), (1.1, 2.0), (-2.35, 2.05), (-2.4, 1.3)]),
 }  # fmt: skip
-KINDS = tuple(_BODIES)
+CAR_TYPES = tuple(_BODIES)
 _HALF_WIDTH = 0.87  # metres
 
 
-def car(kind: str, paint: float) -> Mesh:
-    """Build a car of one of `KINDS`; paint is the brightness factor of its body."""
-    body, cabin = (np.array(line) for line in _BODIES[kind])
+def car(car_type: str, paint: float) -> Mesh:
+    """Build a car of one of `CAR_TYPES`; paint is the brightness factor of its body."""
+    body, cabin = (np.array(line) for line in _BODIES[car_type])
     cabin_low, cabin_high = _HALF_WIDTH - 0.03, _HALF_WIDTH - 0.17
     across = np.interp(cabin[:, 1], [1.0, cabin[:, 1].max()], [cabin_low, cabin_high])
     parts = [
-        _pulled(body, np.full(len(body), _HALF_WIDTH), m.PAINT, paint),
-        _pulled(cabin, across, m.PAINT, paint),
+        _extrude(body, np.full(len(body), _HALF_WIDTH), m.PAINT, paint),
+        _extrude(cabin, across, m.PAINT, paint),
     ]
-    parts.append(_windows(cabin, across, kind))
+    parts.append(_windows(cabin, across, car_type))
     parts += [_wheel(x, side) for x in (body[:, 0].max() - 0.85, body[:, 0].min() + 0.8) for side in (-1, 1)]
     parts += _ends(body)
     shade = panel([-2.1, -0.85, 0.03], [4.2, 0, 0], [0, 1.7, 0], m.RUBBER, np.array([0, 0, 1, 1]), 0.08)
-    return join([*parts, shade])
+    return merge_meshes([*parts, shade])
 
 
-def _pulled(outline: Array, half_width: Array, material: int, tint: float) -> Mesh:
-    """Build the outline (N, 2) pulled from -half_width to half_width (N,), with both sides closed."""
+def _extrude(outline: Array, half_width: Array, material: int, tint: float) -> Mesh:
+    """Build the outline (N, 2) extruded from -half_width to half_width (N,), with both sides closed."""
     left = np.column_stack([outline[:, 0], half_width, outline[:, 1]])
     right = left * [1, -1, 1]
     across = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
@@ -60,10 +60,10 @@ def _pulled(outline: Array, half_width: Array, material: int, tint: float) -> Me
         ring = np.roll(edge, -1, axis=0)
         fan = np.stack([edge, ring, np.broadcast_to(middle, edge.shape)], axis=1)
         sides.append(triangles(fan, fan[:, :, [0, 2]], material, tint))
-    return join(sides)
+    return merge_meshes(sides)
 
 
-def _windows(cabin: Array, across: Array, kind: str) -> Mesh:
+def _windows(cabin: Array, across: Array, car_type: str) -> Mesh:
     """Wind screen, rear window and side windows, a finger before the cabin's skin."""
     (x0, z0), (x1, z1), (x2, z2), (x3, z3) = cabin
     parts = []
@@ -79,7 +79,7 @@ def _windows(cabin: Array, across: Array, kind: str) -> Mesh:
             [ph[0] + out, -yh, ph[1]],
         ]
         parts.append(quads(np.array([corner]), np.zeros((1, 4, 2)), m.GLASS, 0.1))
-    panes = [(0.12, 0.48), (0.53, 0.88)] if kind != "van" else [(0.05, 0.3)]
+    panes = [(0.12, 0.48), (0.53, 0.88)] if car_type != "van" else [(0.05, 0.3)]
     for start, end in panes:
         for side in (-1, 1):
             low = [x0 + (x3 - x0) * t for t in (start, end)]
@@ -88,7 +88,7 @@ def _windows(cabin: Array, across: Array, kind: str) -> Mesh:
             zl, zh = max(z0, z3) + 0.06, min(z1, z2) - 0.07
             corner = [[low[0], yl, zl], [low[1], yl, zl], [high[1], yh, zh], [high[0], yh, zh]]
             parts.append(quads(np.array([corner]), np.zeros((1, 4, 2)), m.GLASS, 0.1))
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _wheel(x: float, side: int) -> Mesh:
@@ -107,7 +107,7 @@ def _wheel(x: float, side: int) -> Mesh:
         centre = np.broadcast_to([x, side * (_HALF_WIDTH + out), 0.32], (12, 3))
         fan = np.stack([ring[:-1], ring[1:], centre], axis=1)
         parts.append(triangles(fan, fan[:, :, [0, 2]], material, tint))
-    return join(parts)
+    return merge_meshes(parts)
 
 
 def _ends(body: Array) -> list[Mesh]:
@@ -127,10 +127,10 @@ def fleet(rng: np.random.Generator, count: int = 14) -> list[Mesh]:
     shades = rng.permutation(
         np.concatenate([rng.uniform(0.05, 0.25, count // 2), rng.uniform(0.6, 1.5, count - count // 2)])
     )
-    return [car(KINDS[i % len(KINDS)], float(shade)) for i, shade in enumerate(shades)]
+    return [car(CAR_TYPES[i % len(CAR_TYPES)], float(shade)) for i, shade in enumerate(shades)]
 
 
 def bin_and_box(rng: np.random.Generator) -> Mesh:
     """Build a dust bin and a grey cabinet, as stand on pavements."""
     cabinet = boxes(np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2)))
-    return join([boxes(np.array([[0, 0, 0]]), np.array([[0.55, 0.6, 1.05]]), m.PAINT, 0.25), cabinet])
+    return merge_meshes([boxes(np.array([[0, 0, 0]]), np.array([[0.55, 0.6, 1.05]]), m.PAINT, 0.25), cabinet])

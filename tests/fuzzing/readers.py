@@ -15,7 +15,7 @@ from place_recognition.map.vocabulary import load_vocabulary
 from slam.benchmark.sweep import read_sweep
 from slam.datasets.dataset import Dataset
 from slam.datasets.images import read_grey, read_times
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.datasets.video import open_video
 from slam.errors import DataError
 from slam.evaluation.truth import read_revisit_truth
@@ -72,7 +72,7 @@ class Reader:
 
 def _drive(root: Path) -> None:
     """Open a recording as a run does, and read what opening alone does not."""
-    _check_drive(open_drive(root))
+    _check_drive(open_dataset(root))
 
 
 def _check_drive(drive: Dataset) -> None:
@@ -212,7 +212,7 @@ READERS: dict[str, Reader] = {
     "video, AVI": Reader("v.avi", _video("v.avi"), lambda: media.video_files()[:1], _MESSAGES, share=0.15),
     "video, MP4": Reader("v.mp4", _video("v.mp4"), lambda: media.video_files()[1:2], _MESSAGES, share=0.15),
     "video, Matroska": Reader("v.mkv", _video("v.mkv"), lambda: media.video_files()[2:], _MESSAGES, share=0.15),
-    "bag, ROS 1": Reader("d.bag", _at("d.bag", lambda p: _check_drive(open_drive(p))), _bag(".bag"), _MESSAGES,
+    "bag, ROS 1": Reader("d.bag", _at("d.bag", lambda p: _check_drive(open_dataset(p))), _bag(".bag"), _MESSAGES,
         share=0.3),
     "bag, ROS 2": Reader("drive.db3", _drive, _bag(".db3"), _MESSAGES, _beside_ros2(".db3"), share=0.15),
     "bag, MCAP": Reader("drive.mcap", _drive, _bag(".mcap"), _MESSAGES, _beside_ros2(".mcap"), share=0.3),

@@ -18,9 +18,9 @@ from slam.evaluation.trajectory import umeyama
 from slam.mapping.dense_map import DenseMapper, group_key_frames
 from slam.mapping.submaps import SubmapStore
 from slam.run import RunOptions, run_pipeline
-from slam.simulation import DriveSpec
+from slam.simulation import SimulationConfig
 from slam.simulation.drive import MANIFEST
-from slam.simulation.surfaces import true_surfaces
+from slam.simulation.surfaces import ground_truth_surfaces
 from slam.storage.tables import read_loops
 from slam.viewer.rerun_viewer import RerunViewer
 
@@ -74,8 +74,8 @@ def test_all_that_was_kept_was_first_proved(circle: Path):
 
 @pytest.fixture(scope="module")
 def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
-    spec = DriveSpec(**json.loads((circle_drive / MANIFEST).read_text())["spec"])
-    corners = true_surfaces(spec).astype(np.float32).reshape(-1, 3)
+    spec = SimulationConfig(**json.loads((circle_drive / MANIFEST).read_text())["config"])
+    corners = ground_truth_surfaces(spec).astype(np.float32).reshape(-1, 3)
     rows = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(open3d.core.Tensor(corners), open3d.core.Tensor(rows))

@@ -13,7 +13,7 @@ from slam.benchmark.command import BenchmarkOptions, make_jobs, run_benchmark, r
 from slam.benchmark.job import Job, check_job, run_job
 from slam.benchmark.sweep import read_sweep
 from slam.config import RunConfig
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.engine.engine import Executor, SerialExecutor
 from slam.errors import OutputError
 
@@ -50,7 +50,7 @@ def alone(sweep: Path) -> Path:
 
 
 def some_jobs(folder: Path, count: int) -> list[Job]:
-    return [Job("s", Source(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
+    return [Job("s", DatasetSpec(folder), folder / f"job{n}", None, "p", "gnc", n, False) for n in range(count)]
 
 
 def test_several_processes_give_the_bits_of_one(sweep: Path, alone: Path, cluster: Executor):
@@ -113,7 +113,8 @@ def test_finished_runs_of_other_settings_are_refused(sweep: Path, alone: Path):
 def test_finished_runs_of_another_source_are_refused(alone: Path, sweep: Path, tmp_path: Path):
     job = make_jobs(read_sweep(sweep), alone)[0]
     check_job(job)
-    for other in (Source(tmp_path / "other"), replace(job.source, sequence="01"), replace(job.source, kind="kitti")):
+    changes = ({"path": tmp_path / "other"}, {"sequence": "01"}, {"format": "kitti"})
+    for other in (replace(job.source, **change) for change in changes):
         with pytest.raises(OutputError, match=r"found one of .*street"):
             check_job(replace(job, source=other))
 
@@ -124,7 +125,7 @@ def landmark_setting() -> str:
 
 def test_a_run_that_fails_costs_no_other_and_is_tried_again(alone: Path, sweep: Path, tmp_path: Path):
     good = make_jobs(read_sweep(sweep), alone)[0]
-    bad = Job("gone", Source(tmp_path / "gone"), tmp_path / "bad", None, good.paradigm, good.robust, 0, False)
+    bad = Job("gone", DatasetSpec(tmp_path / "gone"), tmp_path / "bad", None, good.paradigm, good.robust, 0, False)
     rows = run_jobs([bad, good], SerialExecutor(), run_job, tmp_path, QUIET)
     assert str(tmp_path / "gone") in rows[0].error
     assert rows[1].error == ""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from slam.benchmark.command import BenchmarkOptions, make_jobs
 from slam.benchmark.sweep import parse_sweep, read_sweep
 from slam.config import RunConfig
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError
 
 SOURCE = '[[sources]]\npath = "drive"\n'
@@ -30,7 +30,7 @@ def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
     assert jobs == make_jobs(sweep, tmp_path / "out")
     first, last = jobs[0], jobs[-1]
     assert first.name == "kitti-05.tracked-words.gnc.0"
-    assert first.source == Source(tmp_path / "kitti", "05")
+    assert first.source == DatasetSpec(tmp_path / "kitti", "05")
     assert last.name == "blocks-laps-2-length-300.pixel-sequences.pcm+gnc.7"
     assert (last.config.paradigm, last.config.robust, last.config.seed) == ("pixel-sequences", "pcm+gnc", 7)
 

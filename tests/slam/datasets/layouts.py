@@ -76,10 +76,10 @@ def write_euroc(root: Path, drive: Taken) -> Path:
         (folder / "data.csv").write_text("\r\n".join(lines) + "\r\n")
         for t, pair in zip(nanoseconds, drive.pairs, strict=True):
             cv2.imwrite(str(folder / "data" / f"{t}.png"), pair[camera])
-        model = {"radtan": "radial-tangential"}.get(lens.model, lens.model)
+        model = {"radtan": "radial-tangential"}.get(lens.distortion_model, lens.distortion_model)
         (folder / "sensor.yaml").write_text(
             "#Default camera\n"
-            "sensor_type: camera\ncomment: VI-Sensor\n\n# pose in the body\nT_BS:\n  cols: 4\n  rows: 4\n"
+            "sensor_type: camera\ncomment: VI-EurocCamera\n\n# pose in the body\nT_BS:\n  cols: 4\n  rows: 4\n"
             f"  data: {[float(v) for v in T_body_camera.ravel()]}\n\n"
             f"rate_hz: 20\nresolution: {list(SIZE)}\ncamera_model: pinhole\n"
             f"intrinsics: [{lens.fx}, {lens.fy}, {lens.cx}, {lens.cy}] #fu, fv, cu, cv\n"
@@ -129,7 +129,11 @@ def camera_toml(rig: Rig, pair: bool = True, **more: object) -> str:
 
     def lens(of: Any) -> list[str]:
         numbers = [f"{name} = {getattr(of, name)}" for name in ("fx", "fy", "cx", "cy")]
-        model = [] if of.model == "none" else [f'model = "{of.model}"', f"distortion = {list(of.coefficients)}"]
+        model = (
+            []
+            if of.distortion_model == "none"
+            else [f'model = "{of.distortion_model}"', f"distortion = {list(of.coefficients)}"]
+        )
         return numbers + model
 
     lines = lens(rig.left) + [f"{key} = {value!r}".replace("'", '"') for key, value in more.items()]
@@ -234,7 +238,7 @@ def _info(store: Any, drive: Taken, side: int, header: Any) -> Any:
     P = np.hstack([ideal.camera.K, np.zeros((3, 1))])
     P[0, 3] = -side * ideal.camera.fx * ideal.camera.baseline
     roi = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    model = {"radtan": "plumb_bob", "none": "plumb_bob"}.get(lens.model, lens.model)
+    model = {"radtan": "plumb_bob", "none": "plumb_bob"}.get(lens.distortion_model, lens.distortion_model)
     D = np.array(
         [*lens.coefficients, 0.0] if len(lens.coefficients) == 4 and model == "plumb_bob" else lens.coefficients
     )

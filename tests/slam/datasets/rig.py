@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.datasets.lens import FISH_EYES, Lens
+from slam.datasets.lens import FISHEYE_MODELS, CameraModel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -27,8 +27,8 @@ class Rig:
         T_left_right: (4, 4) pose of the right camera in the left one, metres.
     """
 
-    left: Lens
-    right: Lens
+    left: CameraModel
+    right: CameraModel
     T_left_right: Array = field(default_factory=lambda: se3.pose(np.eye(3), np.array([0.3, 0.0, 0.0])))
 
 
@@ -37,27 +37,27 @@ def turned(degrees: tuple[float, float, float], t: tuple[float, float, float]) -
     return se3.pose(Rotation.from_rotvec(degrees, degrees=True).as_matrix(), np.array(t))
 
 
-IDEAL = Rig(Lens(260.0, 260.0, 160.0, 118.0), Lens(260.0, 260.0, 160.0, 118.0))
+IDEAL = Rig(CameraModel(260.0, 260.0, 160.0, 118.0), CameraModel(260.0, 260.0, 160.0, 118.0))
 RIGS = {
     "ideal": IDEAL,
     "radtan": Rig(
-        Lens(200.0, 201.0, 163.0, 117.0, "radtan", (-0.28, 0.074, 0.0002, 0.00002)),
-        Lens(199.0, 198.5, 156.0, 121.0, "radtan", (-0.283, 0.074, -0.0001, -0.00003)),
+        CameraModel(200.0, 201.0, 163.0, 117.0, "radtan", (-0.28, 0.074, 0.0002, 0.00002)),
+        CameraModel(199.0, 198.5, 156.0, 121.0, "radtan", (-0.283, 0.074, -0.0001, -0.00003)),
         turned((0.4, 0.9, -0.6), (0.11, -0.002, 0.001)),
     ),
     "rational": Rig(
-        Lens(210.0, 210.0, 160.0, 120.0, "rational", (0.3, -0.1, 0.001, -0.001, 0.02, 0.62, -0.05, 0.01)),
-        Lens(211.0, 211.0, 158.0, 122.0, "rational", (0.31, -0.1, 0.0, 0.001, 0.02, 0.63, -0.05, 0.01)),
+        CameraModel(210.0, 210.0, 160.0, 120.0, "rational", (0.3, -0.1, 0.001, -0.001, 0.02, 0.62, -0.05, 0.01)),
+        CameraModel(211.0, 211.0, 158.0, 122.0, "rational", (0.31, -0.1, 0.0, 0.001, 0.02, 0.63, -0.05, 0.01)),
         turned((-1.0, 1.5, 0.5), (0.2, 0.01, -0.01)),
     ),
     "fisheye": Rig(
-        Lens(105.0, 105.0, 160.0, 121.0, "equidistant", (0.003, 0.0007, -0.002, 0.0002)),
-        Lens(105.5, 105.2, 157.0, 119.0, "equidistant", (0.002, 0.001, -0.002, 0.0003)),
+        CameraModel(105.0, 105.0, 160.0, 121.0, "equidistant", (0.003, 0.0007, -0.002, 0.0002)),
+        CameraModel(105.5, 105.2, 157.0, 119.0, "equidistant", (0.002, 0.001, -0.002, 0.0003)),
         turned((0.5, -1.2, 1.0), (0.1, 0.001, 0.002)),
     ),
     "mixed": Rig(
-        Lens(200.0, 201.0, 163.0, 117.0, "radtan", (-0.28, 0.074, 0.0002, 0.00002, 0.0)),
-        Lens(205.0, 205.0, 160.0, 120.0),
+        CameraModel(200.0, 201.0, 163.0, 117.0, "radtan", (-0.28, 0.074, 0.0002, 0.00002, 0.0)),
+        CameraModel(205.0, 205.0, 160.0, 120.0),
         turned((0.0, 2.0, 0.0), (0.25, 0.0, 0.0)),
     ),
 }
@@ -79,7 +79,7 @@ class Walls:
         """Left and right image from a pose (4, 4) of the left camera."""
         return self.image(rig.left, T_world_left), self.image(rig.right, T_world_left @ rig.T_left_right)
 
-    def image(self, lens: Lens, T: Array) -> Image:
+    def image(self, lens: CameraModel, T: Array) -> Image:
         """Image (H, W) uint8 of a camera with a lens from a pose (4, 4)."""
         rays = all_rays(lens) @ T[:3, :3].T
         image = np.zeros(SIZE[::-1], np.float32)
@@ -94,16 +94,16 @@ class Walls:
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-_RAYS: dict[Lens, Array] = {}
+_RAYS: dict[CameraModel, Array] = {}
 
 
-def all_rays(lens: Lens) -> Array:
+def all_rays(lens: CameraModel) -> Array:
     """Direction (H, W, 3) of each pixel by OpenCV's own inverse of the distortion."""
     if lens not in _RAYS:
         pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1).reshape(-1, 1, 2) * 1.0
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
         D = np.array(lens.coefficients or (0.0,) * 4)
-        if lens.model in FISH_EYES:
+        if lens.distortion_model in FISHEYE_MODELS:
             flat = cv2.fisheye.undistortPoints(pixels, lens.K, D)
         else:
             flat = cv2.undistortPoints(pixels, lens.K, D, criteria=stop)
@@ -111,10 +111,10 @@ def all_rays(lens: Lens) -> Array:
     return _RAYS[lens]
 
 
-def seen_at(lens: Lens, points_camera: Array) -> Array:
+def seen_at(lens: CameraModel, points_camera: Array) -> Array:
     """Pixels (N, 2) of points (N, 3) by OpenCV's own projection."""
     D, zero = np.array(lens.coefficients or (0.0,) * 4), np.zeros(3)
-    if lens.model in FISH_EYES:
+    if lens.distortion_model in FISHEYE_MODELS:
         return cv2.fisheye.projectPoints(points_camera[:, None], zero, zero, lens.K, D)[0].reshape(-1, 2)
     return cv2.projectPoints(points_camera, zero, zero, lens.K, D)[0].reshape(-1, 2)
 

@@ -10,7 +10,7 @@ import pytest
 
 from odometry import se3
 from slam.datasets.kitti import open_kitti
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.storage.trajectory import write_kitti
 
 WriteDrive = Callable[..., Path]
@@ -23,7 +23,7 @@ def drive_poses() -> np.ndarray:
 
 
 def test_a_drive_knows_its_camera_times_and_truth(root: Path) -> None:
-    drive = open_drive(root)
+    drive = open_dataset(root)
     assert (drive.name, len(drive), drive.has_right) == ("00", 3, True)
     assert (drive.camera.fx, drive.camera.width, drive.camera.height) == (50.0, 64, 32)
     assert drive.camera.baseline == pytest.approx(0.4)
@@ -140,7 +140,7 @@ def test_grey_comes_first_where_there_is_everything(root: Path, folder: Path) ->
 
 @pytest.mark.parametrize(("sequence", "count", "stereo"), [("05", 60, True), ("06", 51, True), ("07", 160, False)])
 def test_real_clips_open(test_data: Path, sequence: str, count: int, stereo: bool) -> None:
-    drive = open_drive(test_data / "kitti_clips", sequence)
+    drive = open_dataset(test_data / "kitti_clips", sequence)
     assert (len(drive), drive.has_right) == (count, stereo)
     assert drive.camera.baseline == pytest.approx(0.537, abs=5e-4)
     assert drive[count - 1].left.shape == (370, 1226)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.open import open_drive, open_left_images, open_source
-from slam.datasets.source import Source
+from slam.datasets.open import open_dataset, open_images
+from slam.datasets.source import DatasetSpec
 from slam.errors import ConfigError, DataError
 
 from .layouts import (
@@ -109,7 +109,7 @@ EUROC: dict[str, tuple[Callable[[Path], object], str]] = {
 
 def drive_all(path: Path) -> None:
     """Open a drive and read it to the end."""
-    for _ in open_drive(path):
+    for _ in open_dataset(path):
         pass
 
 
@@ -131,7 +131,7 @@ def toml(change: Callable[[str], str]) -> Callable[[Path], object]:
 
 
 OWN: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no TOML": (toml(lambda t: t + "= 3"), r"camera.toml: expected TOML, found .*mend that line"),
+    "no TOML": (toml(lambda t: t + "= 3"), r"camera.toml: expected TOML, found .*correct that line"),
     "no fx": (toml(lambda t: t.replace("fx", "f", 1)), r"camera.toml: expected only fx, .*found 'f'"),
     "a word for a number": (
         toml(lambda t: t.replace("fx = 200.0", "fx = 'wide'", 1)),
@@ -185,35 +185,35 @@ def test_images_without_calibration_serve_for_places_alone(tmp_path: Path, rough
     root = write_own(tmp_path / "mine", rough)
     (root / "camera.toml").unlink()
     with pytest.raises(DataError, match=r"camera.toml: expected the calibration of the camera, found none; write it"):
-        open_drive(root)
-    assert len(open_left_images(Source(root))) == 3
+        open_dataset(root)
+    assert len(open_images(DatasetSpec(root))) == 3
 
 
 def test_a_tum_folder_of_no_known_camera_asks_for_it(tmp_path: Path, rough: Taken) -> None:
     with pytest.raises(DataError, match=r"camera.toml: expected the calibration, as the folder's name has no freiburg"):
-        open_drive(write_tum_rgbd(tmp_path / "room", rough))
-    images = open_left_images(Source(tmp_path / "room"))  # for places it need not be known
+        open_dataset(write_tum_rgbd(tmp_path / "room", rough))
+    images = open_images(DatasetSpec(tmp_path / "room"))  # for places it need not be known
     np.testing.assert_array_equal(images[2], rough.pairs[2][0])
 
 
 def test_euroc_without_a_calibration_serves_for_places(tmp_path: Path, rough: Taken) -> None:
     (write_euroc(tmp_path / "MH_01", rough) / CAM0 / "sensor.yaml").unlink()
     with pytest.raises(DataError, match=r"sensor.yaml: expected this file, found none"):
-        open_drive(tmp_path / "MH_01")
-    np.testing.assert_array_equal(open_left_images(Source(tmp_path / "MH_01"))[2], rough.pairs[2][0])
+        open_dataset(tmp_path / "MH_01")
+    np.testing.assert_array_equal(open_images(DatasetSpec(tmp_path / "MH_01"))[2], rough.pairs[2][0])
 
 
 @pytest.mark.parametrize("data", [b"", b"no video" * 100, b"RIFF\xff\xff\xff\xffAVI LIST"])
 def test_a_file_that_is_no_video_is_named(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "drive.avi").write_bytes(data)
     with pytest.raises(DataError, match=r"drive.avi: expected a video, found .* decoded; copy it again or convert it"):
-        open_left_images(Source(tmp_path / "drive.avi"))
+        open_images(DatasetSpec(tmp_path / "drive.avi"))
 
 
 def test_what_is_left_of_a_cut_video_is_read(tmp_path: Path, rough: Taken) -> None:
     path = write_video(tmp_path / "drive.avi", [left for left, _ in rough.pairs] * 20)
     cut(path, 0.5)
-    images = open_left_images(Source(path))
+    images = open_images(DatasetSpec(path))
     assert 20 < len(images) < 45
     assert [images[index].shape for index in range(len(images))] == [(240, 320)] * len(images)
 
@@ -223,17 +223,17 @@ def test_faults_of_bags(tmp_path: Path, rough: Taken) -> None:
     with pytest.raises(
         DataError, match=r"expected a CameraInfo for /stereo/left/image_raw, found none; write camera.toml"
     ):
-        open_drive(bare)
+        open_dataset(bare)
     with pytest.raises(
         DataError, match=r"expected images of the topic /other, found /stereo/left/image_raw, /stereo/right"
     ):
-        open_source(Source(bare, topics=("/other",)))
+        open_dataset(DatasetSpec(bare, topics=("/other",)))
     unclear = write_bag(tmp_path / "unclear", rough, BagStyle(topics=("/a/image", "/b/image")))
     with pytest.raises(DataError, match=r"found /a/image \(3\), /b/image \(3\); choose with --image-topic"):
-        open_drive(unclear)
-    swapped = Source(write_bag(tmp_path / "swapped", rough, BagStyle()), topics=tuple(reversed(BagStyle().topics)))
+        open_dataset(unclear)
+    swapped = DatasetSpec(write_bag(tmp_path / "swapped", rough, BagStyle()), topics=tuple(reversed(BagStyle().topics)))
     with pytest.raises(DataError, match=r"found /stereo/right/image_raw to the right of /stereo/left"):
-        open_source(swapped)
+        open_dataset(swapped)
 
 
 @pytest.mark.parametrize("storage", ["ros1", "sqlite3", "mcap"])
@@ -256,12 +256,12 @@ def test_a_bag_with_holes_or_an_early_end_is_a_data_error_or_a_bag(tmp_path: Pat
 def test_nothing_is_no_recording(tmp_path: Path, path: str) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=f"{path}: expected"):
-        open_drive(tmp_path / path)
+        open_dataset(tmp_path / path)
 
 
 def test_an_unknown_kind_is_a_wrong_word(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--format: expected one of bag, euroc, .*, found 'rosbag'"):
-        open_source(Source(tmp_path, kind="rosbag"))
+        open_dataset(DatasetSpec(tmp_path, format="rosbag"))
 
 
 def test_recordings_of_places_are_refused_for_driving(tmp_path: Path) -> None:
@@ -270,5 +270,5 @@ def test_recordings_of_places_are_refused_for_driving(tmp_path: Path) -> None:
     with pytest.raises(
         DataError, match=r"expected a calibration, found images of places alone; use it with revisit places"
     ):
-        open_drive(tmp_path)
-    assert open_left_images(Source(tmp_path)).name == "Malaga 2009 6L"
+        open_dataset(tmp_path)
+    assert open_images(DatasetSpec(tmp_path)).name == "Malaga 2009 6L"

@@ -11,10 +11,10 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slam.datasets.camera_file import read_camera_file
-from slam.datasets.euroc import read_sensor
-from slam.datasets.ros_messages import ENCODINGS, grey
-from slam.datasets.stamped import BLANKS_SECONDS, CSV_NANOSECONDS, read_image_list, read_stamped
+from slam.datasets.camera_file import read_camera_toml
+from slam.datasets.euroc import read_sensor_yaml
+from slam.datasets.ros_messages import ENCODINGS, decode_image
+from slam.datasets.stamped import CSV_NANOSECONDS, SPACE_SEPARATED_SECONDS, read_image_list, read_timestamped_rows
 from slam.errors import DataError
 
 WORDS = ["fx", "fy", "cx", "cy", "baseline", "model", "distortion", "right_camera", "T_left_right", "fps", "left"]
@@ -31,7 +31,7 @@ quick = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCh
 def test_any_camera_file_is_read_or_refused_by_name(tmp_path: Path, table: dict[str, object]) -> None:
     path = tmp_path / "camera.toml"
     path.write_text(tomli_w.dumps({"fx": 200, "fy": 200, "cx": 160, "cy": 120} | table))
-    assert_read_or_refused(path, lambda: read_camera_file(path).rectification((320, 240)))
+    assert_read_or_refused(path, lambda: read_camera_toml(path).rectification((320, 240)))
 
 
 @quick
@@ -40,10 +40,10 @@ def test_any_bytes_are_read_or_refused_by_name(tmp_path: Path, data: bytes) -> N
     path = tmp_path / "file"
     path.write_bytes(data)
     for read in (
-        lambda: read_camera_file(path),
-        lambda: read_sensor(path),
-        lambda: read_stamped(path, CSV_NANOSECONDS, 8),
-        lambda: read_image_list(path, tmp_path, BLANKS_SECONDS),
+        lambda: read_camera_toml(path),
+        lambda: read_sensor_yaml(path),
+        lambda: read_timestamped_rows(path, CSV_NANOSECONDS, 8),
+        lambda: read_image_list(path, tmp_path, SPACE_SEPARATED_SECONDS),
     ):
         assert_read_or_refused(path, read)
 
@@ -57,7 +57,7 @@ def test_any_table_is_read_or_refused_by_name(tmp_path: Path, rows: list[list[st
     path = tmp_path / "data.csv"
     path.write_text("\n".join(",".join(row) for row in rows))
     for read in (
-        lambda: read_stamped(path, CSV_NANOSECONDS, 8),
+        lambda: read_timestamped_rows(path, CSV_NANOSECONDS, 8),
         lambda: read_image_list(path, tmp_path, CSV_NANOSECONDS),
     ):
         assert_read_or_refused(path, read)
@@ -74,7 +74,7 @@ SENSORS = st.dictionaries(
 def test_any_sensor_is_read_or_refused_by_name(tmp_path: Path, table: dict[str, object]) -> None:
     path = tmp_path / "sensor.yaml"
     path.write_text(yaml.safe_dump(table))
-    assert_read_or_refused(path, lambda: read_sensor(path))
+    assert_read_or_refused(path, lambda: read_sensor_yaml(path))
 
 
 def test_yaml_that_unfolds_into_a_million_is_refused_at_once(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_yaml_that_unfolds_into_a_million_is_refused_at_once(tmp_path: Path) -> 
     path = tmp_path / "sensor.yaml"
     path.write_text("\n".join([*lines, "intrinsics: *a8", "T_BS: *a8"]))
     with pytest.raises(DataError, match=r"sensor.yaml: expected"):
-        read_sensor(path)
+        read_sensor_yaml(path)
 
 
 SMALL = st.integers(0, 6)
@@ -95,7 +95,7 @@ SMALL = st.integers(0, 6)
 )  # fmt: skip
 def test_any_message_is_an_image_or_is_refused(height: int, width: int, **message: object) -> None:
     try:
-        image = grey(SimpleNamespace(height=height, width=width, **message))
+        image = decode_image(SimpleNamespace(height=height, width=width, **message))
     except ValueError:
         return
     assert (image.shape, image.dtype) == ((height, width), np.uint8)
@@ -105,7 +105,7 @@ def test_any_message_is_an_image_or_is_refused(height: int, width: int, **messag
 @given(data=st.binary(max_size=100), start=st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"BM"]))
 def test_any_compressed_message_is_an_image_or_is_refused(data: bytes, start: bytes) -> None:
     try:
-        image = grey(SimpleNamespace(format="png", data=start + data))
+        image = decode_image(SimpleNamespace(format="png", data=start + data))
     except ValueError:
         return
     assert (image.ndim, image.dtype) == (2, np.uint8)

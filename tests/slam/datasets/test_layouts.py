@@ -11,10 +11,10 @@ from slam import cli
 from slam.datasets.bag_file import Bag
 from slam.datasets.bag_topics import choose_topics
 from slam.datasets.dataset import Dataset
-from slam.datasets.kinds import KINDS, kind_of
-from slam.datasets.open import open_drive, open_left_images, open_source
+from slam.datasets.kinds import FORMATS, detect_format
+from slam.datasets.open import open_dataset, open_images
 from slam.datasets.prefetch import prefetch
-from slam.datasets.source import Source
+from slam.datasets.source import DatasetSpec
 from slam.storage.metrics import read_metrics, write_metrics
 from slam.storage.trajectory import write_kitti, write_tum
 
@@ -59,7 +59,7 @@ def assert_alike(image: np.ndarray, expected: np.ndarray, blur: float) -> None:
 
 
 def test_euroc(tmp_path: Path, rough: Taken) -> None:
-    drive = open_drive(write_euroc(tmp_path / "MH_01_easy", rough))
+    drive = open_dataset(write_euroc(tmp_path / "MH_01_easy", rough))
     assert (drive.name, drive.remarks) == ("MH_01_easy", ())
     assert_frames(drive, rough)
     assert drive.ground_truth is not None
@@ -69,15 +69,15 @@ def test_euroc(tmp_path: Path, rough: Taken) -> None:
 def test_euroc_chooses_among_sequences(tmp_path: Path, rough: Taken) -> None:
     for name in ("V1_01", "V1_02"):
         write_euroc(tmp_path / name, rough)
-    assert kind_of(Source(tmp_path)) == "euroc"
-    assert open_drive(tmp_path, "V1_02").name == "V1_02"
+    assert detect_format(DatasetSpec(tmp_path)) == "euroc"
+    assert open_dataset(tmp_path, "V1_02").name == "V1_02"
 
 
 def test_images_without_a_partner_are_left_out_and_that_is_said(tmp_path: Path, rough: Taken) -> None:
     table = write_euroc(tmp_path / "MH", rough) / "mav0" / "cam1" / "data.csv"
     lines = table.read_text().splitlines()
     table.write_text("\n".join(lines[:2] + lines[3:]))
-    drive = open_drive(tmp_path / "MH")
+    drive = open_dataset(tmp_path / "MH")
     assert (len(drive), drive.remarks) == (4, ("1 images without a partner in the other camera are left out",))
     np.testing.assert_array_equal(drive[1].right, rough.ideal.right(rough.pairs[2][1]))
     assert drive.ground_truth is not None
@@ -88,7 +88,7 @@ def test_images_beyond_the_truth_are_left_out_and_that_is_said(tmp_path: Path, r
     table = write_euroc(tmp_path / "MH", rough) / "mav0" / "state_groundtruth_estimate0" / "data.csv"
     lines = table.read_text().splitlines()
     table.write_text("\n".join([lines[0], *lines[9:]]))  # begins 0.04 s after the first image
-    drive = open_drive(tmp_path / "MH")
+    drive = open_dataset(tmp_path / "MH")
     assert (len(drive), drive.remarks) == (4, ("1 images before or after the ground truth are left out",))
     np.testing.assert_array_equal(drive[0].left, rough.ideal.left(rough.pairs[1][0]))
 
@@ -98,7 +98,7 @@ def test_tum_rgbd_with_the_cameras_of_the_benchmark_or_ones_own(tmp_path: Path, 
     folder = write_tum_rgbd(tmp_path / name, rough)
     if name == "my_room":
         (folder / "camera.toml").write_text(camera_toml(rough.rig, pair=False))
-    drive = open_drive(folder)
+    drive = open_dataset(folder)
     assert (drive.has_right, len(drive), drive[3].right) == (False, 5, None)
     assert drive.camera.fx == pytest.approx(535.4 if name != "my_room" else 185, abs=40)
     if name != "my_room":  # an undistorted camera whose images are taken as they are
@@ -111,7 +111,7 @@ def test_tum_rgbd_with_the_cameras_of_the_benchmark_or_ones_own(tmp_path: Path, 
 @pytest.mark.parametrize("rig", RIGS)
 def test_folders_of_ones_own_pair(tmp_path: Path, rig: str) -> None:
     drive = taken(rig, 3)
-    assert_frames(open_drive(write_folders(tmp_path / "mine", drive, fps=RATE)), drive)
+    assert_frames(open_dataset(write_folders(tmp_path / "mine", drive, fps=RATE)), drive)
 
 
 def test_five_numbers_are_enough_for_a_pair_and_four_for_one_camera(tmp_path: Path) -> None:
@@ -120,16 +120,16 @@ def test_five_numbers_are_enough_for_a_pair_and_four_for_one_camera(tmp_path: Pa
     numbers = "fx = 260\nfy = 260\ncx = 160\ncy = 118\n"
     (folder / "camera.toml").write_text(numbers + "baseline = 0.3\n")
     (folder / "times.txt").write_text("".join(f"{k / RATE}\n" for k in range(3)))
-    assert_frames(open_drive(folder), ideal)
+    assert_frames(open_dataset(folder), ideal)
     (folder / "camera.toml").write_text(numbers)
-    alone = open_drive(folder)
+    alone = open_dataset(folder)
     assert (alone.has_right, alone.remarks) == (False, ("camera.toml has no baseline: the left camera alone is used",))
 
 
 def test_a_folder_of_images_with_truth(tmp_path: Path, rough: Taken) -> None:
     folder = write_folders(tmp_path / "mine", rough, fps=RATE, ground_truth="way.txt")
     write_kitti(folder / "way.txt", rough.poses)
-    truth = open_drive(folder).ground_truth
+    truth = open_dataset(folder).ground_truth
     assert truth is not None
     np.testing.assert_allclose(truth, rough.truth, atol=1e-9)
 
@@ -139,7 +139,7 @@ def test_two_videos(tmp_path: Path, rough: Taken, codec: str, suffix: str) -> No
     for side, name in enumerate(("left", "right")):
         write_video(tmp_path / f"{name}{suffix}", [pair[side] for pair in rough.pairs], codec)
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig))
-    assert_frames(open_drive(tmp_path), rough, blur=6.0)
+    assert_frames(open_dataset(tmp_path), rough, blur=6.0)
 
 
 @pytest.mark.parametrize(("codec", "suffix"), [("MJPG", ".avi"), ("mp4v", ".mp4")])
@@ -147,7 +147,7 @@ def test_any_image_of_a_video_is_found_again(tmp_path: Path, rough: Taken, codec
     images = [np.roll(rough.pairs[0][0], 7 * k, axis=1) for k in range(40)]
     path = write_video(tmp_path / f"drive{suffix}", images, codec)
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig, pair=False))
-    drive = open_drive(path)
+    drive = open_dataset(path)
     in_order = [frame.left for frame in prefetch(drive)]
     assert len(in_order) == 40
     for index in (17, 18, 3, 39, 0, 19, 20, 4):
@@ -156,8 +156,13 @@ def test_any_image_of_a_video_is_found_again(tmp_path: Path, rough: Taken, codec
 
 def test_a_video_alone_serves_for_places(tmp_path: Path, rough: Taken) -> None:
     path = write_video(tmp_path / "drive.avi", [left for left, _ in rough.pairs])
-    images = open_left_images(Source(path))
-    assert (kind_of(Source(path)), images.name, len(images), images.ground_truth) == ("images", "drive.avi", 5, None)
+    images = open_images(DatasetSpec(path))
+    assert (detect_format(DatasetSpec(path)), images.name, len(images), images.ground_truth) == (
+        "images",
+        "drive.avi",
+        5,
+        None,
+    )
     assert images.timestamps is not None
     np.testing.assert_allclose(np.diff(images.timestamps), 1 / RATE, atol=2e-3)
     assert_alike(images[4], rough.pairs[4][0], 6.0)
@@ -166,8 +171,8 @@ def test_a_video_alone_serves_for_places(tmp_path: Path, rough: Taken) -> None:
 @pytest.mark.parametrize("storage", ["ros1", "sqlite3", "mcap"])
 def test_bags_with_a_calibrated_pair(tmp_path: Path, rough: Taken, storage: str) -> None:
     path = write_bag(tmp_path, rough, BagStyle(storage))
-    assert kind_of(Source(path)) == "bag"
-    drive = open_drive(path)
+    assert detect_format(DatasetSpec(path)) == "bag"
+    drive = open_dataset(path)
     assert_frames(drive, rough)
     assert drive.timestamps[0] == pytest.approx(rough.times[0], abs=1e-6)  # when taken, not when received
     np.testing.assert_array_equal(drive[1].left, rough.ideal.left(rough.pairs[1][0]))
@@ -176,29 +181,29 @@ def test_bags_with_a_calibrated_pair(tmp_path: Path, rough: Taken, storage: str)
 @pytest.mark.parametrize("encoding", [*ENCODED, "png"])
 def test_every_encoding_of_a_bag_gives_the_same_grey(tmp_path: Path, rough: Taken, encoding: str) -> None:
     path = write_bag(tmp_path, rough, BagStyle(encoding=encoding, infos=False, topics=("/camera/image",)))
-    images = open_left_images(Source(path))
+    images = open_images(DatasetSpec(path))
     for index in (2, 0, 1):
         assert_alike(images[index], rough.pairs[index][0], 0.0)
 
 
 def test_a_file_of_an_mcap_bag_is_one(tmp_path: Path, rough: Taken) -> None:
     path = next(write_bag(tmp_path, rough, BagStyle("mcap")).glob("*.mcap"))
-    assert_frames(open_drive(path), rough)
+    assert_frames(open_dataset(path), rough)
 
 
 def test_topics_are_chosen_and_calibrated_by_hand(tmp_path: Path, rough: Taken) -> None:
     path = write_bag(tmp_path, rough, BagStyle("mcap", infos=False, topics=("/a/image", "/b/image")))
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig))
-    assert_frames(open_source(Source(path, topics=("/a/image", "/b/image"))), rough)
+    assert_frames(open_dataset(DatasetSpec(path, topics=("/a/image", "/b/image"))), rough)
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig, left="/a/image", right="/b/image"))
-    assert_frames(open_drive(path), rough)
+    assert_frames(open_dataset(path), rough)
 
 
 def test_a_bag_has_its_truth_in_a_file_beside(tmp_path: Path, rough: Taken) -> None:
     path = write_bag(tmp_path, rough, BagStyle("sqlite3"))
     (path / "camera.toml").write_text(camera_toml(rough.rig, ground_truth="way.txt"))
     write_tum(path / "way.txt", *finely(rough))
-    truth = open_drive(path).ground_truth
+    truth = open_dataset(path).ground_truth
     assert truth is not None
     np.testing.assert_allclose(truth, rough.truth, atol=1e-5)
 
@@ -224,7 +229,7 @@ def test_topics_are_found_by_their_names(
 
 
 def test_the_command_line_names_every_kind() -> None:
-    assert sorted(cli.FORMAT_NAMES.split(", ")) == sorted(KINDS)
+    assert sorted(cli.FORMAT_NAMES.split(", ")) == sorted(FORMATS)
 
 
 Write = Callable[[Path, Taken], Path]
@@ -238,19 +243,19 @@ WRITERS: dict[str, Write] = {
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_the_kind_is_recognised_and_its_left_images_are_the_drives(tmp_path: Path, rough: Taken, kind: str) -> None:
-    source = Source(WRITERS[kind](tmp_path / "drive", rough))
-    assert kind_of(source) == kind
-    drive, images = open_source(source), open_left_images(source)
+    source = DatasetSpec(WRITERS[kind](tmp_path / "drive", rough))
+    assert detect_format(source) == kind
+    drive, images = open_dataset(source), open_images(source)
     np.testing.assert_array_equal(images[2], drive[2].left)
     np.testing.assert_array_equal(images.timestamps, drive.timestamps)
 
 
 @pytest.mark.parametrize(
     "source",
-    [Source(Path("a b")), Source(Path("c"), "00", "bag", 12.5, ("/left", "/right"))],
+    [DatasetSpec(Path("a b")), DatasetSpec(Path("c"), "00", "bag", 12.5, ("/left", "/right"))],
 )
-def test_how_a_recording_was_read_comes_back_from_the_metrics(source: Source, tmp_path: Path):
+def test_how_a_recording_was_read_comes_back_from_the_metrics(source: DatasetSpec, tmp_path: Path):
     write_metrics(tmp_path / "metrics.json", {"recording": source.as_metrics()})
     metrics = read_metrics(tmp_path / "metrics.json")
-    assert Source.from_metrics(metrics["recording"]) == source
+    assert DatasetSpec.from_metrics(metrics["recording"]) == source
     assert metrics["notes"] == {}

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.datasets.lens import Lens
-from slam.datasets.rectification import AsItIs, Rectification, rectify_alike, rectify_pair
-from slam.inspection.calibration import match_rows
+from slam.datasets.lens import CameraModel
+from slam.datasets.rectification import IdentityMap, Rectification, rectify_pair, rectify_parallel
+from slam.inspection.calibration import match_displacements
 
 from .rig import IDEAL, RIGS, SIZE, Rig, Walls, seen_at, turned
 
@@ -54,7 +54,7 @@ def test_the_ideal_pair_shows_nothing_that_a_camera_has_not_seen(name: str) -> N
 def test_matches_of_rectified_images_lie_in_common_rows(name: str) -> None:
     rig, ideal = RIGS[name], rectified(RIGS[name])
     left, right = Walls().pair(rig, np.eye(4))
-    moved = match_rows(ideal.left(left), ideal.right(right))
+    moved = match_displacements(ideal.left(left), ideal.right(right))
     assert len(moved) > 50
     assert np.median(np.abs(moved[:, 1])) < 0.3
     # walls 6 and 12 m ahead, a little to each side of it where the pair was turned
@@ -64,12 +64,12 @@ def test_matches_of_rectified_images_lie_in_common_rows(name: str) -> None:
 
 def test_the_same_images_unrectified_do_not() -> None:
     left, right = Walls().pair(RIGS["radtan"], np.eye(4))
-    assert np.median(np.abs(match_rows(left, right)[:, 1])) > 2.0
+    assert np.median(np.abs(match_displacements(left, right)[:, 1])) > 2.0
 
 
 def test_an_ideal_pair_is_left_as_it_is() -> None:
     ideal = rectified(IDEAL)
-    assert isinstance(ideal.left, AsItIs)
+    assert isinstance(ideal.left, IdentityMap)
     assert (ideal.camera.fx, ideal.camera.cx, ideal.camera.cy, ideal.camera.baseline) == (260.0, 160.0, 118.0, 0.3)
     image = Walls().image(IDEAL.left, np.eye(4))
     assert ideal.left(image) is image
@@ -89,9 +89,9 @@ def test_the_axes_are_those_of_opencv_up_to_a_turn_about_the_baseline(name: str)
 
 def test_one_camera_becomes_straight() -> None:
     lens = RIGS["radtan"].left
-    alone = rectify_alike(lens, SIZE)
+    alone = rectify_parallel(lens, SIZE)
     image = alone.left(Walls().image(lens, np.eye(4)))
-    straight = Lens(alone.camera.fx, alone.camera.fy, alone.camera.cx, alone.camera.cy)
+    straight = CameraModel(alone.camera.fx, alone.camera.fy, alone.camera.cx, alone.camera.cy)
     expected = Walls().image(straight, np.eye(4))
     assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.99
     assert np.corrcoef(image[:, 1:].ravel(), expected[:, :-1].ravel())[0, 1] < 0.97  # a pixel aside is worse
@@ -116,7 +116,7 @@ def test_cameras_that_are_no_pair_are_refused(T_left_right: np.ndarray, message:
 )
 def test_a_lens_that_folds_over_is_refused(model: str, coefficients: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=f"expected {model} coefficients that"):
-        rectify_alike(Lens(100.0, 100.0, 160.0, 120.0, model, coefficients), SIZE)
+        rectify_parallel(CameraModel(100.0, 100.0, 160.0, 120.0, model, coefficients), SIZE)
 
 
 numbers = st.floats(-0.3, 0.3)
@@ -129,14 +129,55 @@ numbers = st.floats(-0.3, 0.3)
     focal=st.floats(30.0, 2000.0),
 )
 def test_any_lens_is_undone_or_refused(model: str, coefficients: tuple[float, ...], focal: float) -> None:
-    lens = Lens(focal, focal, 160.0, 120.0, model, coefficients)
+    lens = CameraModel(focal, focal, 160.0, 120.0, model, coefficients)
     try:
-        alone = rectify_alike(lens, SIZE)
+        alone = rectify_parallel(lens, SIZE)
     except ValueError:
         return
     view = np.array([[3.0, 5.0], [160.0, 120.0], [310.0, 230.0]])
     rays = np.hstack([(view - [alone.camera.cx, alone.camera.cy]) / alone.camera.fx, np.ones((3, 1))])
-    if isinstance(alone.left, AsItIs):
+    if isinstance(alone.left, IdentityMap):
         return
     places = read_at(alone.left.draw_maps)[view[:, 1].astype(int), view[:, 0].astype(int)]
     np.testing.assert_allclose(places, seen_at(lens, rays), atol=0.1)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_unprojected_pixels_project_back_to_themselves(name: str) -> None:
+    model = RIGS[name].left
+    pixels = np.random.default_rng(2).uniform([60.0, 40.0], [260.0, 200.0], (50, 2))
+    rays = model.unproject(pixels)
+    np.testing.assert_array_equal(rays[:, 2], 1.0)
+    np.testing.assert_allclose(seen_at(model, rays), pixels, atol=0.02)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rotation=st.tuples(*[st.floats(-8.0, 8.0)] * 3),
+    offset=st.tuples(st.floats(0.05, 2.0), st.floats(-0.03, 0.03), st.floats(-0.03, 0.03)),
+)
+def test_rectified_points_lie_in_one_row_with_the_disparity_of_their_depth(
+    rotation: tuple[float, float, float], offset: tuple[float, float, float]
+) -> None:
+    T_left_right = turned(rotation, offset)
+    ideal = rectify_pair(IDEAL.left, IDEAL.right, T_left_right, SIZE)
+    points_view = np.random.default_rng(0).uniform([-2, -1.5, 4], [2, 1.5, 30], (40, 3))
+    points_left = se3.transform(ideal.T_camera_view, points_view)
+    # The same rotation, seen from the right camera: both rectified cameras have the axes of the left view.
+    T_left_rightview = ideal.T_camera_view.copy()
+    T_left_rightview[:3, 3] = T_left_right[:3, 3]
+    left = ideal.camera.project(points_view)
+    in_right = se3.transform(se3.inverse(T_left_rightview), points_left)
+    u_right = ideal.camera.fx * in_right[:, 0] / in_right[:, 2] + ideal.camera.cx
+    v_right = ideal.camera.fy * in_right[:, 1] / in_right[:, 2] + ideal.camera.cy
+    np.testing.assert_allclose(v_right, left[:, 2], atol=1e-6)
+    np.testing.assert_allclose(
+        left[:, 0] - u_right, ideal.camera.fx * ideal.camera.baseline / points_view[:, 2], atol=1e-6
+    )
+
+
+def test_the_pose_of_a_rectified_camera_is_a_rotation() -> None:
+    for name in RIGS:
+        T = rectified(RIGS[name]).T_camera_view
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_array_equal(T[:3, 3], 0.0)

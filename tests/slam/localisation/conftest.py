@@ -9,7 +9,7 @@ import pytest
 
 from place_recognition.evaluation.matrix import MatrixRecorder
 from slam.config import RunConfig, to_toml
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.drive_log import RunLog
 from slam.localisation.saved_map import SavedMap
 from slam.map_store.keeping import MapSessionRecorder
@@ -24,7 +24,7 @@ MAPPED = range(0, 90, 2)  # frames of the drive that are in the map
 def map_path(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the map lies; whoever changes the file takes a copy."""
     path = tmp_path_factory.mktemp("map") / "map.db"
-    drive, config, rows, log = open_drive(circle_drive), RunConfig(), MatrixRecorder(500), RunLog()
+    drive, config, rows, log = open_dataset(circle_drive), RunConfig(), MatrixRecorder(500), RunLog()
     slam = Slam(build_components(drive.camera, config, rows))
     source = {"source": str(circle_drive), "versions": {"revisit-slam": "0"}}
     session = Session(0, 0, "circle", drive.camera, to_toml(config), source)
@@ -61,6 +61,6 @@ def damaged(map_path: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def truth(circle_drive: Path) -> np.ndarray:
     """T_world_camera (N, 4, 4) of all frames of the drive, metres."""
-    poses = open_drive(circle_drive).ground_truth
+    poses = open_dataset(circle_drive).ground_truth
     assert poses is not None
     return poses

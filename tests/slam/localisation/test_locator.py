@@ -8,7 +8,7 @@ import pytest
 from odometry import se3
 from place_recognition.image_processing.sift import Sift
 from place_recognition.image_processing.surf import Surf
-from slam.datasets.open import open_drive
+from slam.datasets.open import open_dataset
 from slam.errors import DataError
 from slam.evaluation.trajectory import umeyama
 from slam.localisation.locator import LocalizationResult, Localizer, NotLocalized
@@ -25,7 +25,7 @@ def locator(saved: SavedMap) -> Localizer:
 
 
 def image(drive: Path, frame: int) -> np.ndarray:
-    return open_drive(drive)[frame].left
+    return open_dataset(drive)[frame].left
 
 
 def test_images_of_the_next_lap_are_placed_where_they_were_taken(

@@ -21,7 +21,7 @@ from slam.map_store.summary import as_json, summarize
 
 def faults(path: Path) -> dict[str, str]:
     inspection = inspect_map(path)
-    return {finding.topic: finding.text for finding in inspection.findings if finding.status is Status.BAD}
+    return {finding.topic: finding.text for finding in inspection.findings if finding.status is Status.FAULT}
 
 
 def read_all(path: Path) -> None:
@@ -57,8 +57,8 @@ def test_a_sound_map_serves_for_everything(map_path: Path) -> None:
     for path in (map_path, map_path.parent):
         assert is_map(path)
         inspection = inspect_map(path)
-        assert inspection.serves == tuple(MapUse)
-        assert {finding.status for finding in inspection.findings} == {Status.GOOD}
+        assert inspection.possible_uses == tuple(MapUse)
+        assert {finding.status for finding in inspection.findings} == {Status.OK}
 
 
 def _blob(path: Path, column: str, table: str, at: int, number: float) -> None:
@@ -123,13 +123,13 @@ def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
     assert faults(damaged) == {}
     harm(damaged)
     assert words in faults(damaged)[topic]
-    assert MapUse.LOCATE not in inspect_map(damaged).serves
+    assert MapUse.LOCATE not in inspect_map(damaged).possible_uses
 
 
 def test_a_damaged_checkpoint_forbids_no_more_than_going_on(damaged: Path) -> None:
     change(damaged, "UPDATE piece SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
     assert "piece of the checkpoint" in faults(damaged)["checkpoint"]
-    assert inspect_map(damaged).serves == (MapUse.LOCATE,)
+    assert inspect_map(damaged).possible_uses == (MapUse.LOCATE,)
 
 
 NO_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {

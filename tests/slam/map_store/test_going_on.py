@@ -12,8 +12,8 @@ from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.paradigms.catalogue import PARADIGMS
 from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset, Frame
-from slam.datasets.open import open_source
-from slam.datasets.source import Source
+from slam.datasets.open import open_dataset
+from slam.datasets.source import DatasetSpec
 from slam.drive_log import RunLog
 from slam.errors import DataError, OutputError
 from slam.frame_record import FrameRecord
@@ -40,7 +40,7 @@ class Every:
 
 @pytest.fixture(scope="module")
 def drive(circle_drive: Path) -> Every:
-    return Every(open_source(Source(circle_drive)), 2)
+    return Every(open_dataset(DatasetSpec(circle_drive)), 2)
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_pa
 
 
 def test_one_camera_goes_on_with_the_same_bits(circle_drive: Path, tmp_path: Path):
-    drive, config = Every(open_source(Source(circle_drive)), 1), RunConfig(mono=True)
+    drive, config = Every(open_dataset(DatasetSpec(circle_drive)), 1), RunConfig(mono=True)
     first = Every(replace_length(drive.drive, 70), 1)
     whole = drive_on(first, config, NullSessionRecorder())
     with kept(tmp_path / "map.db", drive, config) as (_, recorder):

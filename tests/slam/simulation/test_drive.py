@@ -6,9 +6,9 @@ import pykitti
 import pytest
 
 from slam.errors import OutputError
-from slam.simulation import DriveSpec, simulate
+from slam.simulation import SimulationConfig, simulate
 
-SMALL = DriveSpec(width=320, height=96, max_frames=4, length=200, depth=True)
+SMALL = SimulationConfig(width=320, height=96, max_frames=4, length=200, depth=True)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_pose_lines_have_twelve_numbers_and_no_trailing_space(drive):
 
 
 def test_the_manifest_holds_the_whole_spec(drive):
-    assert DriveSpec(**json.loads((drive / "drive.json").read_text())["spec"]) == SMALL
+    assert SimulationConfig(**json.loads((drive / "drive.json").read_text())["config"]) == SMALL
 
 
 def test_depth_is_stored_in_256ths_of_a_metre(drive):
@@ -60,8 +60,10 @@ def test_equal_specs_give_equal_bits(drive, tmp_path):
 
 
 def test_another_seed_gives_another_drive(drive, tmp_path):
-    spec = DriveSpec(**{**json.loads((drive / "drive.json").read_text())["spec"], "seed": 5, "max_frames": 1})
-    other = simulate(spec, tmp_path / "c")
+    config = SimulationConfig(
+        **{**json.loads((drive / "drive.json").read_text())["config"], "seed": 5, "max_frames": 1}
+    )
+    other = simulate(config, tmp_path / "c")
     name = "sequences/00/image_0/000000.png"
     assert (drive / name).read_bytes() != (other / name).read_bytes()
 
@@ -92,6 +94,6 @@ def test_a_broken_off_drive_leaves_nothing_behind(tmp_path):
 
 def test_progress_counts_to_the_end(tmp_path):
     calls = []
-    spec = DriveSpec(width=64, height=32, max_frames=3, length=200)
-    simulate(spec, tmp_path / "e", lambda done, total: calls.append((done, total)))
+    config = SimulationConfig(width=64, height=32, max_frames=3, length=200)
+    simulate(config, tmp_path / "e", lambda done, total: calls.append((done, total)))
     assert calls == [(1, 3), (2, 3), (3, 3)]

@@ -3,25 +3,25 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from slam.simulation.render import Moment, build_scene, in_view, render
-from slam.simulation.routes import plan_drive
+from slam.simulation.render import RenderFrame, build_scene, cull_scene, render_view
+from slam.simulation.routes import plan_trajectory
 from slam.simulation.shading import LEAF
-from slam.simulation.spec import DriveSpec
-from slam.simulation.stages import Stages
+from slam.simulation.spec import SimulationConfig
+from slam.simulation.stages import SceneStream
 
-SPEC = DriveSpec(width=640, height=192, clean=True, moving_cars=0, max_frames=40)
+CONFIG = SimulationConfig(width=640, height=192, ideal_sensor=True, cars_per_360m=0, max_frames=40)
 
 
 @pytest.fixture(scope="module")
 def street():
-    """Stage of a small drive, its poses, and a function that renders at a pose."""
-    drive = plan_drive(SPEC)
-    stage, _ = next(iter(Stages(SPEC, drive)))
+    """LitScene of a small drive, its poses, and a function that renders at a pose."""
+    trajectory = plan_trajectory(CONFIG)
+    stage, _ = next(iter(SceneStream(CONFIG, trajectory)))
 
     def see(T):
-        return render(stage, in_view(stage, Moment([]), SPEC.camera, T), SPEC.camera, T)
+        return render_view(stage, cull_scene(stage, RenderFrame([]), CONFIG.camera, T), CONFIG.camera, T)
 
-    return stage, drive.T_town_camera, see
+    return stage, trajectory.T_town_camera, see
 
 
 def shifted(T, x):
@@ -41,8 +41,8 @@ def test_the_same_pose_gives_the_same_image(street):
 def test_an_independent_ray_caster_sees_the_same_depth(street):
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     stage, poses, see = street
-    camera, T = SPEC.camera, poses[12]
-    scene = in_view(stage, Moment([]), camera, T)
+    camera, T = CONFIG.camera, poses[12]
+    scene = cull_scene(stage, RenderFrame([]), camera, T)
     caster = o3d.t.geometry.RaycastingScene()
     corners = scene.corners.reshape(-1, 3)
     caster.add_triangles(
@@ -62,7 +62,7 @@ def test_an_independent_ray_caster_sees_the_same_depth(street):
 
 def test_a_static_point_keeps_its_place_in_the_next_frames(street):
     _, poses, see = street
-    camera = SPEC.camera
+    camera = CONFIG.camera
     depth_i, depth_j = see(poses[5])[1], see(poses[7])[1]
     points = (rays(camera) * np.minimum(depth_i, 1e3)[..., None]).reshape(-1, 3)
     seen = se3.transform(se3.inverse(poses[7]) @ poses[5], points)
@@ -74,7 +74,7 @@ def test_a_static_point_keeps_its_place_in_the_next_frames(street):
 
 def test_disparity_agrees_with_what_the_right_camera_sees(street):
     _, poses, see = street
-    camera = SPEC.camera
+    camera = CONFIG.camera
     left, depth = see(poses[20])
     right, _ = see(shifted(poses[20], camera.baseline))
     u, v = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
@@ -89,9 +89,9 @@ def test_disparity_agrees_with_what_the_right_camera_sees(street):
 
 def test_what_moves_hides_what_stands(street):
     stage, poses, see = street
-    camera, T = SPEC.camera, poses[5]
+    camera, T = CONFIG.camera, poses[5]
     board = build_board(T, 4.0)
-    _, depth = render(stage, in_view(stage, Moment([board]), camera, T), camera, T)
+    _, depth = render_view(stage, cull_scene(stage, RenderFrame([board]), camera, T), camera, T)
     at = int(camera.cy), int(camera.cx)
     assert depth[at] == pytest.approx(4.0, abs=1e-3)
     assert see(T)[1][at] > 4.5
@@ -107,7 +107,7 @@ def build_board(T, distance):
 
 def test_wind_moves_leaves_and_nothing_else(street):
     stage, poses, _ = street
-    calm, blown = (in_view(stage, Moment([], wind), SPEC.camera, poses[5]) for wind in (None, 3.0))
+    calm, blown = (cull_scene(stage, RenderFrame([], wind), CONFIG.camera, poses[5]) for wind in (None, 3.0))
     moved = np.abs(blown.corners - calm.corners).max(axis=(1, 2))
     leaf = stage.materials.table[calm.material, LEAF] > 0
     assert (moved[~leaf] == 0).all()

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from slam.errors import ConfigError
-from slam.simulation.spec import DriveSpec
+from slam.simulation.spec import SimulationConfig
 
 
 def test_the_default_camera_is_that_of_kitti():
-    camera = DriveSpec().camera
+    camera = SimulationConfig().camera
     np.testing.assert_allclose(
         [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline],
         [718.856, 718.856, 607.1928, 185.2157, 0.54],
@@ -14,7 +14,7 @@ def test_the_default_camera_is_that_of_kitti():
 
 
 def test_a_smaller_image_keeps_the_field_of_view():
-    big, small = DriveSpec().camera, DriveSpec(width=320, height=96).camera
+    big, small = SimulationConfig().camera, SimulationConfig(width=320, height=96).camera
     for edge in (-0.5, 1.0):
         end_big = (big.width - 0.5) if edge > 0 else edge
         end_small = (small.width - 0.5) if edge > 0 else edge
@@ -33,11 +33,11 @@ def test_a_smaller_image_keeps_the_field_of_view():
 )
 def test_a_spec_that_cannot_work_says_what_was_expected(wrong, message):
     with pytest.raises(ConfigError, match=message):
-        DriveSpec(**wrong)
+        SimulationConfig(**wrong)
 
 
 def test_random_numbers_of_one_purpose_do_not_depend_on_others():
-    spec = DriveSpec(seed=3)
-    spec.rng(1).normal(size=5)
-    assert spec.rng(2, 7).normal() == DriveSpec(seed=3).rng(2, 7).normal()
-    assert spec.rng(2, 7).normal() != spec.rng(2, 8).normal()
+    config = SimulationConfig(seed=3)
+    config.rng(1).normal(size=5)
+    assert config.rng(2, 7).normal() == SimulationConfig(seed=3).rng(2, 7).normal()
+    assert config.rng(2, 7).normal() != config.rng(2, 8).normal()

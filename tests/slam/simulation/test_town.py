@@ -5,8 +5,8 @@ from scipy.spatial import cKDTree
 from slam.simulation import materials as m
 from slam.simulation import town
 from slam.simulation.buildings import build_house
-from slam.simulation.routes import plan_drive
-from slam.simulation.spec import DriveSpec
+from slam.simulation.routes import plan_trajectory
+from slam.simulation.spec import SimulationConfig
 from slam.simulation.town import TownBuilder
 
 GROUND = (m.ASPHALT, m.PAVEMENT, m.KERB, m.GRASS, *range(m.ROAD, m.ROAD + m.ROADS))
@@ -14,19 +14,19 @@ GROUND = (m.ASPHALT, m.PAVEMENT, m.KERB, m.GRASS, *range(m.ROAD, m.ROAD + m.ROAD
 
 def solid_below(parts, height):
     """Corners (N, 3) of everything but ground that hangs lower than `height`."""
-    meshes = [part.placed() for part in parts]
+    meshes = [part.to_town_frame() for part in parts]
     corners = np.concatenate([mesh.corners[~np.isin(mesh.material, GROUND)] for mesh in meshes])
     return corners[corners[:, :, 2].min(axis=1) < height]
 
 
 @pytest.mark.parametrize(("shape", "reverse"), [("circle", True), ("figure-eight", False), ("blocks", False)])
 def test_nothing_stands_on_the_route(shape, reverse):
-    spec = DriveSpec(shape=shape, length=400, reverse=reverse, lateral_offset=1.0)
-    drive = plan_drive(spec)
-    corners = solid_below(TownBuilder(spec, drive).build(), 2.0)
+    config = SimulationConfig(shape=shape, length=400, reverse=reverse, lateral_offset=1.0)
+    trajectory = plan_trajectory(config)
+    corners = solid_below(TownBuilder(config, trajectory).build(), 2.0)
     # Points all over each triangle, so that no long wall slips through between its corners.
     corners = corners[:, :, :2]
-    tree = cKDTree(drive.way.points)
+    tree = cKDTree(trajectory.path.points)
     corners = corners[tree.query(corners[:, 0], distance_upper_bound=20)[0] < 20]
     weights = np.array([[a, b, 4 - a - b] for a in range(5) for b in range(5 - a)]) / 4
     points = np.unique((weights @ corners).reshape(-1, 2).round(1), axis=0)
@@ -34,11 +34,11 @@ def test_nothing_stands_on_the_route(shape, reverse):
 
 
 def test_streets_are_lined_on_both_sides():
-    spec = DriveSpec()
-    drive = plan_drive(spec)
-    corners = solid_below(TownBuilder(spec, drive).build(), 1.0)[:, 0]
+    config = SimulationConfig()
+    trajectory = plan_trajectory(config)
+    corners = solid_below(TownBuilder(config, trajectory).build(), 1.0)[:, 0]
     for frame in range(0, 360, 40):
-        T = np.linalg.inv(drive.T_town_camera[frame])
+        T = np.linalg.inv(trajectory.T_town_camera[frame])
         x = (corners @ T[:3, :3].T + T[:3, 3])[:, [0, 2]]
         beside = x[(np.abs(x[:, 1]) < 15) & (np.abs(x[:, 0]) < 20), 0]
         assert (beside > 0).any()
@@ -47,8 +47,8 @@ def test_streets_are_lined_on_both_sides():
 
 def test_the_town_of_a_seed_is_always_the_same_and_another_seed_has_another():
     def corners(seed):
-        spec = DriveSpec(length=200, seed=seed)
-        return [part.at for part in TownBuilder(spec, plan_drive(spec)).build()]
+        config = SimulationConfig(length=200, seed=seed)
+        return [mesh.position for mesh in TownBuilder(config, plan_trajectory(config)).build()]
 
     assert corners(1) == corners(1)
     assert corners(1) != corners(2)
@@ -58,8 +58,8 @@ def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
     def designs(alike):
         drawn = []
         monkeypatch.setattr(town, "build_house", lambda house, *rest: drawn.append(house) or build_house(house, *rest))
-        spec = DriveSpec(shape="blocks", length=1000, alike=alike)
-        TownBuilder(spec, plan_drive(spec)).build()
+        config = SimulationConfig(shape="blocks", length=1000, perceptual_aliasing=alike)
+        TownBuilder(config, plan_trajectory(config)).build()
         return drawn
 
     twins, others = designs(alike=True), designs(alike=False)
@@ -68,6 +68,6 @@ def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
 
 
 def test_a_street_driven_twice_is_laid_once():
-    spec = DriveSpec(shape="blocks", length=800)
-    streets = TownBuilder(spec, plan_drive(spec)).streets
+    config = SimulationConfig(shape="blocks", length=800)
+    streets = TownBuilder(config, plan_trajectory(config)).streets
     assert streets.joined.sum() < 0.8 * len(streets.points)
