@@ -60,7 +60,9 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
     return np.concatenate(out)
 
 
-def agreement(grid: OccupancyGrid, fit: Similarity, spec: SimulationConfig, scene: open3d.t.geometry.RaycastingScene) -> str:
+def agreement(
+    grid: OccupancyGrid, fit: Similarity, spec: SimulationConfig, scene: open3d.t.geometry.RaycastingScene
+) -> str:
     """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
     T_town_world = plan_trajectory(spec).T_town_camera[0]
     shares = {}

@@ -16,7 +16,9 @@ from slam.system import LoopCandidate
 LoopTruth = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, relative pose -> true revisit?
 
 
-def loop_rows(candidates: Iterable[LoopCandidate], optimized: OptimizationResult, truth: LoopTruth) -> tuple[LoopRow, ...]:
+def loop_rows(
+    candidates: Iterable[LoopCandidate], optimized: OptimizationResult, truth: LoopTruth
+) -> tuple[LoopRow, ...]:
     """One row for each belief that has a match, by query.
 
     Args:
@@ -52,7 +54,9 @@ def _with_rejection(row: LoopRow, rejection: Rejection) -> LoopRow:
     return replace(row, matches=rejection.matches, inliers=rejection.inliers, reason=rejection.reason)
 
 
-def _with_closure(row: LoopRow, closure: LoopClosure, optimized: OptimizationResult, number: int, truth: LoopTruth) -> LoopRow:
+def _with_closure(
+    row: LoopRow, closure: LoopClosure, optimized: OptimizationResult, number: int, truth: LoopTruth
+) -> LoopRow:
     return replace(
         row,
         matches=closure.matches,

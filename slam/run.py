@@ -62,7 +62,7 @@ class RunOptions:
         resume: resume the run into the same folder that has stopped, if there is one.
         map_file: map of earlier sessions that this one is added to, or a run's folder with one; None for none.
         config: settings file; None for the defaults.
-        kind: format of the source; None to detect it.
+        format: format of the source; None to detect it.
         fps: images a second, where no file has their times.
         topics: left and right image topic of a bag; empty to find them.
         command: command line of this run, where it is not what was typed.
@@ -77,7 +77,7 @@ class RunOptions:
     resume: bool = False
     map_file: Path | None = None
     config: Path | None = None
-    kind: str | None = None
+    format: str | None = None
     fps: float | None = None
     topics: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
@@ -86,7 +86,7 @@ class RunOptions:
     @property
     def recording(self) -> DatasetSpec:
         """What to read."""
-        return DatasetSpec(self.source, self.sequence, self.kind, self.fps, self.topics)
+        return DatasetSpec(self.source, self.sequence, self.format, self.fps, self.topics)
 
 
 def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: Console, results: Console) -> bool:
@@ -152,7 +152,7 @@ class Pipeline:
             RevisitError: the dataset or the settings are others than those of the run.
         """
         config = resolve_config(options, settings, stopped.config)
-        dataset = open_dataset(options, config)
+        dataset = open_dataset_of_run(options, config)
 
         def open_folder() -> RunFolder:
             check_same(stopped, dataset, config)
@@ -191,7 +191,7 @@ class Pipeline:
                 check_unfinished(options.out)
             return RunFolder.create(options.out, options.overwrite)
 
-        dataset = open_dataset(options, config)
+        dataset = open_dataset_of_run(options, config)
         return cls(options=options, dataset=dataset, config=config, run_id=uuid4().hex, open_folder=open_folder)
 
     def run(self, messages: Console, results: Console) -> bool:
@@ -227,7 +227,7 @@ class Pipeline:
         return RerunViewer(path, dataset.camera, dataset.ground_truth, mode, self.run_id)  # type: ignore[arg-type]
 
 
-def open_dataset(options: RunOptions, config: RunConfig) -> Dataset:
+def open_dataset_of_run(options: RunOptions, config: RunConfig) -> Dataset:
     """Open the dataset of a run.
 
     Raises:

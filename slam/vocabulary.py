@@ -61,7 +61,7 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
 
 
 def _sample_descriptors(
-    recordings: Sequence[ImageRecording],
+    recordings: Sequence[ImageDataset],
     extractor: FeatureExtractor,
     config: VocabularyTrainingConfig,
     progress: Progress,

@@ -74,7 +74,11 @@ class FixedDistanceSegmentation:
 
     def state(self) -> dict[str, Any]:
         """Where the drive and the open sequence began, for a checkpoint."""
-        return {"first_distance_m": self._first_distance_m, "start_distance_m": self._start_distance_m, "num_images": self._images}
+        return {
+            "first_distance_m": self._first_distance_m,
+            "start_distance_m": self._start_distance_m,
+            "num_images": self._images,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""

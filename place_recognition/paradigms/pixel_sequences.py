@@ -128,7 +128,9 @@ class PixelSequences:
             ValueError: of another length of sequences.
         """
         if len(state["likeness"]) != self.config.sequence_length:
-            raise ValueError(f"expected sequences of {self.config.sequence_length} images, got {len(state['likeness'])}")
+            raise ValueError(
+                f"expected sequences of {self.config.sequence_length} images, got {len(state['likeness'])}"
+            )
         self._present.restore(state["history"])
         self._pictures.restore(state["thumbnails"])
         self._blank.restore(state["is_blank"])

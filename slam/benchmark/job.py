@@ -54,7 +54,7 @@ class Job:
             sequence=source.sequence,
             out=out,
             config=self.settings_file,
-            kind=source.format,
+            format=source.format,
             command=self.command,
         )
 

@@ -53,13 +53,13 @@ def simulate(
         str, typer.Argument(help="Shape of the route: circle, figure-eight, blocks, or the path of a KITTI pose file.")
     ],
     out: Out,
-    laps: Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)] = DriveSpec.laps,
+    laps: Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)] = SimulationConfig.laps,
     length: Annotated[
         float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)
-    ] = DriveSpec.length,
+    ] = SimulationConfig.length,
     speed: Annotated[
         float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)
-    ] = DriveSpec.speed,
+    ] = SimulationConfig.speed,
     lateral_offset: Annotated[
         float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
     ] = 0.0,
@@ -72,7 +72,7 @@ def simulate(
     ] = 0,
     seed: Annotated[
         int, typer.Option(help="Random seed of the town and of the camera noise.", rich_help_panel=_SCENE)
-    ] = DriveSpec.seed,
+    ] = SimulationConfig.seed,
     change_illumination: Annotated[
         bool,
         typer.Option("--change-illumination", help="Give later laps another sun and sky.", rich_help_panel=_SCENE),
@@ -84,12 +84,14 @@ def simulate(
     cars_per_360m: Annotated[
         int,
         typer.Option("--cars-per-360m", help="Number of moving cars met on 360 metres.", rich_help_panel=_SCENE),
-    ] = DriveSpec.moving_cars,
+    ] = SimulationConfig.cars_per_360m,
     frame_rate: Annotated[
         float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)
-    ] = DriveSpec.frame_rate,
-    width: Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)] = DriveSpec.width,
-    height: Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)] = DriveSpec.height,
+    ] = SimulationConfig.frame_rate,
+    width: Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)] = SimulationConfig.width,
+    height: Annotated[
+        int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)
+    ] = SimulationConfig.height,
     rectification_error: Annotated[
         float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
     ] = SimulationConfig.rectification_error,
@@ -99,7 +101,7 @@ def simulate(
             help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
             rich_help_panel=_CAMERA,
         ),
-    ] = DriveSpec.lens_error,
+    ] = SimulationConfig.lens_error,
     ideal_sensor: Annotated[
         bool,
         typer.Option(
@@ -120,7 +122,7 @@ def simulate(
     from slam.progress import progress_bar
     from slam.simulation import simulate as render
 
-    spec = DriveSpec(
+    spec = SimulationConfig(
         shape=shape,
         laps=laps,
         length=length,
@@ -131,13 +133,13 @@ def simulate(
         height=height,
         lateral_offset=lateral_offset,
         reverse=reverse,
-        relight=change_illumination,
-        alike=perceptual_aliasing,
-        moving_cars=cars_per_360m,
+        change_illumination=change_illumination,
+        perceptual_aliasing=perceptual_aliasing,
+        cars_per_360m=cars_per_360m,
         rectification_error=rectification_error,
         lens_error=lens_error,
         max_frames=max_frames,
-        clean=ideal_sensor,
+        ideal_sensor=ideal_sensor,
         depth=save_depth,
     )
     with progress_bar(Console(stderr=True), "Rendering") as progress:
@@ -248,7 +250,7 @@ def run(
         resume=resume,
         map_file=map_file,
         config=config,
-        kind=dataset_format,
+        format=dataset_format,
         fps=fps,
         topics=tuple(image_topic or ()),
     )
@@ -314,7 +316,7 @@ def reprocess(
         overwrite=overwrite,
         reuse_map=map_,
         config=config,
-        kind=found.format,
+        format=found.format,
         fps=found.fps,
         topics=found.topics,
     )

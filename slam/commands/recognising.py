@@ -88,7 +88,7 @@ def places(
         fps=fps,
         seed=seed,
         overwrite=overwrite,
-        kind=dataset_format,
+        format=dataset_format,
         topics=tuple(image_topic or ()),
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)

@@ -43,13 +43,13 @@ class PlacesOptions:
     fps: float | None = None
     seed: int = 0
     overwrite: bool = False
-    kind: str | None = None
+    format: str | None = None
     topics: tuple[str, ...] = ()
 
     @property
     def recording(self) -> DatasetSpec:
         """The source with the options of how to read it."""
-        return DatasetSpec(self.source, self.sequence, self.kind, self.fps, self.topics)
+        return DatasetSpec(self.source, self.sequence, self.format, self.fps, self.topics)
 
 
 def check_options(options: PlacesOptions) -> None:

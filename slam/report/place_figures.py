@@ -31,7 +31,9 @@ _LINES = (
 )
 
 
-def plot_places(title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None) -> Figure:
+def plot_places(
+    title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None
+) -> Figure:
     """Plot the matrices of a run, before and after their filter, the detections, and the ground truth if known.
 
     Args:

@@ -117,7 +117,7 @@ def test_options_of_a_run_arrive(calls: Callable[..., list[Call]], tmp_path: Pat
     topics = ("--image-topic", "/left", "--image-topic", "/right")
     run("run", tmp_path, "--out", tmp_path / "out", "--resume", "--mono", "--camera-height", 1.5, *topics, *words)
     options, changed = made[0][0][:2]
-    assert (options.sequence, options.kind, options.fps) == ("05", "kitti", 5.0)
+    assert (options.sequence, options.format, options.fps) == ("05", "kitti", 5.0)
     assert (options.map_file, options.config, options.topics) == (tmp_path / "m", tmp_path / "c", ("/left", "/right"))
     assert options.resume
     assert {key: changed[key.strip("-")] for key in settings} == settings
@@ -145,7 +145,7 @@ def test_options_of_places_arrive(calls: Callable[..., list[Call]], tmp_path: Pa
     run(*words)
     run(*words, "--exclude", 40, "--fps", 10, "--seed", 3, "--features", "orb", "--format", "images", "--json")
     (plain, *_), (full, *_, json) = (arguments for arguments, _ in made)
-    changed = {"exclude": 40.0, "fps": 10.0, "seed": 3, "features": "orb", "kind": "images"}
+    changed = {"exclude": 40.0, "fps": 10.0, "seed": 3, "features": "orb", "format": "images"}
     assert full == replace(plain, **changed)
     assert json
 

@@ -163,7 +163,9 @@ def test_a_row_opens_its_images_with_its_matches_and_each_stage(page):
     np.testing.assert_allclose(ends, expected, atol=0.51)
     stage = next(stage for stage in WHOLE.stages if stage.query == 110)
     events = [event for event in WHOLE.events if event.query == 110]
-    assert text(page, "#pair-stages") == "".join(f"{name}{words}" for name, words in describe_stages(NAME, row, stage, events))
+    assert text(page, "#pair-stages") == "".join(
+        f"{name}{words}" for name, words in describe_stages(NAME, row, stage, events)
+    )
     assert text(page, "#pair-title") == "Frame 110 with frame 10: closed."
 
 
