@@ -43,7 +43,7 @@ def report(drive: Drive, frames_in_window: int) -> None:
     errors = trajectory_errors(poses, truth)
     honest = " ".join(f"{nees(motions, truth, stretch):5.1f}" for stretch in STRETCHES)
     print(
-        f"{drive.root.name:<12} {'off' if frames_in_window else f'{window.frames} frames':<9}"
+        f"{drive.root.name:<12} {'off' if frames_in_window else f'{window.max_frames} frames':<9}"
         f"{errors.t_rel_percent or np.nan:6.2f}  {errors.r_rel_deg_per_100m or np.nan:13.3f}"
         f"  {end_error(poses, truth):5.2f}  {sum(m.predicted for m in motions):9d}   {honest}",
         flush=True,

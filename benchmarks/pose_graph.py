@@ -79,7 +79,7 @@ def agreeing(real: RealGraph) -> Edges:
 def _with_false(real: RealGraph, agreeing: bool) -> Edges:
     rng, loops, chain = np.random.default_rng(0), real.problem.loops, real.problem.start
     motions, previous, begin = loops.motions.copy(), (-100, -100), -1
-    late, early = np.maximum(loops.first, loops.second), np.optimize(loops.first, loops.second)
+    late, early = np.maximum(loops.first, loops.second), np.minimum(loops.first, loops.second)
     for k in np.lexsort((early, late)):
         if real.true[k]:
             continue

@@ -66,7 +66,7 @@ for ax, (paradigm, number) in zip(axes[2], numbers.items(), strict=True):
     recogniser = make_recognizer(paradigm, features, rows=rows)
     for k in range(query + 1):
         recogniser.observe(k, images[k], way[k])
-    votes, truth = np.nan_to_num(rows.show_matrix(query + 1).values[query]), np.flatnonzero(loop_truth(poses)[query])
+    votes, truth = np.nan_to_num(rows.matrix(query + 1).values[query]), np.flatnonzero(loop_truth(poses)[query])
     ax.fill_between(range(query + 1), votes, step="mid", color=colours.CORRECTED)
     ax.axvspan(truth.min(), truth.max(), color=colours.ACCEPTED, alpha=0.3, label="where the camera had been")
     ax.set(title=f"{paradigm}: votes of image {query} (Figure {number})", xlabel="earlier image", ylabel="votes")

@@ -16,7 +16,7 @@ TIMES = [0.1 * k for k in range(8)] + [1.0, 1.1]  # an image is missing before t
 def make(camera, case):
     if case == "stereo":
         return StereoOdometry(camera)
-    return MonoOdometry(camera, MonoOdometryConfig(height_m=1.65) if "height" in case else None)
+    return MonoOdometry(camera, MonoOdometryConfig(camera_height_m=1.65) if "height" in case else None)
 
 
 def track(odometry, pairs, begin=0):

@@ -73,7 +73,7 @@ def test_a_revisit_in_the_opposite_direction_is_recognised_although_the_filter_s
 def test_published_settings_accept_only_sequences_with_a_response(paradigm, two_passes):
     config = {make_sequence_histograms: SequenceHistogramsConfig, make_dynamic_sequences: DynamicSequencesConfig}[
         paradigm
-    ].format_published()
+    ].published()
     assert config.filter.threshold == {make_sequence_histograms: 0.32, make_dynamic_sequences: 3.5}[paradigm]
     beliefs, rows = beliefs_of(paradigm, two_passes, config=config)
     starts = np.array(sorted(query for stage, query in rows if stage == "filtered"))

@@ -10,11 +10,11 @@ from odometry.camera import StereoCamera
 from slam.loop_geometry import RelativePoseConfig, _pixel_jacobian, _stereo_pixels, _StereoAlignment, skew
 from slam.pose_graph_drift import OdometryChain, OdometryDriftModel
 from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import Motions, Plane, Space, inverse
+from slam.pose_graph_lie import LieGroup, SE2, SE3, inverse
 from slam.pose_graph_newton import jacobian_of_errors, whitened_jacobian
 from slam.robust_contest import _bends
 
-GROUPS: dict[str, Motions] = {"SE(2)": Plane(), "SE(3)": Space()}
+GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3()}
 CAMERA = StereoCamera(fx=700.0, fy=710.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
 CONFIG = RelativePoseConfig(sigma_px=0.4, sigma_disparity_px=0.7)
 T_A_B = se3.exp(np.array([0.02, -0.08, 0.01, 0.4, -0.1, 1.2]))
@@ -27,7 +27,7 @@ def differences(function: Callable[[np.ndarray], np.ndarray], size: int) -> np.n
     return np.stack(columns, axis=-1)
 
 
-def graph(group: Motions, residual: float = 0.0) -> tuple[Edges, np.ndarray]:
+def graph(group: LieGroup, residual: float = 0.0) -> tuple[Edges, np.ndarray]:
     """Random poses with edges between them whose residuals have a size, and information of full rank."""
     rng = np.random.default_rng(3)
     poses = group.exp(rng.normal(size=(5, group.dof)))
@@ -38,7 +38,7 @@ def graph(group: Motions, residual: float = 0.0) -> tuple[Edges, np.ndarray]:
     return Edges(ends[:, 0], ends[:, 1], motions, roots @ np.swapaxes(roots, 1, 2)), poses
 
 
-def moved(group: Motions, poses: np.ndarray, xi: np.ndarray) -> np.ndarray:
+def moved(group: LieGroup, poses: np.ndarray, xi: np.ndarray) -> np.ndarray:
     return poses @ group.exp(xi.reshape(len(poses), group.dof))
 
 

@@ -8,22 +8,22 @@ import pytest
 from slam.errors import GraphError
 from slam.pose_graph_batch import optimize
 from slam.pose_graph_edges import Edges, concatenate
-from slam.pose_graph_lie import Motions, Plane, Space, compounded, inverse
+from slam.pose_graph_lie import LieGroup, SE2, SE3, compose, inverse
 from slam.robust import BACK_ENDS, LoopProblem, solve
 
-GROUPS: dict[str, Motions] = {"SE(2)": Plane(), "SE(3)": Space()}
+GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3()}
 ROBUST = [name for name in BACK_ENDS if name != "none"]
 LAP, COUNT = 60, 120
 
 
-def two_laps(group: Motions, seed: int = 0) -> LoopProblem:
+def two_laps(group: LieGroup, seed: int = 0) -> LoopProblem:
     """Two laps of a circle with noisy odometry and ten true loops."""
     rng = np.random.default_rng(seed)
     sigmas = np.full(group.dof, 0.02)
     sigmas[group.rotation] = 0.002
     step = np.zeros(group.dof)
     step[group.translation.start], step[group.rotation.stop - 1] = 1.0, 2 * np.pi / LAP
-    poses = compounded(np.eye(group.size), np.tile(group.exp(step[None]), (COUNT, 1, 1)))
+    poses = compose(np.eye(group.size), np.tile(group.exp(step[None]), (COUNT, 1, 1)))
     information = np.diag(sigmas**-2.0)
 
     def measure(first: np.ndarray, second: np.ndarray) -> Edges:
@@ -33,7 +33,7 @@ def two_laps(group: Motions, seed: int = 0) -> LoopProblem:
 
     trusted = measure(np.arange(COUNT), np.arange(1, COUNT + 1))
     query = np.arange(LAP + 5, COUNT, 6)
-    return LoopProblem(trusted, measure(query - LAP, query), compounded(np.eye(group.size), trusted.motions))
+    return LoopProblem(trusted, measure(query - LAP, query), compose(np.eye(group.size), trusted.motions))
 
 
 def with_gross_outlier(problem: LoopProblem) -> LoopProblem:
@@ -94,7 +94,7 @@ def test_a_result_has_a_pose_for_every_pose_and_a_weight_and_a_reason_for_every_
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_without_loops_the_poses_are_those_of_odometry(name: str) -> None:
-    problem = two_laps(Plane())
+    problem = two_laps(SE2())
     result = solve(replace(problem, loops=problem.loops[:0]), name)
     np.testing.assert_array_equal(result.poses, problem.start)
     assert result.reasons == ()
@@ -102,14 +102,14 @@ def test_without_loops_the_poses_are_those_of_odometry(name: str) -> None:
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_the_same_problem_gives_the_same_bits(name: str) -> None:
-    one, other = (solve(with_gross_outlier(two_laps(Space())), name) for _ in range(2))
+    one, other = (solve(with_gross_outlier(two_laps(SE3())), name) for _ in range(2))
     assert one.poses.tobytes() == other.poses.tobytes()
     assert one.weights.tobytes() == other.weights.tobytes()
 
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_a_problem_is_not_changed(name: str) -> None:
-    problem, same = two_laps(Plane()), two_laps(Plane())
+    problem, same = two_laps(SE2()), two_laps(SE3())
     solve(problem, name)
     for edges, other in ((problem.trusted, same.trusted), (problem.loops, same.loops)):
         np.testing.assert_array_equal(edges.motions, other.motions)
@@ -119,7 +119,7 @@ def test_a_problem_is_not_changed(name: str) -> None:
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_odometry_that_falls_apart_is_one_line(name: str) -> None:
-    problem = two_laps(Plane())
+    problem = two_laps(SE2())
     broken = replace(problem, trusted=problem.trusted[np.arange(COUNT) != 70])
     with pytest.raises(GraphError, match="only 71 poses of 121 are connected to the first") as caught:
         solve(broken, name)
@@ -129,7 +129,7 @@ def test_odometry_that_falls_apart_is_one_line(name: str) -> None:
 @pytest.mark.parametrize("edges", ["trusted", "loops"])
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_information_that_is_not_positive_definite_is_one_line(name: str, edges: str) -> None:
-    problem = two_laps(Space())
+    problem = two_laps(SE3())
     information = getattr(problem, edges).information.copy()
     information[3, 0] = information[3, :, 0] = 0.0
     broken = replace(problem, **{edges: replace(getattr(problem, edges), information=information)})

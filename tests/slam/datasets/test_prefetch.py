@@ -58,7 +58,7 @@ def test_no_more_than_the_bound_is_read_ahead() -> None:
     drive = Recorded(100)
     frames = prefetch(drive, ahead=4)
     assert next(frames).index == 0
-    frames.match_images()
+    frames.close()
     assert len(drive.asked) <= 4
 
 
@@ -66,7 +66,7 @@ def test_stopping_early_ends_the_thread() -> None:
     before = threading.active_count()
     frames = prefetch(Recorded(100))
     next(frames)
-    frames.match_images()
+    frames.close()
     assert threading.active_count() == before
 
 

@@ -31,11 +31,11 @@ def test_a_point_of_the_ideal_pair_is_read_where_the_real_cameras_see_it(name: s
     pixels = np.stack(np.meshgrid(np.arange(0, SIZE[0], 13), np.arange(0, SIZE[1], 11)), axis=-1).reshape(-1, 2)
     disparity = 4.0 * np.random.default_rng(0).integers(1, 8, len(pixels))
     points = se3.transform(ideal.T_camera_view, ideal.camera.triangulate(pixels, disparity))
-    left = read_at(ideal.left.draw_maps)[pixels[:, 1], pixels[:, 0]]
+    left = read_at(ideal.left.maps)[pixels[:, 1], pixels[:, 0]]
     np.testing.assert_allclose(left, seen_at(rig.left, points), atol=0.05)
     inside = pixels[:, 0] >= disparity
     others = (pixels[:, 0] - disparity)[inside].astype(int)
-    right = read_at(ideal.right.draw_maps)[pixels[inside, 1], others]
+    right = read_at(ideal.right.maps)[pixels[inside, 1], others]
     expected = seen_at(rig.right, se3.transform(se3.inverse(rig.T_left_right), points[inside]))
     np.testing.assert_allclose(right, expected, atol=0.05)
 
@@ -44,7 +44,7 @@ def test_a_point_of_the_ideal_pair_is_read_where_the_real_cameras_see_it(name: s
 def test_the_ideal_pair_shows_nothing_that_a_camera_has_not_seen(name: str) -> None:
     ideal = rectified(RIGS[name])
     for view in (ideal.left, ideal.right):
-        places = read_at(view.draw_maps)
+        places = read_at(view.maps)
         assert places.min() > -0.1
         assert (places.max(axis=(0, 1)) < np.array(SIZE) - 0.9).all()
     assert ideal.camera.width / ideal.camera.fx > 0.7  # a good part of the view is left
@@ -138,7 +138,7 @@ def test_any_lens_is_undone_or_refused(model: str, coefficients: tuple[float, ..
     rays = np.hstack([(view - [alone.camera.cx, alone.camera.cy]) / alone.camera.fx, np.ones((3, 1))])
     if isinstance(alone.left, IdentityMap):
         return
-    places = read_at(alone.left.draw_maps)[view[:, 1].astype(int), view[:, 0].astype(int)]
+    places = read_at(alone.left.maps)[view[:, 1].astype(int), view[:, 0].astype(int)]
     np.testing.assert_allclose(places, seen_at(lens, rays), atol=0.1)
 
 

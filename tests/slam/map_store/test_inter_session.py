@@ -175,6 +175,6 @@ def test_the_feature_cache_of_the_map_counts_all_images():
     ones = np.ones(1, np.float32)
     features = LocalFeatures(np.ones((1, 2), np.float32), ones, ones, np.ones((1, 8), np.float32))
     session.put(3, features)
-    assert cache.evenly(43, IMAGE) is features
-    assert session.evenly(3, IMAGE) is features
+    assert cache.get(43, IMAGE) is features
+    assert session.get(3, IMAGE) is features
     assert (session.kind, session.extractor) == (cache.kind, cache.extractor)
