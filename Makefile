@@ -28,12 +28,12 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
-	$(BIN)/python -m slam.doctor --install
+	$(BIN)/python -m slam.apps.doctor --install
 	touch $@
 
 $(VENV)/.installed-test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
-	-$(BIN)/python -m slam.doctor --install-browser
+	-$(BIN)/python -m slam.apps.doctor --install-browser
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed

@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from slam.run import RunOptions, run_pipeline
+from slam.pipeline.pipeline import RunOptions, run_pipeline
 
 
 def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict[str, object]]:

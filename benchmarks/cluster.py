@@ -32,11 +32,11 @@ from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
 
-from slam.benchmark.command import make_jobs, run_jobs
+from slam.benchmark.dask_executor import DaskExecutor
+from slam.benchmark.executor import Executor, SerialExecutor
 from slam.benchmark.job import run_job
-from slam.benchmark.sweep import read_sweep
-from slam.engine.cluster import DaskExecutor
-from slam.engine.engine import Executor, SerialExecutor
+from slam.benchmark.sweep import make_jobs, run_jobs
+from slam.benchmark.sweep_config import read_sweep
 
 WORKERS = 3
 

@@ -20,16 +20,16 @@ from rich.console import Console
 from rich.table import Table
 
 from odometry import se3
-from slam.dense_command import MappedRun, read_run
+from slam.apps.dense import MappedRun, read_run
 from slam.evaluation.trajectory import Similarity, umeyama
-from slam.mapping.dense_map import DenseMapper, group_key_frames
-from slam.mapping.occupancy import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
+from slam.mapping.dense_mapper import DenseMapper, group_key_frames
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
-from slam.provenance import peak_memory_mb
-from slam.simulation.drive import MANIFEST
-from slam.simulation.routes import plan_trajectory
-from slam.simulation.spec import SimulationConfig
-from slam.simulation.surfaces import ground_truth_surfaces
+from slam.pipeline.provenance import peak_memory_mb
+from slam.simulation.ground_truth import ground_truth_surfaces
+from slam.simulation.scenario.config import SimulationConfig
+from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.simulator import MANIFEST
 
 Array = NDArray[np.float64]
 REACH_M = 25.0

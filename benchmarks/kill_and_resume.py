@@ -15,12 +15,20 @@ from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
 
-from slam.map_store.resuming import find_resumable_run
+from slam.map_database.resume import find_resumable_run
 
 
 def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
     """What runs the chain in a process of its own."""
-    run = [sys.executable, "-c", "from slam.cli import main; main()", "run", str(arguments.source), "--out", str(out)]
+    run = [
+        sys.executable,
+        "-c",
+        "from slam.cli.app import main; main()",
+        "run",
+        str(arguments.source),
+        "--out",
+        str(out),
+    ]
     return [*run, "--paradigm", arguments.paradigm, "--no-record", *more]
 
 

@@ -12,14 +12,15 @@ clock starts; "cpu" is the processor time of all threads, which a busy machine d
 import numpy as np
 from odometry_drives import Array, Drive, StageTimes, chain_poses, measure, path_length_m
 
-from odometry import MonoOdometry, Motion, mono_locating, mono_tracks
-from odometry.bundle import MonoBundle
+from odometry import MonoOdometry, Motion
+from odometry.mono import mono_frontend, mono_tracking
+from odometry.mono.mono_bundle_adjustment import MonoBundle
 from slam.evaluation.trajectory import trajectory_errors
 
 STAGES = (
-    (mono_tracks, "detect_corners", "detection"),
-    (mono_tracks, "track_points", "following"),
-    (mono_locating, "estimate_pose", "motion"),
+    (mono_frontend, "detect_corners", "detection"),
+    (mono_frontend, "track_points", "following"),
+    (mono_tracking, "estimate_pose", "motion"),
     (MonoBundle, "add", "bundle"),
 )
 _PARTS = 8

@@ -11,18 +11,19 @@ an idle one.
 import numpy as np
 from odometry_drives import Drive, StageTimes, chain_poses, end_error, measure, path_length_m
 
-from odometry import Motion, StereoOdometry, front_end, locating, se3
-from odometry.window import SlidingWindow
+from odometry import Motion, StereoOdometry, se3
+from odometry.stereo import stereo_frontend, stereo_tracking
+from odometry.stereo.sliding_window import SlidingWindow
 
 STAGES = (
-    (front_end, "detect_corners", "detection"),
-    (front_end, "match_right", "left to right, new"),
-    (front_end, "track_points", "following"),
-    (front_end, "refine_right", "left to right, old"),
-    (locating, "estimate_motion", "motion"),
+    (stereo_frontend, "detect_corners", "detection"),
+    (stereo_frontend, "match_right", "left to right, new"),
+    (stereo_frontend, "track_points", "following"),
+    (stereo_frontend, "refine_right", "left to right, old"),
+    (stereo_tracking, "estimate_motion", "motion"),
     (SlidingWindow, "refine", "window"),
-    (locating, "ransac_motion", "ransac"),
-    (locating, "match_descriptors", "descriptors"),
+    (stereo_tracking, "ransac_motion", "ransac"),
+    (stereo_tracking, "match_descriptors", "descriptors"),
 )
 LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
 

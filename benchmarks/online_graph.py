@@ -19,9 +19,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.loop_closing import LoopClosure
-from slam.pose_graph import PoseGraph, PoseGraphConfig
-from slam.pose_graph_drift import OdometryChain
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.odometry_chain import OdometryChain
+from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.paradigms.catalogue import PARADIGMS, ParadigmsConfig
-from slam.datasets.images import ImageSequence, open_image_sequence
-from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
-from slam.place_metrics import evaluate_places
-from slam.places.drive import PlaceRecognitionRun, RecognizerFactory, run_recognizer, stage_times
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
+from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
+from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth
+from slam.evaluation.place_metrics import evaluate_places
+from slam.pipeline.place_recognition import PlaceRecognitionRun, RecognizerFactory, run_recognizer, stage_times
 
 Array = NDArray[np.float64]
 STAGES = ("features", "place recognition")

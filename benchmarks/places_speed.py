@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
 
-from place_recognition.belief.judge import CandidateVerifier
-from place_recognition.image_processing.features import FeatureCache, LocalFeatures
+from place_recognition.belief.candidate_selection import CandidateVerifier
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map import tracked_words as tracking
+from place_recognition.map.image_history import ImageHistory
 from place_recognition.map.inverted_index import InvertedIndex
-from place_recognition.map.places import PlaceSegmentation
-from place_recognition.map.route import ImageHistory
-from place_recognition.map.word_tree import HybridWordIndex
+from place_recognition.map.place_map import PlaceSegmentation
 from place_recognition.paradigms import hierarchical_places
-from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
+from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from place_recognition.vocabulary import tracked_words as tracking
+from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Image = NDArray[np.uint8]
 

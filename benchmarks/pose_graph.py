@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from slam.graph_roles import classify_edges
-from slam.graph_truth import absolute_error, find_truth
-from slam.loop_closing import LoopClosure
-from slam.pose_graph import PoseGraph
-from slam.pose_graph_batch import chordal_initialization, optimize, refine
-from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import inverse
-from slam.robust import BACK_ENDS, DEFAULT, LoopProblem, solve
-from slam.storage.g2o import read_g2o
+from slam.evaluation.pose_graph import absolute_error, find_truth
+from slam.io.g2o import read_g2o
+from slam.io.g2o_problem import classify_edges
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.optimization.batch import chordal_initialization, optimize, refine
+from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.pose_graph import PoseGraph
+from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

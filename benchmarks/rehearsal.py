@@ -38,7 +38,7 @@ def run_all(drive: Path, out: Path) -> None:
     config.write_text(
         f'paradigms = [{names}]\nrecord = true\n\n[[sources]]\npath = "{drive.resolve()}"\nname = "kitti00"\n'
     )
-    command = [sys.executable, "-c", "from slam.cli import main; main()", "benchmark", str(config)]
+    command = [sys.executable, "-c", "from slam.cli.app import main; main()", "benchmark", str(config)]
     subprocess.run([*command, "--out", str(out / "runs"), "--workers", "0"], check=True)
 
 

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from slam.datasets.source import DatasetSpec
+from slam.apps.localize import LocateOptions, QueryResult, locate
+from slam.datasets.dataset import DatasetSpec
 from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
-from slam.localisation.command import LocateOptions, QueryResult, locate
-from slam.localisation.locator import LocalizationResult
-from slam.map_store.store import MapDatabase, map_file
-from slam.storage.trajectory import read_kitti
+from slam.io.trajectory import read_kitti
+from slam.localization.localizer import LocalizationResult
+from slam.map_database.database import MapDatabase, map_file
 
 Array = NDArray[np.float64]
 SEQUENCE = "sequences/00"
@@ -34,7 +34,7 @@ NEAR_M, NEAR_DEG, WRONG_M = 0.5, 2.0, 5.0
 
 def revisit(*words: object) -> None:
     """Run the command line in a process of its own."""
-    subprocess.run([sys.executable, "-c", "from slam.cli import main; main()", *map(str, words)], check=True)
+    subprocess.run([sys.executable, "-c", "from slam.cli.app import main; main()", *map(str, words)], check=True)
 
 
 def cut(drive: Path, frames: range, out: Path) -> Path:

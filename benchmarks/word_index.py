@@ -35,9 +35,9 @@ from map_fillers import TRACKED_WORDS, Material
 from numpy.typing import NDArray
 from place_benchmarks import image_files
 
-from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.word_tree import WordTree
+from place_recognition.vocabulary.word_tree import WordTree
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

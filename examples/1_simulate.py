@@ -8,9 +8,9 @@ that every other example and `revisit run` can read it.
 
 from street import arguments, street
 
-from slam.datasets.open import open_dataset
+from slam.datasets.formats.registry import open_dataset
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style_axes
+from slam.report.trajectory_figure import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
 

@@ -9,11 +9,11 @@ examples take them away again.
 import numpy as np
 from street import arguments, street
 
-from odometry.stereo import StereoOdometry
-from slam.datasets.open import open_dataset
+from odometry.stereo.stereo_odometry import StereoOdometry
+from slam.datasets.formats.registry import open_dataset
 from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style_axes
+from slam.report.trajectory_figure import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
 drive = open_dataset(street(given))

@@ -9,14 +9,14 @@ Leaves 3_recognise_places.png (the matrix, the detections and the truth: Figures
 import numpy as np
 from street import arguments, street
 
-from place_recognition.evaluation.matrix import MatrixRecorder
 from place_recognition.evaluation.precision_recall import accepted_counts, precision_recall
-from place_recognition.image_processing.features import FeatureCache
+from place_recognition.evaluation.similarity_matrix import MatrixRecorder
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import PARADIGMS, make_recognizer
-from slam.datasets.open import open_dataset
-from slam.report.figures import save_png
-from slam.report.place_figures import plot_places, plot_precision_recall
+from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from slam.datasets.formats.registry import open_dataset
+from slam.report.place_recognition_figures import plot_places, plot_precision_recall
+from slam.report.trajectory_figure import save_png
 from slam.simulation import loop_truth
 
 parser = arguments(__doc__)

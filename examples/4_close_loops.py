@@ -9,12 +9,12 @@ chapter). `revisit run` does the same with a report, a recording and all files.
 import numpy as np
 from street import arguments, street
 
+from slam.components import build_components
 from slam.config import RunConfig
-from slam.datasets.open import open_dataset
+from slam.datasets.formats.registry import open_dataset
 from slam.evaluation.trajectory import absolute_trajectory_error
-from slam.parts import build_components
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style_axes
+from slam.report.trajectory_figure import new_figure, save_png, style_axes
 from slam.system import Slam
 
 given = arguments(__doc__).parse_args()

@@ -13,10 +13,10 @@ import numpy as np
 
 from odometry import se3
 from slam.evaluation.trajectory import absolute_trajectory_error
-from slam.loop_closing import LoopClosure
-from slam.pose_graph import PoseGraph
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.pose_graph import PoseGraph
 from slam.report import colours
-from slam.report.figures import new_figure, save_png, style_axes
+from slam.report.trajectory_figure import new_figure, save_png, style_axes
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")

@@ -10,13 +10,13 @@ import numpy as np
 from street import arguments, street
 
 from place_recognition.evaluation.precision_recall import precision_recall
-from place_recognition.image_processing.features import FeatureCache
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
-from place_recognition.paradigms.catalogue import make_recognizer
+from place_recognition.paradigms.registry import make_recognizer
 from place_recognition.recognizer import Belief
-from slam.datasets.open import open_dataset
-from slam.report.figures import save_png
-from slam.report.place_figures import plot_precision_recall
+from slam.datasets.formats.registry import open_dataset
+from slam.report.place_recognition_figures import plot_precision_recall
+from slam.report.trajectory_figure import save_png
 from slam.simulation import loop_truth
 
 

@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 from street import arguments, street
 
-from place_recognition.evaluation.matrix import MatrixRecorder
-from place_recognition.image_processing.features import FeatureCache
+from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from place_recognition.image_processing.hog import cell_histograms
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.sequences import FixedDistanceSegmentation, WordVariance
-from place_recognition.map.vocabulary import default_vocabulary, word_histogram
-from place_recognition.paradigms.catalogue import make_recognizer
-from slam.datasets.open import open_dataset
+from place_recognition.map.sequence_segmentation import FixedDistanceSegmentation, WordVariance
+from place_recognition.paradigms.registry import make_recognizer
+from place_recognition.vocabulary.vocabulary import default_vocabulary, word_histogram
+from slam.datasets.formats.registry import open_dataset
 from slam.report import colours
-from slam.report.figures import new_figure, save_png
+from slam.report.trajectory_figure import new_figure, save_png
 from slam.simulation import loop_truth
 
 given = arguments(__doc__).parse_args()

@@ -13,10 +13,10 @@ import numpy as np
 from false_loops import two_laps
 from slam.report.draw_pose_graph import graph_figure
 
-from slam.false_loops import OutlierConfig, inject_outliers
-from slam.report.figures import save_png
-from slam.robust import BACK_ENDS, BackEndResult, solve
-from slam.robust_gnc import least_squares
+from slam.evaluation.outlier_injection import OutlierConfig, inject_outliers
+from slam.pose_graph.robust.backends import BACK_ENDS, BackEndResult, solve
+from slam.pose_graph.robust.gnc import least_squares
+from slam.report.trajectory_figure import save_png
 
 
 def trimmed(problem, screening):

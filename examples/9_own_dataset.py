@@ -11,12 +11,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slam.datasets.assembly import RawRecording, build_dataset, read_ground_truth, read_stream
-from slam.datasets.camera_drive import RectifiedDataset
-from slam.datasets.lens import CameraModel
+from slam.datasets.distortion_models import CameraModel
+from slam.datasets.formats.recording import (
+    RawRecording,
+    RectifiedDataset,
+    build_dataset,
+    read_ground_truth,
+    read_stream,
+)
+from slam.datasets.formats.timestamped_lists import ListFormat
 from slam.datasets.rectification import rectify_parallel
-from slam.datasets.stamped import ListFormat
-from slam.storage.trajectory import write_tum
+from slam.io.trajectory import write_tum
 
 # The format: left.list and right.list with "milliseconds;file" in each line, and ground truth in poses.tum.
 LISTS = ListFormat(separator=";", ticks_per_second=1e3)

@@ -17,15 +17,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slam.false_loops import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
-from slam.graph_roles import classify_edges
-from slam.pose_graph_batch import optimize
-from slam.pose_graph_edges import Edges
-from slam.pose_graph_lie import SE2, compose, inverse
-from slam.report.figures import new_figure, save_png, style_axes
-from slam.robust import BACK_ENDS, LoopProblem, solve
-from slam.storage.g2o import read_g2o
-from slam.storage.tables import write_table
+from slam.evaluation.outlier_injection import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
+from slam.io.csv_tables import write_table
+from slam.io.g2o import read_g2o
+from slam.io.g2o_problem import classify_edges
+from slam.pose_graph.optimization.batch import optimize
+from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
+from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
+from slam.report.trajectory_figure import new_figure, save_png, style_axes
 
 Array = NDArray[np.float64]
 

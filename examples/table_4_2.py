@@ -17,19 +17,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from place_recognition.paradigms.catalogue import PARADIGMS
-from slam.datasets.city_centre import open_city_centre
-from slam.datasets.images import ImageSequence, open_image_sequence
-from slam.datasets.malaga import open_malaga
-from slam.datasets.new_college import open_new_college
+from place_recognition.paradigms.registry import PARADIGMS
+from slam.apps.places import PlacesOptions, recognize_images
+from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
+from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.errors import DataError, RevisitError
-from slam.evaluation.truth import RevisitTruth, check_truth_size, read_revisit_truth
-from slam.places.command import recognize_images
-from slam.places.options import PlacesOptions
-from slam.report.figures import save_png
+from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth
+from slam.io.atomic import atomic_writer
+from slam.io.metrics import read_metrics
 from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
-from slam.storage.atomic import atomic_writer
-from slam.storage.metrics import read_metrics
+from slam.report.trajectory_figure import save_png
 
 EXCLUDE_S = 40.0  # the papers' rule: nothing younger is a revisit
 

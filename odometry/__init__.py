@@ -6,8 +6,8 @@ from odometry.camera import StereoCamera
 from odometry.motion import Motion
 
 if TYPE_CHECKING:
-    from odometry.mono import MonoOdometry, MonoOdometryConfig
-    from odometry.stereo import StereoOdometry, StereoOdometryConfig
+    from odometry.mono.mono_odometry import MonoOdometry, MonoOdometryConfig
+    from odometry.stereo.stereo_odometry import StereoOdometry, StereoOdometryConfig
 
 __all__ = [
     "MonoOdometry",
@@ -23,6 +23,7 @@ def __getattr__(name: str) -> Any:
     """Import the odometry itself, and the compiler it needs, when it is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from odometry import mono, stereo
+    from odometry.mono import mono_odometry
+    from odometry.stereo import stereo_odometry
 
-    return getattr(mono if name.startswith("Mono") else stereo, name)
+    return getattr(mono_odometry if name.startswith("Mono") else stereo_odometry, name)

@@ -2,6 +2,8 @@
 
 Camera frame: x right, y down, z forward, metres, origin at the left camera. Pixel (0, 0) is the centre of the
 top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline, 0, 0).
+
+Triangulation: depth from two views of one point.
 """
 
 from dataclasses import dataclass
@@ -88,3 +90,26 @@ class StereoCamera:
 def clamp_inverse_depth(inverse_depth: Array) -> Array:
     """Clamp inverse depths, 1/m, to what a camera can see: in front of it, and not too close."""
     return np.clip(inverse_depth, 1.0 / _MAX_DEPTH_M, 1.0 / _MIN_DEPTH_M)
+
+
+def triangulate(rays: Array, seen: Array, T_second_first: Array) -> tuple[Array, Array]:
+    """Inverse depths of points from two views.
+
+    Args:
+        rays: (N, 3) directions with z = 1 in the first camera.
+        seen: (N, 3) likewise in the second.
+        T_second_first: (4, 4), or (N, 4, 4) with one for each point.
+
+    Returns:
+        Inverse depth (N,) in the first camera, negative behind it; and (N,) the squared shift of `seen` by a unit
+        of inverse depth, a measure of parallax, zero where there is none.
+
+    """
+    R, t = T_second_first[..., :3, :3], T_second_first[..., :3, 3]
+    turned = np.einsum("...ij,...j->...i", R, rays)
+    shift = t[..., :2] - seen[:, :2] * t[..., 2:]
+    rest = seen[:, :2] * turned[:, 2:] - turned[:, :2]
+    strength = np.sum(shift * shift, axis=1)
+    depth = np.sum(shift * rest, axis=1) / np.maximum(strength, 1e-12)
+    # the shift is that of X over its depth before the division by the new depth
+    return depth, strength / np.maximum(turned[:, 2], 0.1) ** 2

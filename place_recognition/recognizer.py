@@ -71,7 +71,7 @@ class PlaceRecognizer(Protocol):
 
     The same input gives the same beliefs, to the bit. A recogniser that counts visual words may have a property
     `word_count`, and one whose map holds more than NumPy arrays a property `map_bytes`
-    (`place_recognition.evaluation.map_size` reads both).
+    (`place_recognition.evaluation.memory` reads both).
     """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:

@@ -12,16 +12,16 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tomli_w
 
-from odometry.mono_config import MonoOdometryConfig
-from odometry.stereo import StereoOdometryConfig
-from place_recognition.paradigms.catalogue import ParadigmsConfig
+from odometry.mono.mono_odometry import MonoOdometryConfig
+from odometry.stereo.stereo_odometry import StereoOdometryConfig
+from place_recognition.paradigms.registry import ParadigmsConfig
 from slam.errors import ConfigError
 from slam.keyframes import KeyFrameConfig
-from slam.loop_closing import LoopCloserConfig
-from slam.mapping.landmarks import LandmarkMapConfig
-from slam.pose_graph import PoseGraphConfig
-from slam.pose_graph_drift import OdometryDriftModel
-from slam.robust import DEFAULT
+from slam.loop_closing.loop_closer import LoopCloserConfig
+from slam.mapping.landmark_map import LandmarkMapConfig
+from slam.pose_graph.odometry_chain import OdometryDriftModel
+from slam.pose_graph.pose_graph import PoseGraphConfig
+from slam.pose_graph.robust.backends import DEFAULT
 
 T = TypeVar("T")
 

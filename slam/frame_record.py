@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from place_recognition.recognizer import Belief
-from slam.loop_closing import FrameLandmarks, LoopVerification
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopVerification
 
 Array = NDArray[np.float64]
 

@@ -8,25 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.image_processing.features import FeatureCache
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.recognizer import Belief, PlaceRecognizer
-from slam.clock import StageTimer
 from slam.datasets.dataset import Frame
-from slam.eyes import VisualOdometry
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.keyframes import KeyFrameSelector
-from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
-from slam.loop_trust import LoopDecision
-from slam.mapping.landmarks import LandmarkMap
-from slam.pose_graph import PoseGraph
-from slam.robust import OptimizationResult
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
+from slam.mapping.landmark_map import LandmarkMap
+from slam.pose_graph.loop_admission import LoopDecision
+from slam.pose_graph.pose_graph import PoseGraph
+from slam.pose_graph.robust.backends import OptimizationResult
+from slam.timing import StageTimer
+from slam.visual_odometry import VisualOdometry
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
 class LoopVerifier(Protocol):
-    """Keeps the landmarks of frames and verifies loops between them: see `slam.loop_closing.LoopCloser`."""
+    """Keeps the landmarks of frames and verifies loops between them: see `slam.loop_closing.loop_closer.LoopCloser`."""
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Extract and keep the landmarks of a frame."""

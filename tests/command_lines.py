@@ -9,11 +9,11 @@ from typing import Any
 
 import typer
 
-from slam import cli
+from slam.cli import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "data" / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-APP = typer.main.get_command(cli.app)
+APP = typer.main.get_command(app.app)
 LINE = re.compile(r"^ *revisit ([^`\n]*)$", re.MULTILINE)
 MENTION = re.compile(r"`revisit ([^`]+)`")
 EXAMPLE = re.compile(r"^ *Example: revisit (.+)$", re.MULTILINE)

@@ -9,8 +9,7 @@ from typing import Any, get_args
 import pytest
 from typer.testing import CliRunner
 
-from slam import cli
-from slam.commands import options
+from slam.cli import app, options
 from slam.config import RunConfig
 from slam.errors import ConfigError
 
@@ -75,7 +74,7 @@ def test_the_help_of_every_number_names_its_unit(names: tuple[str, ...], command
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)
 def test_a_help_in_a_pipe_is_plain_text_with_every_default(names: tuple[str, ...], command: Any):
-    said = CliRunner().invoke(cli.app, [*names, "--help"], env=WIDE).output
+    said = CliRunner().invoke(app.app, [*names, "--help"], env=WIDE).output
     assert "\x1b" not in said
     valued = [one for one in command.params if not one.required and not getattr(one, "is_flag", False)]
     for one in valued:
@@ -97,7 +96,7 @@ def registered(option: str, tmp_path: Path) -> set[str]:
     """The names that a run accepts for an option, as its error message lists them."""
     arguments = ["run", str(tmp_path), "--out", str(tmp_path / "out"), option, "no-such-name"]
     with pytest.raises(ConfigError) as error:
-        cli.app(arguments, standalone_mode=False)
+        app.app(arguments, standalone_mode=False)
     message = str(error.value)
     assert "expected one of " in message
     return set(message.split("expected one of ")[1].partition(", found")[0].split(", "))
@@ -123,7 +122,7 @@ def test_help_names_the_defaults_of_a_run():
 
 
 def test_the_shell_can_be_taught_to_complete():
-    assert "--install-completion" in CliRunner().invoke(cli.app, ["--help"], env=WIDE).output
+    assert "--install-completion" in CliRunner().invoke(app.app, ["--help"], env=WIDE).output
     asks = {"_REVISIT_COMPLETE": "complete_bash", "COMP_WORDS": "revisit e", "COMP_CWORD": "1"}
-    completed = CliRunner().invoke(cli.app, [], prog_name="revisit", env=asks)
+    completed = CliRunner().invoke(app.app, [], prog_name="revisit", env=asks)
     assert {"explain", "export", "evaluate"} <= set(completed.output.split())

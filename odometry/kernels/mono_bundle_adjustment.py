@@ -63,7 +63,7 @@ def build_normal_equations(
             squared.
         poses: (K, 4, 4) T_map_frame.
         states: (K,) first unknown of each pose, `FIXED` where it is not adjusted; the last three are the lens.
-        lens: (3,) coefficients, see `odometry.lens`.
+        lens: (3,) coefficients, see `odometry.distortion`.
         noise: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure); share of a
             track's error that it still has in the next frame; weight of a point's first observation.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from place_recognition.evaluation.array_file import array_names, read_array
+from place_recognition.evaluation.ground_truth_files import array_names, read_array
 from place_recognition.evaluation.matlab import read_positive
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures
+from place_recognition.image_processing.local_features import LocalFeatures
 
 Floats = NDArray[np.float32]
 

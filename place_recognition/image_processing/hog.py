@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_gray
+from place_recognition.image_processing.local_features import check_gray
 
 CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
 BLOCK = 2  # cells along each side of a block

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_gray
+from place_recognition.image_processing.local_features import check_gray
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import LocalFeatures, check_gray
-from place_recognition.image_processing.spread import SpreadConfig, select_strongest
-from place_recognition.image_processing.surf_blobs import find_blobs
-from place_recognition.image_processing.surf_descriptors import cell_weights, describe_upright
-from place_recognition.image_processing.surf_hessian import deinterleave
-from place_recognition.image_processing.surf_orientation import describe_oriented
+from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
+from place_recognition.image_processing.local_features import LocalFeatures, check_gray
+from place_recognition.image_processing.surf_descriptor_kernels import cell_weights, describe_oriented, describe_upright
+from place_recognition.image_processing.surf_detector_kernels import deinterleave, find_blobs
 
 SIGMA_PER_SIZE = 1.2 / 9  # a box filter of side 9 approximates a Gaussian of sigma 1.2 (section 3.2 of the paper)
 LAYERS = 4  # filter sizes of each octave, evenly spaced; peaks are sought in the two inner ones

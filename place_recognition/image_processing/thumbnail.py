@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_gray
+from place_recognition.image_processing.local_features import check_gray
 
 MIDDLE = 128  # gray level of a pixel as bright as its patch
 DEVIATION = 42  # gray levels of one standard deviation: three fit into a byte on either side

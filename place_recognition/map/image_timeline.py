@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.map.growing import GrowingArray
+from place_recognition.growing_array import GrowingArray
 
 Ids = NDArray[np.int64]
 

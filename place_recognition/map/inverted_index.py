@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from place_recognition.map.growing import GrowingArray
-from place_recognition.map.word_vectors import WordVector
+from place_recognition.growing_array import GrowingArray
+from place_recognition.vocabulary.tf_idf import WordVector
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.map.growing import GrowingArray
+from place_recognition.growing_array import GrowingArray
 from place_recognition.map.inverted_index import InvertedIndex
-from place_recognition.map.word_vectors import WordVector
+from place_recognition.vocabulary.tf_idf import WordVector
 
 Indices = NDArray[np.int64]
 

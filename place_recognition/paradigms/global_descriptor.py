@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import check_gray
 from place_recognition.image_processing.global_descriptors import GlobalDescriptor
-from place_recognition.map.dense import DenseMap
-from place_recognition.map.present_view import ExclusionWindow, ExclusionWindowConfig
+from place_recognition.image_processing.local_features import check_gray
+from place_recognition.map.descriptor_database import DenseMap
+from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
 

@@ -20,21 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.belief.candidate_selection import CandidateVerifier
+from place_recognition.belief.candidate_verification import CandidateVerificationConfig, VerificationResult
 from place_recognition.belief.geometric_verification import EpipolarConfig
-from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsensusConfig
-from place_recognition.belief.judge import CandidateVerifier
-from place_recognition.belief.place_votes import PlaceVotes, vote_for_places
-from place_recognition.belief.proof import CandidateVerificationConfig, VerificationResult
-from place_recognition.belief.quantised_matching import count_matches
+from place_recognition.belief.sequence_consensus import CandidateBeliefs, DelayedDecision, SequenceConsensusConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.verdicts import DelayedDecision
-from place_recognition.image_processing.features import FeatureCache, check_gray
-from place_recognition.map.growing_neural_gas import GasConfig, grow_gas
-from place_recognition.map.places import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
-from place_recognition.map.route import ImageHistory, ImageHistoryConfig
-from place_recognition.map.word_index import WordIndex
-from place_recognition.map.word_tree import HybridWordIndex
+from place_recognition.belief.voting import PlaceVotes, vote_for_places
+from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.image_processing.matching import count_matches
+from place_recognition.map.image_history import ImageHistory, ImageHistoryConfig
+from place_recognition.map.place_map import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
+from place_recognition.vocabulary.growing_neural_gas import GasConfig, grow_gas
+from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Floats = NDArray[np.float32]
 

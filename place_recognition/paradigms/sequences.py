@@ -12,20 +12,20 @@ How both deviate from the papers: `sequence_matching`.
 from dataclasses import dataclass, field
 
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
-from place_recognition.image_processing.features import FeatureCache
-from place_recognition.map.sequences import (
+from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.map.sequence_segmentation import (
     FixedDistanceConfig,
     FixedDistanceSegmentation,
     WordVariance,
     WordVarianceConfig,
 )
-from place_recognition.map.vocabulary import Vocabulary
-from place_recognition.paradigms.sequence_matching import (
+from place_recognition.paradigms.sequence_recognizer import (
     SequenceMatchingConfig,
     SequenceRecognizer,
     make_published_matching,
 )
 from place_recognition.recognizer import MatrixSink
+from place_recognition.vocabulary.vocabulary import Vocabulary
 
 
 @dataclass(frozen=True)

@@ -19,19 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.belief.candidate_selection import CandidateVerifier
+from place_recognition.belief.candidate_verification import CandidateVerificationConfig, VerificationResult
 from place_recognition.belief.geometric_verification import EpipolarConfig
-from place_recognition.belief.hindsight import CandidateBeliefs, SequenceConsensusConfig
-from place_recognition.belief.judge import CandidateVerifier
-from place_recognition.belief.proof import CandidateVerificationConfig, VerificationResult
+from place_recognition.belief.sequence_consensus import CandidateBeliefs, DelayedDecision, SequenceConsensusConfig
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
-from place_recognition.belief.verdicts import DelayedDecision
-from place_recognition.belief.votes import Votes, count_votes
-from place_recognition.image_processing.features import FeatureCache, check_gray
-from place_recognition.map.route import ImageHistory, ImageHistoryConfig
-from place_recognition.map.tracked_words import FeatureTracks, TrackConfig, WordMap
-from place_recognition.map.word_index import WordIndex
-from place_recognition.map.word_tree import HybridWordIndex
+from place_recognition.belief.voting import Votes, count_votes
+from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.map.image_history import ImageHistory, ImageHistoryConfig
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
+from place_recognition.vocabulary.tracked_words import FeatureTracks, TrackConfig, WordMap
+from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 
 @dataclass(frozen=True)

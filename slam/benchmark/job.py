@@ -11,11 +11,11 @@ from uuid import uuid4
 from rich.console import Console
 
 from slam.config import RunConfig, read_config
-from slam.datasets.source import DatasetSpec
+from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError, RevisitError
-from slam.run import RunOptions, resolve_config, run_pipeline
-from slam.storage.atomic import atomic_writer
-from slam.storage.metrics import read_metrics
+from slam.io.atomic import atomic_writer
+from slam.io.metrics import read_metrics
+from slam.pipeline.pipeline import RunOptions, resolve_config, run_pipeline
 
 _QUIET = Console(quiet=True)
 

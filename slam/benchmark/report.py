@@ -6,12 +6,12 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from slam.benchmark.results import DISPLAYED, ResultRow, format_values
+from slam.io.atomic import atomic_writer
 from slam.report import colours
-from slam.report.cells import Cell
-from slam.report.figures import INK, new_figure, style_axes
-from slam.report.page import template_environment
+from slam.report.formatting import Cell
+from slam.report.html_report import template_environment
 from slam.report.svg import inline_svg
-from slam.storage.atomic import atomic_writer
+from slam.report.trajectory_figure import INK, new_figure, style_axes
 
 # Paradigms differ in shape as well as in colour, for readers who are colour-blind.
 _MARKS = (

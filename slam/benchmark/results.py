@@ -1,4 +1,7 @@
-"""Results of the runs of a benchmark: rows, files, medians over the seeds, and the table for the terminal."""
+"""Results of the runs of a benchmark: rows, files, medians over the seeds, and the table for the terminal.
+
+`tables.tex`: the results of a benchmark as a LaTeX table for a paper (package booktabs).
+"""
 
 import shlex
 import statistics
@@ -11,9 +14,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.benchmark.job import Job, JobResult
-from slam.report.reading import format_value, metric_value
-from slam.storage.metrics import write_metrics
-from slam.storage.tables import write_table
+from slam.io.atomic import atomic_writer
+from slam.io.csv_tables import write_table
+from slam.io.metrics import write_metrics
+from slam.report.formatting import MISSING, format_value, metric_value
 
 
 @dataclass(frozen=True)
@@ -158,3 +162,49 @@ def summary_table(rows: Sequence[ResultRow]) -> Table:
 def format_values(row: ResultRow) -> list[str]:
     """Format the numbers of a row in the order of `DISPLAYED`."""
     return [format_value(getattr(row, name), digits) for name, _, digits in DISPLAYED]
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    MISSING: "--",
+} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+
+
+def write_latex(folder: Path, rows: Sequence[ResultRow]) -> None:
+    """Write tables.tex: one table, a line for each source, paradigm and back end, median_rows over the seeds.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_writer(folder / "tables.tex") as file:
+        file.write(latex_table(rows))
+
+
+def latex_table(rows: Sequence[ResultRow]) -> str:
+    """Format the table as text; failed runs are left out."""
+    headings = ("source", "paradigm", "back end", "runs", *(heading for _, heading, _ in DISPLAYED))
+    lines = [
+        "% needs \\usepackage{booktabs}; median_rows over the seeds; ATE after alignment of all poses",
+        f"\\begin{{tabular}}{{lll{'r' * (len(headings) - 3)}}}",
+        "\\toprule",
+        _line(headings),
+        "\\midrule",
+        *(
+            _line((row.source, row.paradigm, row.robust, str(runs), *format_values(row)))
+            for row, runs in median_rows(rows)
+        ),
+        "\\bottomrule",
+        "\\end{tabular}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
+
+
+def escape_latex(text: str) -> str:
+    """Escape a text so that LaTeX prints every character of it."""
+    return "".join(_SPECIAL.get(sign, sign) for sign in text)

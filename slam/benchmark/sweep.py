@@ -1,173 +1,154 @@
-"""The configuration of a benchmark: sources, paradigms, back ends and seeds, read from a TOML file.
+"""`revisit benchmark`: run a sweep described by a TOML file and compare the results of its runs."""
 
-Every combination of them is a run. Paths are relative to the file:
-
-    paradigms = ["tracked-words", "dynamic-sequences"]
-    robust = ["pcm+gnc"]
-    seeds = [0, 1]
-    config = "settings.toml"
-
-    [[sources]]
-    path = "data/kitti"
-    sequence = "05"
-
-    [[sources]]
-    simulate = "blocks"
-    laps = 2
-    length = 300
-"""
-
-import re
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
 
-from slam.config import RunConfig, from_values, read_toml
-from slam.datasets.source import DatasetSpec
-from slam.errors import ConfigError
-from slam.simulation.spec import SHAPES, SimulationConfig
+from rich.console import Console
+
+from slam.benchmark.dask_executor import make_executor
+from slam.benchmark.executor import Executor, Failed
+from slam.benchmark.job import Job, JobResult, check_job, read_result, run_job
+from slam.benchmark.report import write_benchmark_report
+from slam.benchmark.results import ResultRow, format_row, make_row, summary_table, write_csv, write_json, write_latex
+from slam.benchmark.sweep_config import RecordedSource, SimulatedSource, Sweep, read_sweep
+from slam.datasets.dataset import DatasetSpec
+from slam.errors import OutputError
+from slam.pipeline.progress import progress_bar
+from slam.simulation import simulate
+
+Work = Callable[[Job], JobResult]
 
 
 @dataclass(frozen=True)
-class RecordedSource:
-    """A recording that exists.
+class BenchmarkOptions:
+    """Options of `revisit benchmark`.
 
     Attributes:
-        name: name of the source, with which the names of its runs begin.
-        source: recording to read.
+        config: TOML file of the sweep.
+        out: folder for the results; runs that an earlier command finished there are kept.
+        workers: number of processes on this machine; 0 for this process alone, None for one per core.
+        scheduler: address of a dask scheduler to use instead, or None.
     """
 
-    name: str
-    source: DatasetSpec
+    config: Path
+    out: Path
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def make_executor(self) -> Executor:
+        """Make the executor that runs the jobs.
+
+        Raises:
+            ConfigError: the number of workers is negative, both options are given, or dask is not installed.
+        """
+        return make_executor(self.workers, self.scheduler, len(os.sched_getaffinity(0)))
 
 
-@dataclass(frozen=True)
-class SimulatedSource:
-    """A simulated drive that is rendered first.
+def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console) -> bool:
+    """Run all jobs that are not finished, print a line for each, and write the results of all.
 
-    Attributes:
-        name: name of its folder, with which the names of its runs begin.
-        spec: specification of the simulated drive.
-    """
+    Args:
+        options: sweep, output folder and workers.
+        messages: console for progress.
+        results: console for the lines and the table.
 
-    name: str
-    spec: SimulationConfig
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Every source with every paradigm, back end and seed.
-
-    Attributes:
-        sources: sources with different names.
-        paradigms: names of place-recognition paradigms.
-        robust: names of robust back ends.
-        seeds: seeds of every random generator of a run.
-        config: TOML file with the settings of all runs; None for the defaults.
-        record: whether each run writes `recording.rrd`.
-    """
-
-    sources: tuple[RecordedSource | SimulatedSource, ...]
-    paradigms: tuple[str, ...]
-    robust: tuple[str, ...]
-    seeds: tuple[int, ...]
-    config: Path | None
-    record: bool
-
-
-@dataclass(frozen=True)
-class _SweepFile:
-    """The tables of the file before they are checked."""
-
-    sources: tuple[Any, ...] = ()
-    paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
-    robust: tuple[Any, ...] = (RunConfig.robust,)
-    seeds: tuple[Any, ...] = (RunConfig.seed,)
-    config: str = ""
-    record: bool = False
-
-
-@dataclass(frozen=True)
-class _SourceFile:
-    path: str
-    sequence: str = ""
-    format: str = ""
-
-
-def read_sweep(path: Path) -> Sweep:
-    """Read the TOML file of a benchmark.
+    Returns:
+        Whether every run has succeeded. A failed run is tried again by the next command.
 
     Raises:
-        ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
+        RevisitError: the sweep, its sources, the executor or the output folder cannot be used.
+        KeyboardInterrupt: the user interrupted it; finished runs are kept, and the same command continues.
     """
-    return parse_sweep(read_toml(path), path)
-
-
-def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
-    """Make a sweep from the values of its file.
-
-    Raises:
-        ConfigError: an unknown name or a value of the wrong type.
-    """
-    written = from_values(_SweepFile, values, str(path))
-    sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
-    _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
-    _check_list(written.paradigms, str, f"{path}: paradigms")
-    _check_list(written.robust, str, f"{path}: robust")
-    _check_list(written.seeds, int, f"{path}: seeds")
-    config = _path(written.config, path.parent, f"{path}: config") if written.config else None
-    return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
-
-
-def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
-    """Raise ConfigError unless these are one or more different values of one type."""
-    wanted = f"{where}: expected one or more different {'numbers from 0 on' if kind is int else 'names'}"
-    if not values:
-        raise ConfigError(f"{wanted}, found none")
-    wrong = [value for value in values if type(value) is not kind or (isinstance(value, int) and value < 0)]
-    twice = [value for n, value in enumerate(values) if value in values[:n]]
-    if wrong or twice:
-        raise ConfigError(f"{wanted}, found {(wrong or twice)[0]!r}{'' if wrong else ' twice'}")
-
-
-def _source(entry: object, where: str, folder: Path) -> RecordedSource | SimulatedSource:
-    if not isinstance(entry, dict) or ("path" in entry) == ("simulate" in entry):
-        raise ConfigError(f"{where}: expected a table with path = ... or with simulate = ..., found {entry!r}")
-    settings = {key: value for key, value in entry.items() if key != "name"}
-    given = entry.get("name", "")
-    if not isinstance(given, str):
-        raise ConfigError(f"{where}: name: expected str, found {given!r}")
-    if "path" in entry:
-        return _recorded(given, settings, where, folder)
-    return _simulated(given, settings, where, folder)
-
-
-def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> RecordedSource:
-    written = from_values(_SourceFile, settings, where)
-    path = _path(written.path, folder, f"{where}: path")
-    own = "-".join(part for part in (path.name, written.sequence) if part)
-    return RecordedSource(_file_name(name or own), DatasetSpec(path, written.sequence or None, written.format or None))
-
-
-def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> SimulatedSource:
-    shape = settings.pop("simulate")
-    if not isinstance(shape, str):
-        raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
-    path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
-    spec = from_values(SimulationConfig, {"shape": path, **settings}, where)
-    own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
-    return SimulatedSource(_file_name(name or own), spec)
-
-
-def _path(written: str, folder: Path, where: str) -> Path:
+    sweep, executor, out = read_sweep(options.config), options.make_executor(), options.out.resolve()
+    jobs = make_jobs(sweep, out)
+    # All jobs are checked before anything is written, so that a wrong sweep leaves the folder as it was.
+    for job in jobs:
+        check_job(job)
+    _prepare(out)
+    for source in sweep.sources:
+        _render(source, out, messages)
     try:
-        path = (folder / Path(written).expanduser()).resolve()
-        path.exists()  # raises ValueError or OSError for names that no file can have
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ConfigError(f"{where}: expected a path, found {written[:60]!r}: {error}") from None
-    return path
+        with executor:
+            rows = run_jobs(jobs, executor, run_job, out, results)
+    except KeyboardInterrupt:
+        messages.print("Interrupted: finished runs are kept; the same command continues.")
+        raise
+    _clear(out)  # also here: processes that died during this command leave folders
+    write_json(out, rows, ("benchmark", str(options.config), "--out", str(options.out)))
+    write_latex(out, rows)
+    write_benchmark_report(out, options.config.stem, rows)
+    results.print(summary_table(rows))
+    results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
+    return not any(row.error for row in rows)
 
 
-def _file_name(name: str) -> str:
-    """Replace characters that a file name should not have; letters of any script, digits and - . + _ stay."""
-    return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "_"
+def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
+    """Make a job for every combination, in the order of the file; names are the same each time."""
+    return [
+        Job(
+            source.name,
+            source.source if isinstance(source, RecordedSource) else DatasetSpec(_rendered_folder(source, out)),
+            out / "jobs" / f"{source.name}.{paradigm}.{robust}.{seed}",
+            sweep.config,
+            paradigm,
+            robust,
+            seed,
+            sweep.record,
+        )
+        for source, paradigm, robust, seed in product(sweep.sources, sweep.paradigms, sweep.robust, sweep.seeds)
+    ]
+
+
+def _rendered_folder(source: SimulatedSource, out: Path) -> Path:
+    return out / "sources" / source.name
+
+
+def _render(source: RecordedSource | SimulatedSource, out: Path, messages: Console) -> None:
+    if isinstance(source, SimulatedSource):
+        with progress_bar(messages, f"Rendering {source.name}") as progress:
+            simulate(source.spec, _rendered_folder(source, out), progress)
+
+
+def _prepare(out: Path) -> None:
+    jobs = out / "jobs"
+    try:
+        jobs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written, {error.strerror}; choose another folder with --out") from None
+    _clear(out)
+
+
+def _clear(out: Path) -> None:
+    """Remove the unfinished folders of killed processes."""
+    for left in (out / "jobs").glob(".*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def run_jobs(jobs: Sequence[Job], executor: Executor, work: Work, out: Path, results: Console) -> list[ResultRow]:
+    """Run the jobs that are not finished and return a row for each job.
+
+    results.csv is written anew after each job, so that it holds all results so far at any moment.
+    """
+    rows: dict[str, ResultRow] = {}
+    for count, (job, result) in enumerate(_results(jobs, executor, work), start=1):
+        rows[job.name] = make_row(job, result)
+        write_csv(out, (rows[job.name] for job in jobs if job.name in rows))
+        line = f"{count}/{len(jobs)}  {format_row(rows[job.name])}"
+        results.print(line, highlight=False, markup=False, soft_wrap=True)
+    return [rows[job.name] for job in jobs]
+
+
+def _results(jobs: Sequence[Job], executor: Executor, work: Work) -> Iterator[tuple[Job, JobResult]]:
+    """Yield first the results of finished jobs, then those of the others as they arrive."""
+    finished = [(job, result) for job in jobs if (result := read_result(job))]
+    yield from finished
+    names = {job.name for job, _ in finished}
+    for ended in executor.run(work, [job for job in jobs if job.name not in names]):
+        if isinstance(ended, Failed):
+            yield ended.item, JobResult(ended.item.name, {}, ended.reason)
+        else:
+            yield ended.item, ended.result

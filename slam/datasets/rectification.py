@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.datasets.lens import CameraModel
+from slam.datasets.distortion_models import CameraModel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from place_recognition.evaluation.ground_truth import RevisitRule, truth_from_poses
-from slam.record import LoopRow
+from slam.run_result import LoopRow
 
 Array = NDArray[np.float64]
 

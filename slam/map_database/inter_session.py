@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.features import FeatureCache, FeatureExtractor, LocalFeatures
+from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import FrameLandmarks, LoopClosure, LoopVerification, Rejection
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.system import Components, LoopCandidate, LoopVerifier
 
 Image = NDArray[np.uint8]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.mapping.fusion import Surface
-from slam.storage.atomic import atomic_writer
+from slam.io.atomic import atomic_writer
+from slam.mapping.tsdf import Surface
 
 Array = NDArray[np.float64]
 

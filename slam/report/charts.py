@@ -5,11 +5,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slam.evaluation.trajectory import distances_along
-from slam.record import RunRecord
 from slam.report import colours
-from slam.report.alignment import anchor_ground_truth, position_errors
-from slam.report.figures import INK, new_figure, style_axes
-from slam.report.reading import is_scaled, kept, stage_times
+from slam.report.formatting import is_scaled, kept, stage_times
+from slam.report.trajectory_figure import INK, anchor_ground_truth, new_figure, position_errors, style_axes
+from slam.run_result import RunRecord
 
 _ESTIMATES = (
     ("odometry", colours.ODOMETRY, "-"),

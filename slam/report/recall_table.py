@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from slam.report import colours
-from slam.report.figures import INK, new_figure
+from slam.report.trajectory_figure import INK, new_figure
 
 # Published R@P100 in per cent: the chapter, Table 4.2, which has no baselines.
 DATASETS = ("KITTI 00", "KITTI 05", "Malaga 2009 6L", "New College", "City Centre")

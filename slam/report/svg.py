@@ -8,7 +8,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from slam.report import colours
-from slam.report.figures import INK, save_figure
+from slam.report.trajectory_figure import INK, save_figure
 
 # The style sheet gives each of these variables a value for light pages and one for dark pages.
 _THEMED = {

@@ -5,11 +5,11 @@
 
 from typing import TYPE_CHECKING
 
-from slam.simulation.spec import SimulationConfig
+from slam.simulation.scenario.config import SimulationConfig
 
 if TYPE_CHECKING:
-    from slam.simulation.drive import simulate
-    from slam.simulation.truth import loop_truth
+    from slam.simulation.ground_truth import loop_truth
+    from slam.simulation.simulator import simulate
 
 __all__ = ["SimulationConfig", "loop_truth", "simulate"]
 
@@ -17,11 +17,11 @@ __all__ = ["SimulationConfig", "loop_truth", "simulate"]
 def __getattr__(name: str) -> object:
     """Import the renderer and its compiler on first use: the command line needs the configuration alone."""
     if name == "simulate":
-        from slam.simulation.drive import simulate
+        from slam.simulation.simulator import simulate
 
         return simulate
     if name == "loop_truth":
-        from slam.simulation.truth import loop_truth
+        from slam.simulation.ground_truth import loop_truth
 
         return loop_truth
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,10 +11,10 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
-from slam.mapping.fusion import Surface
+from slam.io.atomic import replacing
+from slam.mapping.tsdf import Surface
 from slam.report import colours
-from slam.storage.atomic import replacing
-from slam.viewer import shapes
+from slam.viewer import rerun_archetypes
 from slam.viewer.blueprint import blueprint
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def continue_recording(path: Path) -> rr.RecordingStream:
 
 def _log(recording: rr.RecordingStream, placed: PlacedMap) -> None:
     root = f"world/dense_{placed.state}"
-    recording.log(f"{root}/path", shapes.line_drawer(_COLOURS[placed.state])(placed.positions), static=True)
+    recording.log(f"{root}/path", rerun_archetypes.line_drawer(_COLOURS[placed.state])(placed.positions), static=True)
     for number, surface in enumerate(placed.surfaces):
         if len(surface.triangles):
-            recording.log(f"{root}/submap_{number:04d}", shapes.draw_mesh(surface), static=True)
+            recording.log(f"{root}/submap_{number:04d}", rerun_archetypes.draw_mesh(surface), static=True)

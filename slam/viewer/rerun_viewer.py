@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.se3 import inverse
-from place_recognition.evaluation.matrix import SimilarityMatrix
+from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.errors import OutputError
-from slam.record import LoopRow, RunRecord
 from slam.report import colours
-from slam.report.alignment import anchor_ground_truth, position_errors
-from slam.report.reading import is_scaled, kept, rejected
-from slam.viewer import shapes
+from slam.report.formatting import is_scaled, kept, rejected
+from slam.report.trajectory_figure import anchor_ground_truth, position_errors
+from slam.run_result import LoopRow, RunRecord
+from slam.viewer import rerun_archetypes
 from slam.viewer.blueprint import blueprint
-from slam.viewer.growing import GrowingEntity
-from slam.viewer.listener import start_viewer
 from slam.viewer.recording_file import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
+from slam.viewer.rerun_archetypes import GrowingEntity
 from slam.viewer.viewer import FrameView, LoopView
+from slam.viewer.viewer_process import start_viewer
 
 _LOG = logging.getLogger(__name__)
 
@@ -85,9 +85,11 @@ class RerunViewer:
         self._send_blueprint(self._positions)
         self._log_scenery()
         self._first_time: float | None = None
-        self._odometry = self._growing("world/odometry", shapes.line_drawer(colours.ODOMETRY), _MAX_LINE_ROWS)
-        self._corrected = self._growing("world/corrected", shapes.line_drawer(colours.CORRECTED), _MAX_LINE_ROWS)
-        self._landmarks = self._growing("world/landmarks", shapes.draw_landmarks, _MAX_LANDMARK_ROWS)
+        self._odometry = self._growing("world/odometry", rerun_archetypes.line_drawer(colours.ODOMETRY), _MAX_LINE_ROWS)
+        self._corrected = self._growing(
+            "world/corrected", rerun_archetypes.line_drawer(colours.CORRECTED), _MAX_LINE_ROWS
+        )
+        self._landmarks = self._growing("world/landmarks", rerun_archetypes.draw_landmarks, _MAX_LANDMARK_ROWS)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
 
     def restore(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
@@ -107,12 +109,12 @@ class RerunViewer:
         self._set_time(view.index, view.timestamp)
         log, T = self._recording.log, view.T_world_camera
         log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-        log("world/camera/image", shapes.encode_jpeg(view.image))
-        log("world/camera/image/tracks", shapes.draw_tracks(view))
+        log("world/camera/image", rerun_archetypes.encode_jpeg(view.image))
+        log("world/camera/image/tracks", rerun_archetypes.draw_tracks(view))
         self._odometry.append(view.T_world_camera_odometry[None, :3, 3])
         self._corrected.append(T[None, :3, 3])
         if view.landmarks_world is not None:
-            self._landmarks.append(shapes.subsample(view.landmarks_world, _MAX_LANDMARKS))
+            self._landmarks.append(rerun_archetypes.subsample(view.landmarks_world, _MAX_LANDMARKS))
         self._log_curves(view)
 
     def show_loop(self, view: LoopView, poses: Array) -> None:
@@ -131,7 +133,7 @@ class RerunViewer:
     def show_matrix(self, matrix: SimilarityMatrix) -> None:
         """Show the similarity matrix of the recogniser."""
         if len(matrix.values):
-            self._recording.log("places/matrix", shapes.render_matrix(matrix))
+            self._recording.log("places/matrix", rerun_archetypes.render_matrix(matrix))
 
     def finish(self, record: RunRecord) -> None:
         """Show the final trajectories, loops, maps and position errors."""
@@ -143,8 +145,8 @@ class RerunViewer:
         self._corrected.conclude(record.corrected[:, :3, 3])
         self._loops = {True: _pairs(kept(record)), False: _pairs(rejected(record))}
         self._log_loops(record.corrected)
-        self._recording.log("world/map_before", shapes.draw_cloud(record.map_before, colours.ODOMETRY))
-        self._recording.log("world/map_after", shapes.draw_cloud(record.map_after, "#ffffff"))
+        self._recording.log("world/map_before", rerun_archetypes.draw_cloud(record.map_before, colours.ODOMETRY))
+        self._recording.log("world/map_after", rerun_archetypes.draw_cloud(record.map_after, "#ffffff"))
         self._log_errors(record)
         if self._viewer is None:  # whoever watches has chosen a viewpoint, which a new blueprint would reset
             self._send_blueprint(record.corrected[:, :3, 3])
@@ -216,7 +218,7 @@ class RerunViewer:
         )  # fmt: skip
         log("world/camera/image", pinhole, static=True)
         if self._positions is not None:
-            log("world/ground_truth", shapes.draw_dashed_line(self._positions), static=True)
+            log("world/ground_truth", rerun_archetypes.draw_dashed_line(self._positions), static=True)
         for path, colour in _CURVES.items():
             log(
                 path,
@@ -253,15 +255,15 @@ class RerunViewer:
             (True, "accepted", colours.ACCEPTED),
             (False, "rejected", colours.REJECTED),
         ):
-            arrows, ends = shapes.draw_loops(self._loops[accepted], poses, colour)
+            arrows, ends = rerun_archetypes.draw_loops(self._loops[accepted], poses, colour)
             self._recording.log(f"world/loops/{name}", arrows)
             self._recording.log(f"world/loops/{name}/queries", ends)
 
     def _log_matched(self, path: str, image: NDArray[np.uint8] | None, pixels: Array) -> None:
         if image is not None:
             # half the size in each direction: a quarter of the bytes, and enough to compare the two images
-            self._recording.log(path, shapes.encode_jpeg(np.ascontiguousarray(image[::2, ::2])))
-            self._recording.log(f"{path}/inliers", shapes.draw_matches(pixels / 2))
+            self._recording.log(path, rerun_archetypes.encode_jpeg(np.ascontiguousarray(image[::2, ::2])))
+            self._recording.log(f"{path}/inliers", rerun_archetypes.draw_matches(pixels / 2))
 
     def _log_errors(self, record: RunRecord) -> None:
         truth = anchor_ground_truth(record)

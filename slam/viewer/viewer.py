@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.matrix import SimilarityMatrix
-from slam.record import RunRecord
+from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
+from slam.run_result import RunRecord
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import strategies as st
 
 from slam.config import RunConfig
-from slam.simulation.spec import SHAPES
+from slam.simulation.scenario.config import SHAPES
 
 from .valid_files import CALIB, CAMERA, TRUTH, toml
 from .valid_files import array_files as _arrays

@@ -11,25 +11,25 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
-from place_recognition.map.vocabulary import load_vocabulary
-from slam.benchmark.sweep import read_sweep
+from place_recognition.vocabulary.vocabulary import load_vocabulary
+from slam.apps.train_filter import read_similarities
+from slam.benchmark.sweep_config import read_sweep
+from slam.components import read_checked_config
 from slam.datasets.dataset import Dataset
-from slam.datasets.images import read_grey, read_times
-from slam.datasets.open import open_dataset
+from slam.datasets.formats.image_sequence import read_grey, read_times
+from slam.datasets.formats.registry import open_dataset
 from slam.datasets.video import open_video
 from slam.errors import DataError
-from slam.evaluation.truth import read_revisit_truth
-from slam.filter_training import read_similarities
-from slam.mapping.ply import read_cloud
-from slam.parts import read_checked_config
-from slam.simulation.routes import read_plan
-from slam.storage.calibration import read_calibration
-from slam.storage.g2o import Graph, read_g2o
-from slam.storage.landmarks import read_landmark_observers
-from slam.storage.matches import read_matches
-from slam.storage.metrics import read_metrics
-from slam.storage.tables import read_events, read_frames, read_loops, read_stages
-from slam.storage.trajectory import read_trajectory
+from slam.evaluation.ground_truth import read_revisit_truth
+from slam.io.calibration import read_calibration
+from slam.io.csv_tables import read_events, read_frames, read_loops, read_stages
+from slam.io.g2o import Graph, read_g2o
+from slam.io.landmarks import read_landmark_observers
+from slam.io.matches import read_matches
+from slam.io.metrics import read_metrics
+from slam.io.ply import read_cloud
+from slam.io.trajectory import read_trajectory
+from slam.simulation.scenario.trajectory import read_plan
 
 from . import generation as made
 from . import valid_files as valid

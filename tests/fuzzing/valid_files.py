@@ -11,14 +11,14 @@ from scipy.io import savemat
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from place_recognition.map.vocabulary import Vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
 from slam.config import RunConfig, to_toml
-from slam.mapping.ply import write_cloud
-from slam.record import PointCloud
-from slam.storage.calibration import write_calibration
-from slam.storage.landmarks import write_landmark_observers
-from slam.storage.tables import FrameTable, write_events, write_frames, write_loops, write_stages
-from slam.storage.trajectory import write_kitti, write_tum
+from slam.io.calibration import write_calibration
+from slam.io.csv_tables import FrameTable, write_events, write_frames, write_loops, write_stages
+from slam.io.landmarks import write_landmark_observers
+from slam.io.ply import write_cloud
+from slam.io.trajectory import write_kitti, write_tum
+from slam.run_result import PointCloud
 
 from ..slam.report import fabricate
 from .valid_media import IMAGE, SIZE, written
@@ -142,7 +142,7 @@ def tables() -> dict[str, bytes]:
 
 
 def calibration() -> bytes:
-    from odometry.calibration import Calibration, CalibrationConfig
+    from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 
     learned = Calibration.unknown(StereoCamera(10, 10, 8, 6, 0.5, *SIZE), CalibrationConfig())
     return written("a.toml", lambda path: write_calibration(path, learned))

@@ -8,13 +8,13 @@ import numpy as np
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
-from place_recognition.evaluation.matrix import MatrixRecorder
+from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from place_recognition.recognizer import Belief
 from slam.config import RunConfig, to_toml
 from slam.errors import DataError
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.loop_closing import FrameLandmarks, LoopClosure, Rejection
-from slam.map_store.store import Checkpoint, LoopOutcome, MapDatabase, OptimizedSession, Session
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, Rejection
+from slam.map_database.database import Checkpoint, LoopOutcome, MapDatabase, OptimizedSession, Session
 
 FRAMES = 3
 

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 # Not what numba compiles.
 _WATCHED = [
-    "slam.benchmark.sweep", "slam.config", "slam.datasets", "slam.evaluation.truth", "slam.filter_training",
-    "slam.mapping.ply", "slam.simulation.routes", "slam.storage", "place_recognition.evaluation",
-    "place_recognition.map.vocabulary_file", "pykitti", "rosbags", "tomllib", "yaml", "json", "csv",
+    "slam.benchmark.sweep_config", "slam.config", "slam.datasets", "slam.evaluation.ground_truth", "slam.apps.train_filter",
+    "slam.io.ply", "slam.simulation.scenario.trajectory", "slam.io", "place_recognition.evaluation",
+    "place_recognition.vocabulary.vocabulary_file", "pykitti", "rosbags", "tomllib", "yaml", "json", "csv",
 ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.two_views import StereoTracks
+from odometry.stereo.two_view_adjustment import StereoTracks
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -5,8 +5,8 @@ import pytest
 
 from odometry import se3
 from odometry.camera import StereoCamera, clamp_inverse_depth
-from odometry.lens import LensDistortion
-from odometry.points import FrameObservations, ObservationTable, Points, clamp_points
+from odometry.distortion import LensDistortion
+from odometry.inverse_depth_points import FrameObservations, ObservationTable, Points, clamp_points
 
 CAMERA = StereoCamera(fx=350.0, fy=350.0, cx=255.5, cy=111.5, baseline=0.5, width=512, height=224)
 LENS = LensDistortion(CAMERA, np.zeros(3), np.eye(3))

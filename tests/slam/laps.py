@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from odometry import se3
-from slam.loop_closing import LoopClosure
-from slam.pose_graph import PoseGraph, PoseGraphConfig
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 STEP_COVARIANCE = np.diag(np.repeat(np.square([5e-4, 0.01]), 3))
 LOOP_COVARIANCE = np.diag(np.repeat(np.square([2e-3, 0.03]), 3))

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam import cli
-from slam.benchmark.command import BenchmarkOptions, make_jobs, run_benchmark, run_jobs
+from slam.benchmark.executor import Executor, SerialExecutor
 from slam.benchmark.job import Job, check_job, run_job
-from slam.benchmark.sweep import read_sweep
+from slam.benchmark.sweep import BenchmarkOptions, make_jobs, run_benchmark, run_jobs
+from slam.benchmark.sweep_config import read_sweep
+from slam.cli import app
 from slam.config import RunConfig
-from slam.datasets.source import DatasetSpec
-from slam.engine.engine import Executor, SerialExecutor
+from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError
 
 QUIET = Console(quiet=True)
@@ -156,7 +156,7 @@ def test_without_dask_the_message_has_the_command_that_installs_it(
 ):
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = ["benchmark", str(sweep), "--out", str(sweep.parent / "none"), "--workers", "2"]
-    assert cli._exit_code(lambda: cli.app(arguments)) == cli.EXIT_USAGE
+    assert app._exit_code(lambda: app.app(arguments)) == app.EXIT_USAGE
     message = capsys.readouterr().err
     assert "pip install 'revisit-slam[cluster]'" in message
     assert message.count("\n") == 1

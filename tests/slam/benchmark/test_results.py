@@ -8,9 +8,18 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam.benchmark.latex import escape_latex, latex_table
 from slam.benchmark.report import recall_over_error_figure, render_page, write_benchmark_report
-from slam.benchmark.results import ResultRow, format_row, make_row, median_rows, summary_table, write_csv, write_json
+from slam.benchmark.results import (
+    ResultRow,
+    escape_latex,
+    format_row,
+    latex_table,
+    make_row,
+    median_rows,
+    summary_table,
+    write_csv,
+    write_json,
+)
 
 from ..report.browser import NO_BROWSER, browser, has_browser
 

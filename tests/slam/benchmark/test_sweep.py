@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam.benchmark.command import BenchmarkOptions, make_jobs
-from slam.benchmark.sweep import parse_sweep, read_sweep
+from slam.benchmark.sweep import BenchmarkOptions, make_jobs
+from slam.benchmark.sweep_config import parse_sweep, read_sweep
 from slam.config import RunConfig
-from slam.datasets.source import DatasetSpec
+from slam.datasets.dataset import DatasetSpec
 from slam.errors import ConfigError
 
 SOURCE = '[[sources]]\npath = "drive"\n'

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.datasets.lens import FISHEYE_MODELS, CameraModel
+from slam.datasets.distortion_models import FISHEYE_MODELS, CameraModel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.datasets.dataset import Frame
-from slam.datasets.kitti import open_kitti
+from slam.datasets.formats.kitti import open_kitti
 from slam.datasets.prefetch import prefetch
 from slam.errors import DataError
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.datasets.moments import MAX_GAP_S, MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
+from slam.datasets.time_sync import MAX_GAP_S, MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
 
 from .rig import turned
 

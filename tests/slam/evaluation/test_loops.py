@@ -8,8 +8,8 @@ import pytest
 from odometry import se3
 from place_recognition.evaluation.ground_truth import RevisitRule
 from slam.evaluation.loops import LoopRule, count_loops, find_revisits, is_same_place, is_true_loop
-from slam.record import LoopRow
-from slam.storage.trajectory import read_kitti
+from slam.io.trajectory import read_kitti
+from slam.run_result import LoopRow
 
 
 def circle(radius: float, laps: float, count: int, clockwise: bool = True) -> np.ndarray:

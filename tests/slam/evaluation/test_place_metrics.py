@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from place_recognition.recognizer import Belief
-from slam.place_metrics import COMMON_TOLERANCE_IMAGES, evaluate_places, measure_scores
+from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, evaluate_places, measure_scores
 
 COUNT = 60
 TRUTH = np.eye(COUNT, k=-30, dtype=bool)

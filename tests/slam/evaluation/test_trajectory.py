@@ -22,7 +22,7 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.storage.trajectory import read_kitti
+from slam.io.trajectory import read_kitti
 
 seeds = st.integers(0, 10_000)
 

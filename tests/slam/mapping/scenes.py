@@ -5,7 +5,7 @@ import numpy as np
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.mapping.dense_depth import DepthImage
+from slam.mapping.dense_stereo import DepthImage
 
 CAMERA = StereoCamera(359.4, 359.4, 309.5, 93.5, 0.54, 620, 188)
 CAMERA_HEIGHT = 1.71  # metres, and no multiple of a voxel, where the sign of a distance is a matter of rounding

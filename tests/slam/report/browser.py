@@ -10,7 +10,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 
-NO_BROWSER = "there is no chromium with its chromedriver here: python -m slam.doctor --install-browser"
+NO_BROWSER = "there is no chromium with its chromedriver here: python -m slam.apps.doctor --install-browser"
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",  # which Chromium refuses to have as root, as in a container

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 
 from odometry import se3
-from place_recognition.evaluation.matrix import SimilarityMatrix
 from place_recognition.evaluation.precision_recall import precision_recall
+from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from place_recognition.recognizer import Belief
-from slam.mapping.fusion import Surface
-from slam.mapping.occupancy import OccupancyGrid
-from slam.mapping.top_view import BirdsEyeView, PlaneWindow, render_birds_eye_view
-from slam.record import LoopEventRow, LoopRow, MatchedPixels, PointCloud, RunRecord, StageRow
-from slam.report.dense_section import DenseOverview, write_dense_page
+from slam.mapping.birds_eye_view import BirdsEyeView, PlaneWindow, render_birds_eye_view
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.tsdf import Surface
+from slam.report.dense_map_section import DenseOverview, write_dense_page
+from slam.run_result import LoopEventRow, LoopRow, MatchedPixels, PointCloud, RunRecord, StageRow
 
 RADIUS = 40.0
 LAP = 100

@@ -17,9 +17,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from slam.record import LoopRow, RunRecord
-from slam.report.evidence import make_album
-from slam.report.page import write_report
+from slam.report.html_report import write_report
+from slam.report.loop_details import make_album
+from slam.run_result import LoopRow, RunRecord
 
 from . import fabricate
 from .browser import NO_BROWSER, Browser, browser, has_browser

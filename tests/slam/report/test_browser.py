@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from slam.report.alignment import position_errors
-from slam.report.page import write_report
-from slam.report.reading import MISSING
-from slam.telling import describe_stages
+from slam.report.formatting import MISSING
+from slam.report.html_report import write_report
+from slam.report.loop_explanation import describe_stages
+from slam.report.trajectory_figure import position_errors
 
 from . import fabricate
 from .browser import NO_BROWSER, browser, has_browser

@@ -8,7 +8,7 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
-from slam.mapping.fusion import EMPTY_SURFACE, Surface
+from slam.mapping.tsdf import EMPTY_SURFACE, Surface
 from slam.viewer.dense_recording import PlacedMap, record_dense_map
 from slam.viewer.rerun_viewer import RerunViewer
 

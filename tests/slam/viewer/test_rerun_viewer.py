@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 
 from odometry.camera import StereoCamera
-from place_recognition.evaluation.matrix import SimilarityMatrix
+from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.errors import OutputError
-from slam.viewer import shapes
+from slam.viewer import rerun_archetypes
 from slam.viewer.rerun_viewer import RerunViewer
 from slam.viewer.viewer import FrameView, LoopView, NullViewer
 
@@ -130,7 +130,9 @@ def test_a_revisit_shows_in_the_matrix_however_many_images_share_a_cell(size):
     rows_, columns = np.tril_indices(size, -1)
     values[rows_, columns] = 1.0
     values[size - 1, size // 3] = 50.0
-    data = shapes.render_matrix(SimilarityMatrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
+    data = (
+        rerun_archetypes.render_matrix(SimilarityMatrix(values)).blob.as_arrow_array().to_numpy(zero_copy_only=False)[0]
+    )
     image = cv2.imdecode(np.asarray(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image.shape[0] == image.shape[1] <= 500
     if size > 1:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.report import colours
-from slam.viewer import listener
+from slam.viewer import viewer_process
 from slam.viewer.rerun_viewer import RerunViewer
 
 from ..report import fabricate
@@ -49,7 +49,7 @@ def wait_for(shown, colour) -> bool:
 
 
 def test_the_page_names_the_data_it_shows_and_is_gone_once_it_is_stopped():
-    viewer = listener.start_viewer(web=True)
+    viewer = viewer_process.start_viewer(web=True)
     with urlopen(viewer.page_url) as answer:
         assert b"<canvas" in answer.read()
     query = parse_qs(urlsplit(viewer.page_url).query)

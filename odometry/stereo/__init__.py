@@ -1,0 +1,1 @@
+"""Odometry of a stereo pair."""

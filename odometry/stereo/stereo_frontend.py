@@ -1,0 +1,115 @@
+"""Front end of the stereo odometry: corners of a pair of images, followed to the next pair."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.stereo.sliding_window import StereoFrameObservations
+from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right, refine_right
+from odometry.stereo.stereo_self_calibration import Calibration
+from odometry.stereo.two_view_adjustment import StereoTracks
+from odometry.tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Pair = tuple[Image, Image]
+
+_MIN_CLEAR_DISPARITY_PX = 2.0  # larger disparities than a calibration error explains
+_MIN_SWAPPED = 20  # points that must match only the other way round in a swapped pair
+
+
+@dataclass(frozen=True)
+class StereoObservation:
+    """A stereo pair and its tracked points.
+
+    Attributes:
+        pair: left and right image, (H, W) uint8.
+        points: points that are followed from this pair.
+
+    """
+
+    pair: Pair
+    points: StereoFrameObservations
+
+    def state(self) -> dict[str, Any]:
+        """Images and points, for a checkpoint."""
+        return {"left": self.pair[0], "right": self.pair[1], "points": dict(vars(self.points))}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> "StereoObservation":
+        """The view of a state."""
+        return cls((state["left"], state["right"]), StereoFrameObservations(**state["points"]))
+
+
+class StereoFrontEnd:
+    """Detects corners, numbers their tracks and follows them."""
+
+    def __init__(self, tracking: TrackingConfig, matching: StereoMatchingConfig) -> None:
+        self._tracking, self.matching = tracking, matching
+        self._count = 0
+
+    def observe(self, pair: Pair, kept: StereoFrameObservations | None = None) -> StereoObservation:
+        """Observe a pair: the points kept, topped up with new corners that the right image shows as well."""
+        kept = kept or StereoFrameObservations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+        corners = detect_corners(pair[0], kept.left, self._tracking)
+        places = match_right(*pair, corners, self.matching)
+        matched = np.isfinite(places[:, 0])
+        ids = self._count + np.arange(int(matched.sum()))
+        self._count += len(ids)
+        points = StereoFrameObservations(
+            np.concatenate([kept.ids, ids]),
+            np.concatenate([kept.left, corners[matched]]),
+            np.concatenate([kept.right, places[matched]]),
+        )
+        return StereoObservation((pair[0].copy(), pair[1].copy()), points)  # callers may use one buffer for all images
+
+    def follow(
+        self, view: StereoObservation, pair: Pair, guess: Array, calibration: Calibration, wide: bool = False
+    ) -> StereoTracks:
+        """Follow the points of a view to a pair of images, from where a guess (4, 4) of T_view_pair puts them."""
+        points, tracking = view.points, self._tracking.widen() if wide else self._tracking
+        ahead, shift = _predict(points, guess, calibration, pair[0])
+        # A wider search also allows for another exposure, as at the end of a tunnel.
+        left = match_brightness(view.pair[0], pair[0]) if wide else pair[0]
+        second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
+        # What the prediction got wrong in the left image it got wrong in the right one too.
+        start = second_left + shift
+        kept = np.flatnonzero(np.isfinite(start[:, 0]))
+        second_right = refine_right(pair, second_left[kept], start[kept], self.matching)
+        matched = np.isfinite(second_right[:, 0])
+        kept, second_right = kept[matched], second_right[matched]
+        return StereoTracks(points.left[kept], points.right[kept], second_left[kept], second_right, points.ids[kept])
+
+    def is_swapped(self, pair: Pair) -> bool:
+        """Whether left and right image are swapped: whether far more points match the other way round."""
+        counts = []
+        for one, other in (pair, pair[::-1]):
+            corners = detect_corners(one, np.zeros((0, 2)), self._tracking)
+            shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
+            counts.append(int((shifts > _MIN_CLEAR_DISPARITY_PX).sum()))
+        return counts[1] > max(_MIN_SWAPPED, 3 * counts[0])
+
+    def state(self) -> dict[str, Any]:
+        """Number of tracks that have got an id, for a checkpoint."""
+        return {"num_tracks": self._count}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._count = state["num_tracks"]
+
+
+def _predict(
+    points: StereoFrameObservations, guess: Array, calibration: Calibration, image: Image
+) -> tuple[Array, Array]:
+    """Predicted places (N, 2) of the points in the new left image, and right less left (N, 2), pixels."""
+    left, right = calibration.rectify(points.left, points.right)
+    disparity, camera = left[:, 0] - right[:, 0], calibration.camera
+    seen = camera.project(se3.transform(se3.inverse(guess), camera.triangulate(left, np.maximum(disparity, 0.1))))
+    # Distortion changes slowly over the image: what the point had before, it has now.
+    ahead, shift = seen[:, [0, 2]] + (points.left - left), points.right - points.left
+    visible = np.isfinite(ahead[:, 0]) & is_inside(ahead, image)
+    shift[:, 0] += np.where(visible, seen[:, 1] - seen[:, 0] + disparity, 0.0)
+    return np.where(visible[:, None], ahead, points.left), shift

@@ -1,0 +1,286 @@
+"""Stereo visual odometry: from each pair of images, how the camera moved since the one before.
+
+    odometry = StereoOdometry(camera)
+    for left, right in pairs:
+        T_world_camera = T_world_camera @ odometry.track(left, right).T_previous_current
+
+There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation, which
+`Motion.predicted` tells.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from odometry.camera import StereoCamera
+from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
+from odometry.motion_checks import MotionCheckConfig, MotionPrediction
+from odometry.reference_frame import Reference
+from odometry.stereo.sliding_window import SlidingWindow, StereoFrameObservations, WindowConfig
+from odometry.stereo.stereo_frontend import Pair, StereoFrontEnd, StereoObservation
+from odometry.stereo.stereo_matching import StereoMatchingConfig, match_disparity
+from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
+from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, TrackingResult
+from odometry.stereo.two_view_adjustment import AdjustmentConfig, TwoViewEstimate
+from odometry.tracking import TrackingConfig
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class StereoOdometryConfig:
+    """All settings of the odometry; the defaults serve any rectified pair.
+
+    Attributes:
+        tracking: choice and tracking of corners.
+        matching: search for them in the right image.
+        adjustment: two-view adjustment of each pair against its reference frame.
+        window: sliding window over the last reference frames.
+        calibration: prior of the calibration error.
+        motion_checks: checks that a motion must pass.
+        reference_spacing_m: distance from the reference frame at which a pair becomes the next one, metres.
+        reference_rotation_rad: rotation at which it does, radians.
+        min_reference_ratio: share of the reference frame's points below which it does.
+        max_lost_frames: images for which a lost reference frame is tried again when its successors fail.
+        covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
+            have if these erred independently in every image: tracks keep their errors while they live.
+        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next.
+        extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
+
+    """
+
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    matching: StereoMatchingConfig = field(default_factory=StereoMatchingConfig)
+    adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
+    window: WindowConfig = field(default_factory=WindowConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    motion_checks: MotionCheckConfig = field(default_factory=MotionCheckConfig)
+    reference_spacing_m: float = 0.1
+    reference_rotation_rad: float = 0.01
+    min_reference_ratio: float = 0.6
+    max_lost_frames: int = 50
+    covariance_scale: float = 9.0
+    extrapolation_sigma_rad: float = 0.02
+    extrapolation_sigma_m: float = 0.2
+
+
+class StereoOdometry:
+    """Measures the motion of a rectified stereo pair, frame by frame.
+
+    Attributes:
+        calibration: the pair's calibration error as learned so far; corrects disparities of any match.
+
+    """
+
+    def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
+        self._camera, self._config = camera, config or StereoOdometryConfig()
+        self.calibration = Calibration.unknown(camera, self._config.calibration)
+        self._front_end = StereoFrontEnd(self._config.tracking, self._config.matching)
+        self._tracker = StereoTracker(self._front_end, self._config.adjustment, self._config.motion_checks)
+        self._window = SlidingWindow(self._config.window)
+        self._frame_counter = FrameCounter()
+        self._reference: Reference[StereoObservation] | None = None
+        self._lost: Reference[StereoObservation] | None = (
+            None  # an earlier reference that its successor was not measured from
+        )
+        self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
+        self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
+        self._unmeasured = 0  # images since the last measurement
+
+    def track(self, left: Image, right: Image, timestamp: float | None = None) -> Motion:
+        """Measure the motion since the previous pair.
+
+        Args:
+            left: (H, W) uint8 of the camera's size.
+            right: of the same size, taken at the same time.
+            timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
+
+        Raises:
+            ValueError: images of another size or type.
+
+        """
+        self._check(left, right)
+        steps = self._frame_counter.frames_since_last(timestamp)
+        self._unmeasured += steps
+        if self._reference is None:
+            return self._begin((left, right))
+        motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
+        self._reference = self._reference.age(steps)
+        self._lost = (
+            self._lost.age(steps) if self._lost and self._lost.age_frames < self._config.max_lost_frames else None
+        )
+        return self._measure((left, right), motion)
+
+    def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
+        """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
+
+        NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
+        """
+        matched = match_disparity(left, right, pixels, self._config.matching)
+        return self.calibration.correct_disparity(pixels, matched)
+
+    def _check(self, left: Image, right: Image) -> None:
+        expected = (self._camera.height, self._camera.width)
+        for side, image in (("left", left), ("right", right)):
+            if image.shape != expected or image.dtype != np.uint8:
+                raise ValueError(
+                    f"expected the {side} image to be {expected} uint8 as the camera says, "
+                    f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
+                )
+
+    def _begin(self, pair: Pair) -> Motion:
+        """Take the first pair as the reference, unless its images are swapped."""
+        first = self._unmeasured == 1
+        covariance = FIRST_VARIANCE * np.eye(6) if first else self._extrapolation_covariance(self._unmeasured)
+        if self._front_end.is_swapped(pair):
+            return Motion(np.eye(4), covariance, True, SWAPPED)
+        self._restart(self._front_end.observe(pair))
+        return Motion(np.eye(4), covariance, False, "")
+
+    def _measure(self, pair: Pair, motion: Array) -> Motion:
+        """Measure from the reference frame, else from the lost one, else extrapolate by the motion (4, 4)."""
+        reason = None
+        for reference in filter(None, (self._reference, self._lost)):
+            expected = self._expect(reference, pair, motion)
+            located = self._tracker.track(reference.view, pair, expected, self.calibration)
+            if located.estimate is not None and not located.reason:
+                return self._accept(reference, pair, located, located.estimate)
+            reason = reason or located.reason
+            if reason == SWAPPED:
+                break
+        return self._extrapolate(pair, motion, reason or "")
+
+    def _expect(self, reference: Reference[StereoObservation], pair: Pair, motion: Array) -> MotionPrediction | None:
+        """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
+        if np.array_equal(pair[0], reference.view.pair[0]):  # the same image again was taken at the same place
+            return MotionPrediction(np.eye(4))
+        if self._velocity is None:
+            return None
+        T_reference_current = reference.T_reference_previous @ motion
+        distance_m = reference.age_frames * min(self._speeds)
+        return MotionPrediction(
+            T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, distance_m
+        )
+
+    def _accept(
+        self, reference: Reference[StereoObservation], pair: Pair, located: TrackingResult, estimate: TwoViewEstimate
+    ) -> Motion:
+        """Accept a measured motion; a pair far enough from the reference frame becomes the next one."""
+        T_reference_current = estimate.T_first_second
+        self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0
+        self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
+        if reference is not self._reference:  # found again: what was between need not be looked for
+            self._restart(self._front_end.observe(pair))
+        elif self._is_far_from_reference(estimate):
+            self._learn(estimate)
+            T_reference_current = self._renew(pair, located, estimate)
+        else:
+            self._reference = reference.update(T_reference_current)
+        T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
+        Ad = se3.adjoint(se3.inverse(T_previous_current))
+        covariance = self._config.covariance_scale * estimate.covariance + Ad @ reference.covariance_previous @ Ad.T
+        if self._lost:
+            self._lost = self._lost.extend(T_previous_current, covariance)
+        tracks, good = located.tracks, estimate.inliers
+        return Motion(
+            T_previous_current, covariance, False, "",
+            tracks.first_left, tracks.second_left, good, estimate.residual_px,
+        )  # fmt: skip
+
+    def _is_far_from_reference(self, estimate: TwoViewEstimate) -> bool:
+        """Whether a pair is far from the reference frame. A near one would only add the error of another link."""
+        assert self._reference is not None
+        T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
+        far = (
+            np.linalg.norm(T[:3, 3]) > self._config.reference_spacing_m
+            or se3.angle(T) > self._config.reference_rotation_rad
+        )
+        return bool(far or estimate.inliers.sum() < self._config.min_reference_ratio * seen)
+
+    def _learn(self, estimate: TwoViewEstimate) -> None:
+        if np.linalg.norm(estimate.T_first_second[:3, 3]) > self._config.motion_checks.min_moving_m:
+            # A camera at rest learns nothing new: the same points have the same errors again.
+            self.calibration = self.calibration.update(
+                estimate.calibration, estimate.information, self._config.calibration
+            )
+
+    def _renew(self, pair: Pair, located: TrackingResult, estimate: TwoViewEstimate) -> Array:
+        """Make a pair the reference frame; return its refined pose (4, 4) in the old one."""
+        if not located.followed:
+            self._restart(self._front_end.observe(pair))
+            return estimate.T_first_second
+        good, tracks = estimate.inliers, located.tracks
+        view = self._front_end.observe(
+            pair, StereoFrameObservations(tracks.ids[good], tracks.second_left[good], tracks.second_right[good])
+        )
+        self._reference = Reference(view)
+        return self._window.refine(view.points, estimate.T_first_second, self.calibration)
+
+    def _extrapolation_covariance(self, images: int) -> Array:
+        """Covariance (6, 6) of a motion that was not measured for a number of images."""
+        return extrapolation_covariance(
+            self._config.extrapolation_sigma_rad, self._config.extrapolation_sigma_m, images
+        )
+
+    def _extrapolate(self, pair: Pair, T_previous_current: Array, reason: str) -> Motion:
+        """Extrapolate at constant velocity; this pair becomes the reference frame if it shows enough points."""
+        assert self._reference is not None
+        covariance = self._extrapolation_covariance(self._unmeasured)
+        bridged = self._reference.extend(T_previous_current, covariance)
+        self._lost = self._lost and self._lost.extend(T_previous_current, covariance)
+        view = None if reason == SWAPPED else self._front_end.observe(pair)
+        if view is None or len(view.points.ids) < self._config.motion_checks.min_tracks:
+            self._reference = bridged  # a pair that shows nothing is left out
+        else:
+            lost = self._lost or bridged
+            self._restart(view)
+            self._lost = lost
+        return Motion(T_previous_current, covariance, True, reason)
+
+    def _restart(self, view: StereoObservation) -> None:
+        """Begin a new window with this view as the reference frame."""
+        self._window.restart(view.points)
+        self._reference, self._lost = Reference(view), None
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from pair to pair: dicts, lists, plain values and arrays, for a checkpoint."""
+        return {
+            "calibration_coefficients": self.calibration.coefficients,
+            "calibration_covariance": self.calibration.covariance,
+            "front_end": self._front_end.state(),
+            "window": self._window.state(),
+            "frame_counter": self._frame_counter.state(),
+            "reference": None if self._reference is None else self._reference.state(self._reference.view.state()),
+            "lost_reference": None if self._lost is None else self._lost.state(self._lost.view.state()),
+            "velocity": self._velocity,
+            "speeds": list(self._speeds),
+            "frames_unmeasured": self._unmeasured,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue, bit for bit, from the state of another odometry of the same camera and configuration.
+
+        Raises:
+            KeyError, TypeError, ValueError: the state is of another odometry.
+        """
+        coefficients, covariance = state["calibration_coefficients"], state["calibration_covariance"]
+        self.calibration = Calibration(self._camera, coefficients, covariance)
+        self._front_end.restore(state["front_end"])
+        self._window.restore(state["window"])
+        self._frame_counter.restore(state["frame_counter"])
+        self._reference = self._restored_reference(state["reference"])
+        self._lost = self._restored_reference(state["lost_reference"])
+        self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
+
+    def _restored_reference(self, state: dict[str, Any] | None) -> Reference[StereoObservation] | None:
+        if state is None:
+            return None
+        view = StereoObservation.from_state(state["view"])
+        self._check(*view.pair)
+        return Reference(**(state | {"view": view}))

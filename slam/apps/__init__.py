@@ -1,0 +1,1 @@
+"""One file a command: what each command of the command line does."""

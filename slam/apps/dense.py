@@ -1,0 +1,201 @@
+"""`revisit dense`: dense maps of a run before and after correction, and an occupancy grid."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from odometry.stereo.stereo_self_calibration import Calibration
+from slam.config import read_config
+from slam.datasets.dataset import Dataset, DatasetSpec
+from slam.datasets.formats.registry import open_dataset
+from slam.errors import ConfigError, DataError, OutputError
+from slam.io.calibration import read_calibration
+from slam.io.csv_tables import read_frames
+from slam.io.metrics import read_metrics
+from slam.io.run_folder import STAGING
+from slam.io.trajectory import read_tum
+from slam.keyframes import KeyFrameConfig
+from slam.mapping.birds_eye_view import PlaneWindow, render_birds_eye_view
+from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
+from slam.mapping.mesh_writer import write_mesh
+from slam.mapping.occupancy_grid import OccupancyGrid, build_occupancy_grid, write_occupancy_grid
+from slam.mapping.submaps import SubmapStore
+from slam.mapping.tsdf import FusionConfig
+from slam.pipeline.progress import progress_bar
+from slam.report.dense_map_section import DenseOverview, write_dense_page
+from slam.report.html_report import DENSE_PAGE
+from slam.viewer.dense_recording import PlacedMap, record_dense_map
+
+Array = NDArray[np.float64]
+
+RECORDING, DENSE_RECORDING = "recording.rrd", "dense.rrd"
+RESULTS = (
+    "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
+    DENSE_PAGE, DENSE_RECORDING,
+)  # fmt: skip
+_PIXEL_VOXELS = 4 / 3  # size of a pixel of the page's pictures: smaller ones leave gaps between the points
+
+
+@dataclass(frozen=True)
+class DenseOptions:
+    """Options of a dense map.
+
+    Attributes:
+        run: folder of a run, to which the results are written.
+        source: new place of its recording, or None if that has not moved.
+        voxel_m: edge of a voxel, about the distance between points, metres.
+        max_depth_m: maximum depth of fused pixels, metres.
+        overwrite: whether an existing dense map is replaced.
+    """
+
+    run: Path
+    source: Path | None = None
+    voxel_m: float = FusionConfig.voxel_m
+    max_depth_m: float = FusionConfig.max_depth_m
+    overwrite: bool = False
+
+    @property
+    def config(self) -> DenseMapConfig:
+        """Configuration of the fusion.
+
+        Raises:
+            ConfigError: a number is not positive and finite.
+        """
+        try:
+            return DenseMapConfig(fusion=FusionConfig(voxel_m=self.voxel_m, max_depth_m=self.max_depth_m))
+        except ValueError as error:
+            raise ConfigError(f"--voxel-size, --max-depth: {error}") from None
+
+
+@dataclass(frozen=True)
+class MappedRun:
+    """The parts of a run that a dense map needs.
+
+    Attributes:
+        drive: the recording.
+        calibration: calibration that the run has estimated.
+        odometry: trajectory within a submap.
+        corrected: corrected trajectory, (F, 4, 4), metres, which moves the submaps.
+        key_frames: rule for the choice of key frames.
+    """
+
+    drive: Dataset
+    calibration: Calibration
+    odometry: OdometryTrajectory
+    corrected: Array
+    key_frames: KeyFrameConfig
+
+    @property
+    def states(self) -> dict[str, Array]:
+        """Trajectories before and after correction, (F, 4, 4), metres."""
+        return {"before": self.odometry.T_world_camera, "after": self.corrected}
+
+
+def read_run(run: Path, source: Path | None = None) -> MappedRun:
+    """Read the files of a run and open its recording, which may have moved to `source`.
+
+    Raises:
+        DataError: a file is missing or damaged, or files do not belong to one run.
+    """
+    calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
+    drive = open_dataset(recording)
+    if not drive.has_right or drive.camera != calibration.camera:
+        raise DataError(
+            f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
+        )
+    odometry, corrected = (read_tum(run / f"trajectory_{name}.tum")[1] for name in ("odometry", "corrected"))
+    predicted = read_frames(run / "frames.csv").predicted
+    if not len(odometry) == len(corrected) == len(predicted) <= len(drive):
+        raise DataError(
+            f"{run}: expected one pose in both trajectories for each line of frames.csv, and an image for each, found"
+            f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(drive)}; run again"
+        )
+    key_frames = read_config(run / "config.toml").key_frames
+    return MappedRun(drive, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
+
+
+def _recording(run: Path, source: Path | None) -> DatasetSpec:
+    metrics = read_metrics(run / "metrics.json")
+    try:
+        recording = DatasetSpec.from_metrics(metrics["recording"])  # type: ignore[arg-type]
+    except (KeyError, TypeError):
+        raise DataError(
+            f"{run / 'metrics.json'}: expected the recording that was read, found none; make the run again"
+        ) from None
+    return recording if source is None else replace(recording, path=source)
+
+
+def build_dense_map(options: DenseOptions, messages: Console) -> str:
+    """Fuse the depth of a run, write maps, grid, page and recording into its folder, and return a summary line.
+
+    Raises:
+        ConfigError: a number is not positive and finite.
+        DataError: the run or its recording cannot be read.
+        OutputError: a dense map exists and is not to be replaced, or the results cannot be written.
+    """
+    run, config = options.run, options.config
+    present = [name for name in RESULTS if (run / name).exists()]
+    if present and not options.overwrite:
+        raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
+    driven = read_run(run, options.source)
+    groups = group_key_frames(driven.odometry, driven.key_frames, config.submap_frames)
+    total = sum(map(len, groups))
+    with _folder_in(run) as folder:
+        store, mapper = SubmapStore(folder), DenseMapper(driven.calibration, config)
+        with progress_bar(messages, "Fusing") as progress:
+            for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
+                progress(done, total)
+        grid = build_occupancy_grid(store, driven.corrected)
+        _write(run, store, driven, grid)
+        _write_page(run / DENSE_PAGE, store, driven, grid, config.fusion)
+        _record(run, store, driven, messages)
+    written = [name for name in RESULTS if (run / name).exists()]
+    return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(written)}"
+
+
+@contextmanager
+def _folder_in(run: Path) -> Iterator[Path]:
+    """Make a temporary folder for submaps on the disk of the run: /tmp may be in memory."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=STAGING, dir=run)
+    except OSError as error:
+        raise OutputError(f"{run}: cannot be written, {error.strerror}; copy the run to another folder") from error
+    with folder as name:
+        yield Path(name)
+
+
+def _write(run: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid) -> None:
+    for state, poses in driven.states.items():
+        surfaces = partial(store.surfaces_in_world, poses)
+        write_mesh(run / f"dense_{state}.ply", surfaces, with_triangles=False)
+        write_mesh(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
+    write_occupancy_grid(run / "occupancy.yaml", grid)
+
+
+def _write_page(page: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid, config: FusionConfig) -> None:
+    positions = np.concatenate([poses[:, :3, 3] for poses in driven.states.values()])
+    window = PlaneWindow.around(positions, config.max_depth_m, _PIXEL_VOXELS * config.voxel_m)
+    maps = [
+        DenseOverview(state, render_birds_eye_view(store.surfaces_in_world(poses), window), poses[:, :3, 3])
+        for state, poses in driven.states.items()
+    ]
+    write_dense_page(page, maps, window, grid)
+
+
+def _record(run: Path, store: SubmapStore, driven: MappedRun, messages: Console) -> None:
+    """Write the maps as a recording beside the run's own, if it has one; a damaged one costs a line, not the maps."""
+    recording = run / RECORDING
+    if not recording.exists():
+        return
+    maps = (PlacedMap(state, store.surfaces_in_world(poses), poses[:, :3, 3]) for state, poses in driven.states.items())
+    try:
+        record_dense_map(run / DENSE_RECORDING, recording, driven.drive.camera, maps)
+    except DataError as error:
+        messages.print(f"no {DENSE_RECORDING}: {error}", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,204 @@
+"""`revisit locate`: a saved map and images in, their poses out.
+
+The images to be localized: one, a folder, a video, or the left images of a dataset.
+"""
+
+import json
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.markup import escape
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from odometry.camera import StereoCamera
+from place_recognition.image_processing.local_features import FeatureExtractor
+from place_recognition.paradigms.registry import make_feature_extractor
+from slam.config import RunConfig, from_values
+from slam.datasets.dataset import DatasetSpec
+from slam.datasets.formats.image_sequence import IMAGE_SUFFIXES, ImageSequence
+from slam.datasets.formats.recording import ImageDataset, LeftImages
+from slam.datasets.formats.registry import open_images
+from slam.errors import ConfigError, DataError
+from slam.io.csv_tables import write_table
+from slam.localization.keyframe_map import SavedMap
+from slam.localization.localizer import LocalizationResult, Localizer, NotLocalized
+from slam.map_database.database import MapDatabase, map_file
+from slam.pipeline.progress import progress_bar
+
+Image = NDArray[np.uint8]
+
+_CAMERA_TOLERANCE = 0.01  # share of the image's width by which two calibrations of one camera may differ
+
+
+@dataclass(frozen=True)
+class Queries:
+    """Images of the camera of a map.
+
+    Attributes:
+        images: the images; their order is not used.
+        camera: camera of the map.
+    """
+
+    images: ImageDataset
+    camera: StereoCamera
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __iter__(self) -> Iterator[tuple[str, Image]]:
+        """Name and content of each image.
+
+        Raises:
+            DataError: one cannot be read, or has another size than those of the map.
+        """
+        for index in range(len(self)):
+            name, image = self._name(index), self.images[index]
+            if image.shape != (self.camera.height, self.camera.width):
+                size = f"{self.camera.width} x {self.camera.height}"
+                raise DataError(
+                    f"{self._where(index)}: expected {size} pixels as in the map, found {image.shape[1]} x"
+                    f" {image.shape[0]}; give images of the camera that made the map"
+                )
+            yield name, image
+
+    def _name(self, index: int) -> str:
+        return self.images.files[index].name if isinstance(self.images, ImageSequence) else self._where(index)
+
+    def _where(self, index: int) -> str:
+        return self.images.where(index) if isinstance(self.images, ImageSequence) else f"{self.images.name}:{index}"
+
+
+def open_queries(source: DatasetSpec, camera: StereoCamera) -> Queries:
+    """Open images that the camera of a map has taken.
+
+    Raises:
+        DataError: there are none, or they are said to come from another camera.
+    """
+    if source.path.is_file() and source.path.suffix.lower() in IMAGE_SUFFIXES:
+        return Queries(ImageSequence(source.path.stem, (source.path,), None), camera)
+    images = open_images(source)
+    if isinstance(images, LeftImages):
+        _compare(source.path, images.dataset.camera, camera)
+    return Queries(images, camera)
+
+
+def _compare(path: Path, found: StereoCamera, expected: StereoCamera) -> None:
+    numbers = [np.array([camera.fx, camera.fy, camera.cx, camera.cy]) for camera in (found, expected)]
+    if np.abs(numbers[0] - numbers[1]).max() > _CAMERA_TOLERANCE * expected.width:
+        shown = [", ".join(f"{value:.1f}" for value in each) for each in numbers]
+        raise DataError(
+            f"{path}: expected the camera of the map, fx, fy, cx, cy = {shown[1]}, found {shown[0]};"
+            " give images of the camera that made the map"
+        )
+
+
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
+_COLUMNS = (
+    "image", "localized", *_POSE, "inliers", "position_sigma_m", "rotation_sigma_deg", "matched_image", "map_id",
+    "reason",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LocateOptions:
+    """Options of `revisit locate`.
+
+    Attributes:
+        map: map database, or the folder of a run that holds one.
+        images: images to be localized.
+        out: CSV file for the poses; None to write none.
+    """
+
+    map: Path
+    images: DatasetSpec
+    out: Path | None = None
+
+
+@dataclass(frozen=True)
+class QueryResult:
+    """Result for one image.
+
+    Attributes:
+        name: name of the image.
+        found: its pose, or why there is none.
+    """
+
+    name: str
+    found: LocalizationResult | NotLocalized
+
+    def cells(self) -> dict[str, object]:
+        """The result by its columns; None where it has no value."""
+        found = self.found
+        values: dict[str, object] = dict.fromkeys(_COLUMNS)
+        values |= {"image": self.name, "inliers": found.inliers, "matched_image": found.image}
+        if isinstance(found, NotLocalized):
+            return values | {"localized": False, "reason": found.reason}
+        numbers = [*found.T_world_camera[:3, 3], *Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()]
+        pose = dict(zip(_POSE, map(float, numbers), strict=True))
+        sigmas = {"position_sigma_m": found.sigma_m, "rotation_sigma_deg": found.sigma_deg}
+        return values | pose | sigmas | {"localized": True, "map_id": found.map_id, "reason": ""}
+
+
+def locate(options: LocateOptions, messages: Console) -> tuple[QueryResult, ...]:
+    """Localize images in a saved map, and write the table if that was asked for.
+
+    Raises:
+        DataError: no map, no images, or they do not belong together.
+        OutputError: the table cannot be written.
+    """
+    with MapDatabase.open(map_file(options.map)) as store:
+        saved = SavedMap.open(store)
+        queries = open_queries(options.images, saved.camera)
+        locator = Localizer(saved, _extractor(store))
+        answers = []
+        with progress_bar(messages, "Locating") as progress:
+            for name, image in queries:
+                answers.append(QueryResult(name, locator.locate(image)))
+                progress(len(answers), len(queries))
+    if options.out is not None:
+        write_table(options.out, _COLUMNS, (answer.cells().values() for answer in answers))
+    return tuple(answers)
+
+
+def _extractor(store: MapDatabase) -> FeatureExtractor:
+    """Of the features that the map is made of."""
+    try:
+        config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")
+        return make_feature_extractor(config.place_recognition)
+    except (ConfigError, ValueError) as error:
+        raise DataError(
+            f"{store.path}: expected the settings of its drive, found others ({error}); run again"
+        ) from error
+
+
+def as_table(answers: Sequence[QueryResult]) -> Group:
+    """Poses for people, one image a line."""
+    table = Table("image", "x m", "y m", "z m", "sigma m", "inliers", "matched image", "", box=None)
+    for answer in answers:
+        table.add_row(*_row(answer.cells()))
+    return Group(table, count_line(answers))
+
+
+def _row(cells: dict[str, object]) -> Iterable[str]:
+    yield escape(str(cells["image"]))
+    for name in ("x_m", "y_m", "z_m", "position_sigma_m"):
+        yield "" if cells[name] is None else f"{cells[name]:.2f}"
+    yield str(cells["inliers"])
+    yield "" if cells["matched_image"] is None else str(cells["matched_image"])
+    yield escape(f"not found: {cells['reason']}") if cells["reason"] else ""
+
+
+def count_line(answers: Sequence[QueryResult]) -> str:
+    """How many images were localized."""
+    return f"{sum(isinstance(answer.found, LocalizationResult) for answer in answers)} of {len(answers)} images found"
+
+
+def as_json(answers: Sequence[QueryResult]) -> str:
+    """The same for scripts."""
+    return json.dumps([answer.cells() for answer in answers], indent=2)

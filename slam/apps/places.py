@@ -1,0 +1,199 @@
+"""`revisit places`: reads images and writes matches, precision-recall curves, matrices and their pictures.
+
+Options of `revisit places`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion
+from place_recognition.recognizer import Belief
+from slam.components import check_features, check_paradigm
+from slam.datasets.dataset import DatasetSpec
+from slam.datasets.formats.recording import ImageDataset
+from slam.datasets.formats.registry import open_images
+from slam.errors import ConfigError
+from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
+from slam.io.metrics import metrics_text
+from slam.io.run_folder import RunFolder
+from slam.pipeline.interrupt import stop_on_interrupt
+from slam.pipeline.place_recognition import (
+    PlaceRecognitionRun,
+    PlacesRecord,
+    RecognizerFactory,
+    make_record,
+    make_summary,
+    run_recognizer,
+    write_results,
+)
+from slam.pipeline.progress import progress_bar
+from slam.pipeline.provenance import provenance
+
+
+@dataclass(frozen=True)
+class PlacesOptions:
+    """Input, output and settings of `revisit places`; the names are those of the command line.
+
+    Attributes:
+        source: recording of any supported kind.
+        paradigm: name of the recogniser.
+        out: folder for the results.
+        sequence: name of the sequence; None where the source has only one.
+        ground_truth: file with a matrix (.mat, .npz) or with poses; None to use the poses of the source.
+        features: name of the local features.
+        vocabulary: vocabulary file; None for the general vocabulary.
+        descriptor: descriptor of `global-descriptor`.
+        exclude: images less than this number of seconds old are no match; None to leave it to the recogniser.
+        fps: images per second, where the source has no timestamps.
+        seed: seed of every random generator.
+        overwrite: whether to replace earlier results.
+        kind: kind of the source; None to detect it.
+        topics: topics of the left camera in a bag; empty to detect them.
+    """
+
+    source: Path
+    paradigm: str
+    out: Path
+    sequence: str | None = None
+    ground_truth: Path | None = None
+    features: str = "surf"
+    vocabulary: Path | None = None
+    descriptor: str = "hog"
+    exclude: float | None = None
+    fps: float | None = None
+    seed: int = 0
+    overwrite: bool = False
+    format: str | None = None
+    topics: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> DatasetSpec:
+        """The source with the options of how to read it."""
+        return DatasetSpec(self.source, self.sequence, self.format, self.fps, self.topics)
+
+
+def check_options(options: PlacesOptions) -> None:
+    """Raise ConfigError for an unknown name or a number out of range."""
+    check_paradigm(options.paradigm)
+    check_features(options.features)
+    if options.exclude is not None and not 0 <= options.exclude < np.inf:
+        raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
+
+
+def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
+    """Recognise the places of a drive and write every result into `options.out`.
+
+    Args:
+        options: input, output and settings.
+        messages: console for progress and warnings.
+        results: console for the summary.
+        json: whether to print the metrics as JSON instead of a table.
+
+    Returns:
+        Whether the user interrupted the run; the results so far are written nevertheless.
+
+    Raises:
+        RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
+    """
+    check_options(options)
+    images = open_images(options.recording)
+    record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
+    _print(record, options.out, results, json)
+    return bool(record.metrics["interrupted"])
+
+
+def recognize_images(
+    options: PlacesOptions, images: ImageDataset, truth: RevisitTruth, messages: Console
+) -> PlacesRecord:
+    """Recognise the places of opened images and write every result into `options.out`.
+
+    Raises:
+        RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
+    """
+    config = _config(options, images)
+    with RunFolder.create(options.out, options.overwrite) as folder:
+        run = _run(options, config, images, messages)
+        record = make_record(run, truth, provenance(options.source, images.name) | _settings(options))
+        write_results(folder.path, record)
+        folder.commit()
+    return record
+
+
+def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> RevisitTruth:
+    """Return the ground truth of the option, else that of the recording's own poses, else an unknown truth.
+
+    Raises:
+        DataError: the file is missing or damaged, or its size differs from the number of images.
+    """
+    if options.ground_truth is not None:
+        truth = read_revisit_truth(options.ground_truth)
+    elif images.ground_truth is not None:
+        truth = revisit_truth_from_poses(images.ground_truth, f"poses of {options.source}")
+    else:
+        truth = RevisitTruth(None, "none")
+    check_truth_size(truth, len(images), options.source)
+    return truth
+
+
+def drop_recent_matches(beliefs: Sequence[Belief], images: ImageDataset, min_age_s: float | None) -> list[Belief]:
+    """Replace beliefs whose match is less than `min_age_s` older than the query by beliefs without match."""
+    times = images.timestamps
+    if min_age_s is None or times is None:
+        return list(beliefs)
+    recent = [b.match is not None and times[b.query] - times[b.match] < min_age_s for b in beliefs]
+    return [Belief(b.query, None, 0.0, accepted=False) if r else b for b, r in zip(beliefs, recent, strict=True)]
+
+
+def _run(
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, messages: Console
+) -> PlaceRecognitionRun:
+    import cv2
+
+    factory = RecognizerFactory(options.paradigm, config)
+    cv2.setRNGSeed(options.seed)
+    with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
+        run = run_recognizer(images, factory, progress, lambda: stop.requested)
+    if run.interrupted:
+        messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
+    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude))
+
+
+def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
+    """The settings of the paradigm: the defaults, changed by the options.
+
+    Raises:
+        ConfigError: `--exclude` is given for images without timestamps.
+    """
+    vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
+    config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
+    if not options.exclude or len(images) < 2:
+        return config
+    if images.timestamps is None:
+        raise ConfigError(
+            f"--exclude {options.exclude:g}: expected times.txt beside the images, found none; give --fps"
+        )
+    period_s = float(np.median(np.diff(images.timestamps)))
+    # 1e-9: a whole number of periods must not be rounded up to one more.
+    return with_exclusion(config, math.ceil(options.exclude / period_s - 1e-9))
+
+
+def _settings(options: PlacesOptions) -> dict[str, object]:
+    return {
+        "paradigm": options.paradigm,
+        "features": options.features,
+        "seed": options.seed,
+        "exclude_seconds": options.exclude,
+    }
+
+
+def _print(record: PlacesRecord, out: Path, results: Console, json: bool) -> None:
+    if json:
+        results.print(metrics_text(record.metrics), markup=False, highlight=False, soft_wrap=True)
+        return
+    results.print(make_summary(record))
+    results.print(f"Pictures: {out / 'precision_recall.png'}, {out / 'matrix.png'}", markup=False, highlight=False)

@@ -1,0 +1,173 @@
+"""The configuration of a benchmark: sources, paradigms, back ends and seeds, read from a TOML file.
+
+Every combination of them is a run. Paths are relative to the file:
+
+    paradigms = ["tracked-words", "dynamic-sequences"]
+    robust = ["pcm+gnc"]
+    seeds = [0, 1]
+    config = "settings.toml"
+
+    [[sources]]
+    path = "data/kitti"
+    sequence = "05"
+
+    [[sources]]
+    simulate = "blocks"
+    laps = 2
+    length = 300
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.config import RunConfig, from_values, read_toml
+from slam.datasets.dataset import DatasetSpec
+from slam.errors import ConfigError
+from slam.simulation.scenario.config import SHAPES, SimulationConfig
+
+
+@dataclass(frozen=True)
+class RecordedSource:
+    """A recording that exists.
+
+    Attributes:
+        name: name of the source, with which the names of its runs begin.
+        source: recording to read.
+    """
+
+    name: str
+    source: DatasetSpec
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """A simulated drive that is rendered first.
+
+    Attributes:
+        name: name of its folder, with which the names of its runs begin.
+        spec: specification of the simulated drive.
+    """
+
+    name: str
+    spec: SimulationConfig
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Every source with every paradigm, back end and seed.
+
+    Attributes:
+        sources: sources with different names.
+        paradigms: names of place-recognition paradigms.
+        robust: names of robust back ends.
+        seeds: seeds of every random generator of a run.
+        config: TOML file with the settings of all runs; None for the defaults.
+        record: whether each run writes `recording.rrd`.
+    """
+
+    sources: tuple[RecordedSource | SimulatedSource, ...]
+    paradigms: tuple[str, ...]
+    robust: tuple[str, ...]
+    seeds: tuple[int, ...]
+    config: Path | None
+    record: bool
+
+
+@dataclass(frozen=True)
+class _SweepFile:
+    """The tables of the file before they are checked."""
+
+    sources: tuple[Any, ...] = ()
+    paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
+    robust: tuple[Any, ...] = (RunConfig.robust,)
+    seeds: tuple[Any, ...] = (RunConfig.seed,)
+    config: str = ""
+    record: bool = False
+
+
+@dataclass(frozen=True)
+class _SourceFile:
+    path: str
+    sequence: str = ""
+    format: str = ""
+
+
+def read_sweep(path: Path) -> Sweep:
+    """Read the TOML file of a benchmark.
+
+    Raises:
+        ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
+    """
+    return parse_sweep(read_toml(path), path)
+
+
+def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
+    """Make a sweep from the values of its file.
+
+    Raises:
+        ConfigError: an unknown name or a value of the wrong type.
+    """
+    written = from_values(_SweepFile, values, str(path))
+    sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
+    _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
+    _check_list(written.paradigms, str, f"{path}: paradigms")
+    _check_list(written.robust, str, f"{path}: robust")
+    _check_list(written.seeds, int, f"{path}: seeds")
+    config = _path(written.config, path.parent, f"{path}: config") if written.config else None
+    return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
+
+
+def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
+    """Raise ConfigError unless these are one or more different values of one type."""
+    wanted = f"{where}: expected one or more different {'numbers from 0 on' if kind is int else 'names'}"
+    if not values:
+        raise ConfigError(f"{wanted}, found none")
+    wrong = [value for value in values if type(value) is not kind or (isinstance(value, int) and value < 0)]
+    twice = [value for n, value in enumerate(values) if value in values[:n]]
+    if wrong or twice:
+        raise ConfigError(f"{wanted}, found {(wrong or twice)[0]!r}{'' if wrong else ' twice'}")
+
+
+def _source(entry: object, where: str, folder: Path) -> RecordedSource | SimulatedSource:
+    if not isinstance(entry, dict) or ("path" in entry) == ("simulate" in entry):
+        raise ConfigError(f"{where}: expected a table with path = ... or with simulate = ..., found {entry!r}")
+    settings = {key: value for key, value in entry.items() if key != "name"}
+    given = entry.get("name", "")
+    if not isinstance(given, str):
+        raise ConfigError(f"{where}: name: expected str, found {given!r}")
+    if "path" in entry:
+        return _recorded(given, settings, where, folder)
+    return _simulated(given, settings, where, folder)
+
+
+def _recorded(name: str, settings: dict[str, Any], where: str, folder: Path) -> RecordedSource:
+    written = from_values(_SourceFile, settings, where)
+    path = _path(written.path, folder, f"{where}: path")
+    own = "-".join(part for part in (path.name, written.sequence) if part)
+    return RecordedSource(_file_name(name or own), DatasetSpec(path, written.sequence or None, written.format or None))
+
+
+def _simulated(name: str, settings: dict[str, Any], where: str, folder: Path) -> SimulatedSource:
+    shape = settings.pop("simulate")
+    if not isinstance(shape, str):
+        raise ConfigError(f"{where}: simulate: expected a shape or the path of a KITTI pose file, found {shape!r}")
+    path = shape if shape in SHAPES else str(_path(shape, folder, f"{where}: simulate"))
+    spec = from_values(SimulationConfig, {"shape": path, **settings}, where)
+    own = "-".join([Path(shape).stem, *(f"{key}-{value}" for key, value in settings.items())])
+    return SimulatedSource(_file_name(name or own), spec)
+
+
+def _path(written: str, folder: Path, where: str) -> Path:
+    try:
+        path = (folder / Path(written).expanduser()).resolve()
+        path.exists()  # raises ValueError or OSError for names that no file can have
+    except (OSError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"{where}: expected a path, found {written[:60]!r}: {error}") from None
+    return path
+
+
+def _file_name(name: str) -> str:
+    """Replace characters that a file name should not have; letters of any script, digits and - . + _ stay."""
+    return re.sub(r"[^\w.+-]", "_", name).lstrip(".") or "_"

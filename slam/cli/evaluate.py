@@ -1,0 +1,172 @@
+"""Commands that evaluate: pose graphs, results against ground truth, many runs side by side, single loops."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from slam.cli.options import BACK_END_NAMES, DEFAULT_BACK_END, EXIT_FAILED, Json, Out, Overwrite
+
+_RULE = "Rule of a revisit, for ground truth given as poses"
+
+
+def optimize(
+    graphs: Annotated[
+        list[Path], typer.Argument(metavar="GRAPH.g2o...", help="Pose graphs in the plane (SE2) or in space (SE3).")
+    ],
+    out: Out,
+    robust: Annotated[str, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.")] = DEFAULT_BACK_END,
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(help="True poses (KITTI, TUM), or a folder of files named after the graphs.", show_default="none"),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Optimise pose graphs that may hold false loops, and list which loops were kept and why.
+
+    Edges between consecutive poses are odometry, which is trusted. All other edges are loops.
+
+    Example: revisit optimize kitti_05.g2o --ground-truth poses/05.txt --out runs/graph05
+    """
+    from slam.apps.optimize import OptimizeOptions, optimize_graphs
+
+    options = OptimizeOptions(tuple(graphs), out, robust, ground_truth, overwrite)
+    optimize_graphs(options, Console(stderr=True), Console())
+
+
+def benchmark(
+    config: Annotated[
+        Path, typer.Argument(help="TOML file that lists sources, paradigms, robust back ends and seeds.")
+    ],
+    out: Out,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of worker processes on this machine; 0 works in this process alone.",
+            show_default="one per core",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a running dask scheduler, tcp://HOST:PORT, whose workers see the same files.",
+            show_default="none: workers on this machine",
+        ),
+    ] = None,
+) -> None:
+    """Run every source with every paradigm, back end and seed, and compare the results side by side.
+
+    Finished runs in the output folder are kept, so the same command continues where it stopped.
+    Several processes need: pip install 'revisit-slam[cluster]'
+
+    Example: revisit benchmark town.toml --out runs/town
+    """
+    from slam.benchmark.sweep import BenchmarkOptions, run_benchmark
+
+    options = BenchmarkOptions(config=config, out=out, workers=workers, scheduler=scheduler)
+    succeeded = run_benchmark(options, Console(stderr=True), Console())
+    raise typer.Exit(0 if succeeded else EXIT_FAILED)
+
+
+def evaluate_trajectory(
+    estimate: Annotated[Path, typer.Argument(help="Estimated poses: KITTI (12 numbers per line) or TUM.")],
+    truth: Annotated[Path, typer.Argument(help="True poses: KITTI or TUM.")],
+    mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
+    json: Json = False,
+) -> None:
+    """Print the errors of a trajectory: ATE after alignment, t_rel and r_rel by the KITTI rule, and the end error.
+
+    Example: revisit evaluate trajectory runs/kitti05/trajectory_corrected.txt data/kitti/poses/05.txt
+    """
+    from slam.apps.evaluate import evaluate_trajectory_files
+
+    Console().print(evaluate_trajectory_files(estimate, truth, mono, json))
+
+
+def evaluate_loops(
+    matches: Annotated[
+        Path, typer.Argument(help="Table of matches: a matches.csv, or any CSV with query, match, score.")
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM)."),
+    ],
+    frame_tolerance: Annotated[
+        int | None,
+        typer.Option(
+            help="Maximum distance of a match from the nearest true one, images, counted besides 0 and 10.",
+            show_default="0 and 10 alone",
+        ),
+    ] = None,
+    max_distance: Annotated[
+        float, typer.Option(help="Maximum distance of the two cameras, metres.", rich_help_panel=_RULE)
+    ] = 10.0,
+    max_angle: Annotated[
+        float, typer.Option(help="Maximum angle between the two viewing directions, degrees.", rich_help_panel=_RULE)
+    ] = 45.0,
+    min_time_gap: Annotated[
+        float, typer.Option(help="Minimum time between the two images, seconds.", rich_help_panel=_RULE)
+    ] = 0.0,
+    min_distance: Annotated[
+        float, typer.Option(help="Minimum path length between the two images, metres.", rich_help_panel=_RULE)
+    ] = 20.0,
+    one_to_one: Annotated[
+        bool,
+        typer.Option("--one-to-one", help="Accept only the nearest image as a true match.", rich_help_panel=_RULE),
+    ] = False,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Poses per second, which --min-time-gap needs.",
+            show_default="by the times of the poses",
+            rich_help_panel=_RULE,
+        ),
+    ] = None,
+    json: Json = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for metrics.json and the curve.", show_default="none is written")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Print precision, recall and R@P100 of matches by two rules in use: exact truth, and a tolerance of 10 images.
+
+    Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
+    """
+    from place_recognition.evaluation.ground_truth import RevisitRule
+    from slam.apps.evaluate import LoopsOptions
+    from slam.apps.evaluate import evaluate_loops as evaluate
+
+    options = LoopsOptions(
+        matches=matches,
+        truth=truth,
+        frame_tolerance=frame_tolerance,
+        rule=RevisitRule(
+            max_distance_m=max_distance,
+            max_angle_deg=max_angle,
+            min_time_gap_s=min_time_gap,
+            min_path_length_m=min_distance,
+            is_one_to_one=one_to_one,
+        ),
+        fps=fps,
+        out=out,
+        overwrite=overwrite,
+    )
+    Console().print(evaluate(options, json), markup=False, highlight=False, soft_wrap=True)
+
+
+def explain(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    query: Annotated[int, typer.Argument(help="Index of the query frame, counted from 0.")],
+    match: Annotated[
+        int | None,
+        typer.Argument(help="Index of the earlier frame.", show_default="the recogniser's best match"),
+    ] = None,
+) -> None:
+    """Explain why a loop was or was not closed: the result of each stage, with its numbers.
+
+    Example: revisit explain runs/demo 310
+    """
+    from slam.apps.explain import explain_loop
+
+    Console().print(explain_loop(run, query, match), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,136 @@
+"""Commands for place recognition: on its own, and the training of vocabularies and matrix filters."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from slam.cli.options import (
+    EXIT_INTERRUPTED,
+    FEATURE_NAMES,
+    INPUT,
+    PARADIGM_NAMES,
+    RECOGNITION,
+    Format,
+    FrameRate,
+    ImageTopic,
+    Json,
+    Out,
+    Overwrite,
+    Sequence,
+)
+
+
+def places(
+    source: Annotated[Path, typer.Argument(help="Recording: a drive, a folder of images, a video or a bag.")],
+    paradigm: Annotated[
+        str,
+        typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", rich_help_panel=RECOGNITION),
+    ],
+    out: Out,
+    sequence: Sequence = None,
+    dataset_format: Format = None,
+    fps: FrameRate = None,
+    image_topic: ImageTopic = None,
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM).",
+            show_default="poses of the source",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    features: Annotated[
+        str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)
+    ] = "surf",
+    vocabulary: Annotated[
+        Path | None,
+        typer.Option(
+            help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
+        ),
+    ] = None,
+    descriptor: Annotated[
+        str,
+        typer.Option(
+            help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.", rich_help_panel=RECOGNITION
+        ),
+    ] = "hog",
+    exclude: Annotated[
+        float | None,
+        typer.Option(
+            help="Minimum age of a match, seconds.",
+            show_default="the exclusion window of the paradigm alone",
+            rich_help_panel=RECOGNITION,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of every random generator.", rich_help_panel=RECOGNITION)] = 0,
+    json: Json = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Recognise places with one camera, without odometry or mapping: which images show a place seen before?
+
+    Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
+    """
+    from slam.apps.places import PlacesOptions, recognize_places
+
+    options = PlacesOptions(
+        source=source,
+        paradigm=paradigm,
+        out=out,
+        sequence=sequence,
+        ground_truth=ground_truth,
+        features=features,
+        vocabulary=vocabulary,
+        descriptor=descriptor,
+        exclude=exclude,
+        fps=fps,
+        seed=seed,
+        overwrite=overwrite,
+        format=dataset_format,
+        topics=tuple(image_topic or ()),
+    )
+    interrupted = recognize_places(options, Console(stderr=True), Console(), json)
+    raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+def train_vocabulary(
+    sources: Annotated[list[Path], typer.Argument(metavar="SOURCE...", help="Folders of images, or KITTI roots.")],
+    out: Annotated[Path, typer.Option("--out", help="Vocabulary file to write.")],
+    features: Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.")] = "surf",
+    words: Annotated[int, typer.Option(help="Number of visual words.")] = 10000,
+    sample: Annotated[int, typer.Option(help="Maximum number of descriptors to train on.")] = 1000000,
+    seed: Annotated[int, typer.Option(help="Seed of every random generator.")] = 0,
+) -> None:
+    """Train a vocabulary of visual words on images of your own. Do not use the images that will be recognised.
+
+    Example: revisit vocabulary train ~/photos ~/drive --out town.vocabulary
+    """
+    from slam.apps.train_vocabulary import TrainingOptions, train_from_images
+    from slam.pipeline.progress import progress_bar
+
+    options = TrainingOptions(tuple(sources), out, features)
+    with progress_bar(Console(stderr=True), "Describing images") as progress:
+        message = train_from_images(options, {"words": words, "sample": sample, "seed": seed}, progress)
+    Console().print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+def filter_train(
+    matrix: Annotated[
+        Path, typer.Argument(help="Similarity matrix: the matrix.npz of `revisit places` with a sequence paradigm.")
+    ],
+    truth: Annotated[
+        Path, typer.Argument(help="Ground truth of the same drive: a matrix of revisits (.mat, or .npz with `truth`).")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="TOML file of settings to write.")],
+    paradigm: Annotated[
+        str, typer.Option(help="Paradigm that uses the filter: sequence-histograms or dynamic-sequences.")
+    ] = "dynamic-sequences",
+) -> None:
+    """Train the 3x3 filter of the similarity matrix by logistic regression.
+
+    Example: revisit filter train runs/places05/matrix.npz loops_05.npz --out filter.toml
+    """
+    from slam.apps.train_filter import train_filter_file
+
+    Console().print(train_filter_file(matrix, truth, out, paradigm), markup=False, highlight=False, soft_wrap=True)

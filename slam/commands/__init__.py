@@ -1,4 +1,0 @@
-"""The commands of the command line, one module for each group of them; `slam.cli` registers them.
-
-Everything heavy is imported inside the commands, so that help answers at once.
-"""

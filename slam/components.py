@@ -1,0 +1,96 @@
+"""The components of the system, built from a configuration: the one place where names become classes."""
+
+from pathlib import Path
+
+from odometry.camera import StereoCamera
+from odometry.mono.mono_odometry import MonoOdometry
+from odometry.stereo.stereo_odometry import StereoOdometry
+from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.registry import EXTRACTORS
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_feature_extractor, make_recognizer
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer
+from slam.config import RunConfig, read_config
+from slam.errors import ConfigError, DataError
+from slam.keyframes import KeyFrameSelector
+from slam.loop_closing.loop_closer import LoopCloser
+from slam.mapping.landmark_map import LandmarkMap
+from slam.pose_graph.pose_graph import PoseGraph
+from slam.pose_graph.robust.backends import back_end
+from slam.system import Components
+from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry, VisualOdometry
+
+
+def check_paradigm(name: str) -> None:
+    """Raise ConfigError for an unknown paradigm; the message lists the known ones."""
+    if name not in PARADIGMS:
+        raise ConfigError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
+
+
+def check_features(name: str) -> None:
+    """Raise ConfigError for unknown local features; the message lists the known ones."""
+    if name not in EXTRACTORS:
+        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
+
+
+def check_names(config: RunConfig) -> RunConfig:
+    """Pass on a configuration whose names all exist.
+
+    Raises:
+        ConfigError: unknown paradigm, local features or back end; the message lists the known ones.
+    """
+    check_paradigm(config.paradigm)
+    check_features(config.place_recognition.features)
+    back_end(config.robust)
+    return config
+
+
+def read_checked_config(path: Path) -> RunConfig:
+    """Configuration from a TOML file, whose names all exist.
+
+    Raises:
+        ConfigError: the file is missing or damaged, or holds an unknown name or a value that cannot work.
+    """
+    config = read_config(path)
+    try:
+        return check_names(config)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def build_recognizer(
+    name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
+) -> PlaceRecognizer:
+    """Build the recogniser of a paradigm whose name has been checked.
+
+    Raises:
+        DataError: its vocabulary or its descriptor is missing, damaged or of another kind.
+    """
+    try:
+        return make_recognizer(name, features, config, rows)
+    except (OSError, ValueError) as error:  # place_recognition knows nothing of this family
+        raise DataError(str(error)) from error
+
+
+def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
+    """All components for one camera, of a configuration whose names have been checked.
+
+    The rows of the recogniser's similarity matrix go to `rows`, where there is one.
+    """
+    features = FeatureCache(make_feature_extractor(config.place_recognition))
+    odometry = build_odometry(camera, config)
+    return Components(
+        odometry=odometry,
+        features=features,
+        recognizer=build_recognizer(config.paradigm, features, config.place_recognition, rows),
+        loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
+        graph=PoseGraph(config.pose_graph_for_camera()),
+        key_frames=KeyFrameSelector(config.key_frames),
+        landmarks=LandmarkMap(config.landmarks, camera),
+    )
+
+
+def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
+    """Odometry of the pair, or of the left camera alone."""
+    if config.mono:
+        return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
+    return StereoVisualOdometry(StereoOdometry(camera, config.odometry))

@@ -1,0 +1,1 @@
+"""One file a format of recordings, and the registry that recognises and opens them."""

@@ -1,0 +1,354 @@
+"""Builds a dataset from what a format's reader has found: streams of one or two cameras, and ground truth.
+
+A dataset of any format: raw images that are rectified when they are read.
+
+Datasets of single images for place recognition: the left camera of any recording, calibrated or not.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from slam.datasets.dataset import Frame
+from slam.datasets.formats.timestamped_lists import ListFormat, check_increasing, read_image_list
+from slam.datasets.rectification import ImageMap, Rectification, Size
+from slam.datasets.time_sync import MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
+from slam.errors import DataError
+from slam.io.trajectory import read_trajectory
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+class Images(Protocol):
+    """The raw images of one camera in the order of their exposure."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Image:
+        """Read image (H, W) uint8, grey. Raises DataError where it cannot be read."""
+        ...
+
+    def where(self, index: int) -> str:
+        """File of an image and its position in the file, for error messages."""
+        ...
+
+
+@dataclass(frozen=True)
+class RectifiedDataset:
+    """A dataset (see `slam.datasets.dataset.Dataset`) whose images are read and rectified on demand.
+
+    Attributes:
+        name: short name for titles.
+        timestamps: (N,) seconds, increasing.
+        ground_truth: T_world_camera (N, 4, 4), metres, of the rectified left camera; world is its first pose.
+            None where it is unknown.
+        left: N raw images.
+        right: N raw images, or None in a dataset with one camera.
+        rectification: map from the raw to the rectified images.
+        remarks: notes about images that were left out and assumptions that were made on opening.
+    """
+
+    name: str
+    timestamps: Array
+    ground_truth: Array | None
+    left: Images
+    right: Images | None
+    rectification: Rectification
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def camera(self) -> StereoCamera:
+        """Intrinsics and baseline of the rectified pair."""
+        return self.rectification.camera
+
+    @property
+    def has_right(self) -> bool:
+        """Whether there is a right image for each left image."""
+        return self.right is not None
+
+    def without_right(self) -> "RectifiedDataset":
+        """Return the same dataset with the left camera alone."""
+        return replace(self, right=None)
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Read one frame.
+
+        Raises:
+            IndexError: there is no such frame.
+            DataError: an image cannot be read, or has another size than the first.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
+        left = self._read(self.left, index, self.rectification.left)
+        right = None if self.right is None else self._read(self.right, index, self.rectification.right)
+        return Frame(index, float(self.timestamps[index]), left, right)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))
+
+    def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
+        image = images[index]
+        expected = (self.camera.height, self.camera.width)
+        if image.shape != expected:
+            raise DataError(
+                f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
+                f" found {image.shape[1]} x {image.shape[0]}; copy it again"
+            )
+        return rectify(image)
+
+
+@dataclass(frozen=True)
+class ImageSubset:
+    """A selection of the images of a camera.
+
+    Attributes:
+        images: all images.
+        indices: (N,) of the selected images.
+    """
+
+    images: Images
+    indices: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read a selected image (H, W) uint8, grey."""
+        return self.images[int(self.indices[index])]
+
+    def where(self, index: int) -> str:
+        """File of a selected image, for error messages."""
+        return self.images.where(int(self.indices[index]))
+
+
+@dataclass(frozen=True)
+class CameraStream:
+    """The raw images of one camera with their times.
+
+    Attributes:
+        images: N images.
+        timestamps: (N,) seconds, increasing.
+    """
+
+    images: Images
+    timestamps: Array
+
+    def subset(self, indices: NDArray[np.int64]) -> "CameraStream":
+        """Return the images of some indices (K,), increasing."""
+        if len(indices) == len(self.timestamps):
+            return self
+        return CameraStream(ImageSubset(self.images, indices), self.timestamps[indices])
+
+
+def read_stream(path: Path, folder: Path, list_format: ListFormat) -> CameraStream:
+    """Read a camera whose file names and times are in a list (see `read_image_list`).
+
+    Raises:
+        DataError: the list is damaged, or an image is missing.
+    """
+    images = read_image_list(path, folder, list_format)
+    assert images.timestamps is not None
+    return CameraStream(images, images.timestamps)
+
+
+@dataclass(frozen=True)
+class GroundTruthTrajectory:
+    """Measured poses of the left camera, at times of their own.
+
+    Attributes:
+        timestamps: (M,) seconds, increasing.
+        poses: T_world_camera (M, 4, 4), metres, of the unrectified left camera.
+    """
+
+    timestamps: Array
+    poses: Array
+
+
+def read_ground_truth(path: Path, left: CameraStream) -> GroundTruthTrajectory:
+    """Read poses of the left camera from a TUM file (with times) or a KITTI file (one pose for each image).
+
+    Raises:
+        DataError: the file is missing or damaged, or a KITTI file has another number of poses.
+    """
+    times, poses = read_trajectory(path)
+    if times is None and len(poses) != len(left.timestamps):
+        raise DataError(
+            f"{path}: expected {len(left.timestamps)} poses, one for each image, or poses with times (TUM), found"
+            f" {len(poses)}; export it again"
+        )
+    times = left.timestamps if times is None else times
+    check_increasing(path, times)
+    return GroundTruthTrajectory(times, poses)
+
+
+@dataclass(frozen=True)
+class RawRecording:
+    """What the reader of a format finds, before synchronisation and rectification.
+
+    Attributes:
+        name: short name for titles.
+        left: stream of the left camera, or of the only camera.
+        right: stream of the right camera, or None.
+        ground_truth: measured poses, or None.
+        remarks: notes for the user.
+    """
+
+    name: str
+    left: CameraStream
+    right: CameraStream | None = None
+    ground_truth: GroundTruthTrajectory | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:
+    """Synchronise a recording, rectify its images and interpolate its ground truth.
+
+    Args:
+        recording: streams and poses as they were recorded.
+        rectify: computes the rectification for an image size (width, height).
+
+    Raises:
+        DataError: no two images were taken at the same time, or the first image cannot be read.
+    """
+    recording = _synchronize(recording)
+    height, width = recording.left.images[0].shape
+    rectification = rectify((width, height))
+    recording, poses = _interpolate_ground_truth(recording, rectification)
+    return RectifiedDataset(
+        name=recording.name,
+        timestamps=recording.left.timestamps,
+        ground_truth=poses,
+        left=recording.left.images,
+        right=None if recording.right is None else recording.right.images,
+        rectification=rectification,
+        remarks=recording.remarks,
+    )
+
+
+def _synchronize(recording: RawRecording) -> RawRecording:
+    """Keep the images that have a partner in the other camera."""
+    left, right = recording.left, recording.right
+    if right is None:
+        return recording
+    pairs = associate_timestamps(left.timestamps, right.timestamps)
+    if not len(pairs):
+        raise DataError(
+            f"{right.images.where(0)}: expected right images within {MAX_PAIR_OFFSET_S:g} s of left ones, found none;"
+            " are the two of the same recording?"
+        )
+    alone = len(left.timestamps) + len(right.timestamps) - 2 * len(pairs)
+    remarks = (f"{alone} images without a partner in the other camera are left out",) if alone else ()
+    return replace(
+        recording,
+        left=left.subset(pairs[:, 0]),
+        right=right.subset(pairs[:, 1]),
+        remarks=(*recording.remarks, *remarks),
+    )
+
+
+def _interpolate_ground_truth(
+    recording: RawRecording, rectification: Rectification
+) -> tuple[RawRecording, Array | None]:
+    """Keep the images that have ground truth, and return their poses (N, 4, 4) of the rectified left camera."""
+    truth, left, right = recording.ground_truth, recording.left, recording.right
+    if truth is None:
+        return recording, None
+    trajectory = interpolate_poses(left.timestamps, truth.timestamps, truth.poses @ rectification.T_camera_view)
+    kept = np.arange(len(left.timestamps))[trajectory.frames]
+    remarks = (*recording.remarks, *([trajectory.remark] if trajectory.remark else []))
+    right = None if right is None else right.subset(kept)
+    return replace(recording, left=left.subset(kept), right=right, remarks=remarks), trajectory.poses
+
+
+class ImageDataset(Protocol):
+    """The images of one camera in the order of their exposure."""
+
+    @property
+    def name(self) -> str:
+        """Short name for titles."""
+        ...
+
+    @property
+    def timestamps(self) -> Array | None:
+        """(N,) seconds, increasing; None where the times are unknown."""
+        ...
+
+    @property
+    def ground_truth(self) -> Array | None:
+        """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Image: ...
+
+
+@dataclass(frozen=True)
+class LeftImages:
+    """The rectified images of the left camera of a dataset (an ImageDataset).
+
+    Attributes:
+        dataset: a dataset without right images, which would only cost time to decode.
+    """
+
+    dataset: RectifiedDataset
+
+    @classmethod
+    def of(cls, dataset: RectifiedDataset) -> "LeftImages":
+        """Return the left images of a dataset with one camera or two."""
+        return cls(dataset.without_right())
+
+    @property
+    def name(self) -> str:
+        """Name of the dataset."""
+        return self.dataset.name
+
+    @property
+    def timestamps(self) -> Array:
+        """(N,) seconds, increasing."""
+        return self.dataset.timestamps
+
+    @property
+    def ground_truth(self) -> Array | None:
+        """T_world_camera (N, 4, 4), metres, or None."""
+        return self.dataset.ground_truth
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8, grey."""
+        return self.dataset[index].left
+
+
+@dataclass(frozen=True)
+class UncalibratedImages:
+    """The images of a camera without calibration, as they were recorded (an ImageDataset).
+
+    Attributes:
+        name: short name for titles.
+        images: N images.
+        timestamps: (N,) seconds, increasing, or None.
+        ground_truth: T_world_camera (N, 4, 4), metres, or None.
+    """
+
+    name: str
+    images: Images
+    timestamps: Array | None
+    ground_truth: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8, grey."""
+        return self.images[index]

@@ -1,0 +1,120 @@
+"""Checks of a calibration: plausible intrinsics and baseline, and common rows in the images of a rectified pair."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from place_recognition.image_processing.matching import mutual_matches
+from slam.diagnostics.findings import SLAM_USES, Finding, Use, report_fault, report_ok, report_warning
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_USUAL_VIEW_DEG, _POSSIBLE_VIEW_DEG = (35.0, 120.0), (5.0, 170.0)  # horizontal field of view
+# Distance of the principal point from the image centre, in shares of width and height: usual, and inside the image.
+_MAX_USUAL_OFFSET, _MAX_POSSIBLE_OFFSET = 0.12, 0.5
+_MAX_ASPECT_DIFFERENCE = 0.05  # of fx / fy from 1
+_USUAL_BASELINE_M = (0.03, 2.0)
+_FEATURES, _MAX_RATIO, _MAX_EPIPOLAR_PX = 1000, 0.8, 2.0  # SIFT features, Lowe's ratio, distance of an inlier
+_MIN_IMAGE_MATCHES = 8  # that determine a fundamental matrix
+_MIN_MATCHES = 50  # in all pairs together, for a median
+# Median distance from the common row. Odometry accepts matches up to 3 px from their row.
+_MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
+_MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
+_MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
+
+
+def check_camera(camera: StereoCamera, is_pair: bool) -> list[Finding]:
+    """Check the intrinsics, and the baseline of a pair."""
+    findings = [_check_field_of_view(camera), _check_principal_point(camera), _check_pixels(camera)]
+    return [*findings, _check_baseline(camera)] if is_pair else findings
+
+
+def _check_field_of_view(camera: StereoCamera) -> Finding:
+    degrees = float(2 * np.degrees(np.arctan(camera.width / (2 * camera.fx))))
+    text = f"{degrees:.0f} degrees across (fx = {camera.fx:.1f} for {camera.width} pixels)"
+    if not _POSSIBLE_VIEW_DEG[0] < degrees < _POSSIBLE_VIEW_DEG[1]:
+        return report_fault("field of view", f"{text}: impossible; correct fx", SLAM_USES, degrees=degrees)
+    if not _USUAL_VIEW_DEG[0] < degrees < _USUAL_VIEW_DEG[1]:
+        return report_warning("field of view", f"{text}: unusual; is fx of images of this size?", degrees=degrees)
+    return report_ok("field of view", text, degrees=degrees)
+
+
+def _check_principal_point(camera: StereoCamera) -> Finding:
+    off = [(camera.cx + 0.5) / camera.width - 0.5, (camera.cy + 0.5) / camera.height - 0.5]
+    worst = float(np.abs(off).max())
+    text = f"principal point {off[0]:+.0%} of the width and {off[1]:+.0%} of the height off the middle"
+    if worst > _MAX_POSSIBLE_OFFSET:
+        return report_fault("principal point", f"{text}, outside of the image; correct cx, cy", SLAM_USES, off=off)
+    if worst > _MAX_USUAL_OFFSET:
+        return report_warning("principal point", f"{text}; are cx, cy of images of this size?", off=off)
+    return report_ok("principal point", text, off=off)
+
+
+def _check_pixels(camera: StereoCamera) -> Finding:
+    ratio = camera.fx / camera.fy
+    text = f"fx / fy = {ratio:.3f}"
+    if abs(ratio - 1.0) > _MAX_ASPECT_DIFFERENCE:
+        return report_warning("pixels", f"{text}: they are not square; were the images stretched?", ratio=ratio)
+    return report_ok("pixels", text, ratio=ratio)
+
+
+def _check_baseline(camera: StereoCamera) -> Finding:
+    low, high = _USUAL_BASELINE_M
+    text = f"baseline {camera.baseline:.3f} m"
+    if not low <= camera.baseline <= high:
+        return report_warning("baseline", f"{text}: unusual; is it in metres?", metres=camera.baseline)
+    return report_ok("baseline", text, metres=camera.baseline)
+
+
+def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
+    """Check in pairs of images that the same points are in the same rows, and farther left in the right image."""
+    displacements = [match_displacements(left, right) for left, right in pairs]
+    moved = np.concatenate(displacements) if displacements else np.empty((0, 2))
+    if len(moved) < _MIN_MATCHES:
+        return report_warning(
+            "rows", f"{len(moved)} matches between left and right: too few to measure the rows", matches=len(moved)
+        )
+    disparity, row = moved.T
+    off, bias = float(np.median(np.abs(row))), float(np.median(row))
+    ahead = float((disparity > _MIN_DISPARITY_PX).mean())
+    figures = {"median_px": off, "bias_px": bias, "share_ahead": ahead, "matches": len(moved)}
+    text = f"matches between left and right are {off:.2f} px off the common row (median of {len(moved)})"
+    if ahead < _MIN_POSITIVE_SHARE:
+        trouble = f"{1 - ahead:.0%} of the matches lie to the wrong side; swap left and right"
+        return report_fault("rows", trouble, (Use.STEREO,), **figures)
+    if off > _MAX_POSSIBLE_ROWS_PX:
+        return report_fault("rows", f"{text}: not rectified; correct the calibration", (Use.STEREO,), **figures)
+    if off > _MAX_GOOD_ROWS_PX:
+        return report_warning("rows", f"{text}; a new calibration would help", **figures)
+    return report_ok("rows", text, **figures)
+
+
+def match_displacements(left: Image, right: Image) -> Array:
+    """Displacements (N, 2), left minus right pixel, of matched SIFT features that agree with one epipolar geometry.
+
+    Unlike the odometry's stereo matching, the search is not limited to rows and positive disparities, so that it also
+    measures pairs that are not rectified or swapped.
+    """
+    (left_pixels, left_descriptors), (right_pixels, right_descriptors) = map(_detect, (left, right))
+    matches = mutual_matches(left_descriptors, right_descriptors, _MAX_RATIO)
+    if len(matches) < _MIN_IMAGE_MATCHES:
+        return np.empty((0, 2))
+    a, b = left_pixels[matches[:, 0]], right_pixels[matches[:, 1]]
+    cv2.setRNGSeed(0)  # the same finding for the same images
+    _, inliers = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, _MAX_EPIPOLAR_PX, 0.999)
+    if inliers is None:
+        return np.empty((0, 2))
+    return np.asarray((a - b)[inliers.ravel() == 1], np.float64)
+
+
+def _detect(image: Image) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels (N, 2) and descriptors (N, 128) of unit length of SIFT features."""
+    key_points, descriptors = cv2.SIFT.create(_FEATURES).detectAndCompute(image, None)
+    if not key_points:
+        return np.empty((0, 2)), np.empty((0, 128), np.float32)
+    lengths = np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-12)
+    return np.array([point.pt for point in key_points]), np.ascontiguousarray(descriptors / lengths, np.float32)

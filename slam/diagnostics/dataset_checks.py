@@ -1,0 +1,158 @@
+"""Checks of a dataset: opens it, reads some of its images, and collects the findings."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.dataset import Dataset, DatasetSpec
+from slam.datasets.formats.recording import ImageDataset
+from slam.datasets.formats.registry import FORMATS, detect_format
+from slam.diagnostics.camera_checks import check_camera, check_rectification
+from slam.diagnostics.findings import (
+    ALL_USES,
+    SLAM_USES,
+    Finding,
+    Inspection,
+    Use,
+    report_fault,
+    report_ok,
+    report_warning,
+)
+from slam.diagnostics.image_checks import ImageStatistics, check_images, check_timestamps, measure_image
+from slam.errors import DataError
+from slam.evaluation.trajectory import path_length
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Progress = Callable[[int, int], None]
+
+# Samples of a long dataset: runs of successive images, evenly spread. Three in a run show images that are stored twice.
+_RUNS, _RUN_LENGTH = 40, 3
+_STEREO_PAIRS = 8  # pairs of left and right images in which rows are compared
+
+
+@dataclass
+class _Samples:
+    """What was read of a dataset.
+
+    Attributes:
+        images: statistics of all sampled left images.
+        successors: those of them whose predecessor was sampled too.
+        pairs: some pairs of left and right images.
+        fault: message of the first image that cannot be read; empty if there is none.
+    """
+
+    images: list[ImageStatistics] = field(default_factory=list)
+    successors: list[ImageStatistics] = field(default_factory=list)
+    pairs: list[tuple[Image, Image]] = field(default_factory=list)
+    fault: str = ""
+
+
+def inspect_dataset(spec: DatasetSpec, progress: Progress) -> Inspection:
+    """Inspect a dataset; a fault that keeps it from being opened is a finding too.
+
+    Args:
+        spec: dataset to inspect.
+        progress: called with the number of images read, and of all images to read.
+
+    Raises:
+        DataError: the path is no dataset of any format.
+        ConfigError: the requested format does not exist.
+    """
+    name = detect_format(spec)
+    try:
+        dataset = FORMATS[name].open_dataset(spec)
+    except DataError as error:
+        findings = _check_images_alone(spec, name, str(error), progress)
+    else:
+        findings = _check_dataset(dataset, progress)
+    return Inspection(str(spec.path), name, tuple(findings))
+
+
+def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Progress) -> list[Finding]:
+    """Check the left images of a dataset that cannot be opened for SLAM."""
+    try:
+        images = FORMATS[name].open_images(spec)
+    except DataError as error:
+        if str(error) == trouble:
+            return [report_fault("opening", trouble, ALL_USES)]
+        return [report_fault("opening", trouble, SLAM_USES), report_fault("images", str(error), (Use.PLACES,))]
+    seen = _sample(len(images), lambda index: (images[index], None), progress)
+    times = [] if images.timestamps is None else check_timestamps(images.timestamps)
+    return [
+        report_fault("opening", trouble, SLAM_USES),
+        _check_count(len(images), "images"),
+        *_check_samples(seen),
+        *times,
+        _check_ground_truth(images),
+    ]
+
+
+def _check_dataset(dataset: Dataset, progress: Progress) -> list[Finding]:
+    def read(index: int) -> tuple[Image, Image | None]:
+        frame = dataset[index]
+        return frame.left, frame.right
+
+    seen = _sample(len(dataset), read, progress)
+    findings = [_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"), *_check_samples(seen)]
+    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
+    if dataset.has_right:
+        findings.append(check_rectification(seen.pairs))
+    else:
+        findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
+    findings.append(_check_ground_truth(dataset))
+    return [*findings, *(report_warning("left out", remark) for remark in dataset.remarks)]
+
+
+def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Samples:
+    """Read images from all parts of a dataset, up to the first that cannot be read."""
+    seen, indices = _Samples(), _sample_indices(count)
+    compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
+    last, before = -1, None
+    for done, index in enumerate(indices):
+        try:
+            left, right = read(index)
+        except DataError as error:
+            seen.fault = str(error)
+            return seen
+        follows = before is not None and index == last + 1
+        seen.images.append(measure_image(left, before if follows else None))
+        if follows:
+            seen.successors.append(seen.images[-1])
+        if right is not None and done in compared:
+            seen.pairs.append((left, right))
+        last, before = index, left
+        progress(done + 1, len(indices))
+    return seen
+
+
+def _sample_indices(count: int) -> list[int]:
+    """Indices of all images, or of runs of successive images of a long dataset."""
+    if count <= _RUNS * _RUN_LENGTH:
+        return list(range(count))
+    first = np.linspace(0, count - _RUN_LENGTH, _RUNS).astype(int)
+    return [int(index) for index in (first[:, None] + np.arange(_RUN_LENGTH)).ravel()]
+
+
+def _check_samples(seen: _Samples) -> list[Finding]:
+    faults = [report_fault("images", seen.fault, ALL_USES)] if seen.fault else []
+    return faults + (check_images(seen.images, seen.successors) if seen.images else [])
+
+
+def _check_count(count: int, things: str) -> Finding:
+    if count < 2:
+        return report_fault("count", f"{count} {things}: too few; check the folder", ALL_USES, count=count)
+    return report_ok("count", f"{count} {things}", count=count)
+
+
+def _check_ground_truth(dataset: Dataset | ImageDataset) -> Finding:
+    try:
+        poses = dataset.ground_truth
+    except DataError as error:
+        return report_warning("ground truth", str(error))
+    if poses is None:
+        return report_ok("ground truth", "none: errors will not be known", metres=None)
+    metres = float(path_length(poses))
+    return report_ok("ground truth", f"{len(poses)} poses, {metres:.1f} m long", metres=metres)

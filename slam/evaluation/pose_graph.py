@@ -1,0 +1,107 @@
+"""Ground truth of a stored graph: where its poses were, and which of its loops are true."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import DataError
+from slam.evaluation.trajectory import umeyama
+from slam.io.g2o import Graph
+from slam.io.text import read_numbers
+from slam.io.trajectory import read_trajectory
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LABELS = "_GT_LC.txt"  # beside GRAPH.g2o: pairs of ids of its true loops
+_NO_POSES = "no ground truth was given"
+_NO_LABELS = f"there is no list of true loops beside the graph (GRAPH{LABELS})"
+
+
+@dataclass(frozen=True)
+class GraphTruth:
+    """Ground truth of a graph.
+
+    Attributes:
+        positions: (N, n - 1) true positions of the poses by id, metres, or None.
+        loops: (L,) bool, which loops are true, in the file's order, or None.
+    """
+
+    positions: Array | None
+    loops: Mask | None
+
+    @staticmethod
+    def why(name: str) -> str:
+        """Reason for a missing value of metrics.json."""
+        return _NO_POSES if name.startswith("ate") else _NO_LABELS
+
+
+def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | None) -> GraphTruth:
+    """Ground truth of a graph's poses from a file or a folder, and of its loops from the list beside the graph.
+
+    The pose of id i is that of line i, counted from zero. In the plane x is KITTI's z and y its -x.
+
+    Args:
+        path: file of the graph.
+        graph: the graph as read.
+        trusted: (M,) bool, edges that are not loops.
+        ground_truth: file of poses (KITTI, TUM), or a folder of such files, or None.
+
+    Raises:
+        DataError: a file is missing or damaged, or has too few poses.
+    """
+    positions = None
+    if ground_truth is not None:
+        file = _file_for(path, ground_truth) if ground_truth.is_dir() else ground_truth
+        positions = _positions(file, graph)
+    return GraphTruth(positions, _labels(path, graph, trusted))
+
+
+def _file_for(path: Path, folder: Path) -> Path:
+    """The file of a folder whose name is a word of the graph's name: `05.txt` for `kitti_05_alpha_0.15.g2o`."""
+    words = re.split(r"[_\-\s]", path.stem)
+    found = [file for file in sorted(folder.iterdir()) if file.is_file() and file.stem in words]
+    if len(found) != 1:
+        names = ", ".join(file.name for file in found) or "none"
+        raise DataError(
+            f"{folder}: expected one file of poses named as a word of {path.stem}, found {names}; name the file itself"
+        )
+    return found[0]
+
+
+def _positions(file: Path, graph: Graph) -> Array:
+    poses = read_trajectory(file)[1]
+    ids = np.sort(graph.ids)
+    if ids[0] < 0 or ids[-1] >= len(poses):
+        raise DataError(
+            f"{file}: expected a pose for each id from {ids[0]} to {ids[-1]} of the graph, found {len(poses)} poses; "
+            "give the truth of the same drive"
+        )
+    positions = poses[ids, :3, 3]
+    # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
+    return np.column_stack([positions[:, 2], -positions[:, 0]]) if graph.poses.shape[-1] == 3 else positions
+
+
+def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
+    file = path.with_name(path.stem + LABELS)
+    if not file.is_file():
+        return None
+    listed = {(int(min(pair)), int(max(pair))) for pair in read_numbers(file, 2)}
+    ends = zip(graph.first[~trusted].tolist(), graph.second[~trusted].tolist(), strict=True)
+    return np.array([(min(pair), max(pair)) in listed for pair in ends], dtype=bool)
+
+
+def aligned(estimate: Array, positions: Array) -> Array:
+    """Positions (N, d) aligned to true ones (N, d), metres, by the best rigid motion."""
+    return umeyama(estimate, positions).apply(estimate)
+
+
+def absolute_error(poses: Array, positions: Array | None) -> float | None:
+    """ATE, metres, of poses (N, n, n) after rigid alignment to positions (N, n - 1); None without truth."""
+    if positions is None:
+        return None
+    difference = aligned(poses[:, :-1, -1], positions) - positions
+    return float(np.sqrt(np.square(difference).sum(axis=1).mean()))

@@ -1,0 +1,131 @@
+"""The files of place recognition: `matches.csv`, `precision_recall.csv` and `matrix.npz`."""
+
+import csv
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.evaluation.precision_recall import PrecisionRecall
+from place_recognition.recognizer import Belief
+from slam.errors import DataError
+from slam.io.atomic import atomic_writer
+from slam.io.csv_tables import write_table
+
+MATCH_COLUMNS = ("query", "match", "score", "accepted", "inliers", "verified")
+CURVE_COLUMNS = ("threshold", "precision", "recall", "true_positives", "false_positives")
+_NEEDED = MATCH_COLUMNS[:3]
+
+
+def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
+    """Write matches.csv, a line for each belief; a missing match and uncounted inliers are empty cells.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    write_table(path, MATCH_COLUMNS, ([getattr(belief, name) for name in MATCH_COLUMNS] for belief in beliefs))
+
+
+def write_curve(path: Path, curve: PrecisionRecall | None) -> None:
+    """Write precision_recall.csv, a line for each threshold, descending; without a curve only the header.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    columns: list[list[object]] = [[] for _ in CURVE_COLUMNS]
+    if curve is not None:
+        arrays = (curve.thresholds, curve.precision, curve.recall, curve.true_positives, curve.false_positives)
+        columns = [list(array.tolist()) for array in arrays]
+    write_table(path, CURVE_COLUMNS, zip(*columns, strict=True))
+
+
+def write_matrix(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Write matrix.npz, compressed: the same arrays give the same bytes, as numpy dates no entry.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_writer(path, "wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def read_matches(path: Path) -> tuple[Belief, ...]:
+    """Read beliefs, by query, from matches.csv or any table with the columns query, match and score.
+
+    A table without the column accepted or verified counts all its matches as such.
+
+    Raises:
+        DataError: the file is missing, columns are missing, a cell is not a number, a match is not earlier than its
+            query, or a query has two lines.
+    """
+    beliefs: dict[int, Belief] = {}
+    for number, row in _rows(path):
+        belief = _belief(f"{path}, line {number}", row)
+        if belief.query in beliefs:
+            raise DataError(
+                f"{path}, line {number}: expected one line for each query, found a second for {belief.query};"
+                " keep the best"
+            )
+        beliefs[belief.query] = belief
+    return tuple(beliefs[query] for query in sorted(beliefs))
+
+
+def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, restval="", strict=True, skipinitialspace=True)
+            rows, header = [(reader.line_num, row) for row in reader], reader.fieldnames or ()
+    except FileNotFoundError:
+        raise DataError(f"{path}: expected a table of matches, found none; check the path") from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise DataError(f"{path}: expected a table of matches (CSV), found {error}; write it again") from None
+    missing = [name for name in _NEEDED if name not in header]
+    if missing:
+        found = ", ".join(header) or "an empty file"
+        raise DataError(f"{path}: expected the columns {', '.join(_NEEDED)}, found {found[:80]}; name them in line 1")
+    return rows
+
+
+def _belief(where: str, row: dict[str, str]) -> Belief:
+    query, match = _index(where, row, "query"), _index(where, row, "match") if row["match"] else None
+    if match is not None and match >= query:
+        raise DataError(f"{where}: expected a match earlier than query {query}, found {match}; swap or correct them")
+    verified = _truth_value(where, row, "verified")
+    return Belief(
+        query=query,
+        match=match,
+        score=_score(where, row["score"]) if match is not None else 0.0,
+        accepted=match is not None and verified and _truth_value(where, row, "accepted"),
+        inliers=_index(where, row, "inliers") if row.get("inliers") else None,
+        verified=verified,
+    )
+
+
+def _index(where: str, row: dict[str, str], name: str) -> int:
+    try:
+        value = float(row[name])  # other programs write 12.0
+    except ValueError:
+        value = -1.0
+    if not (value >= 0 and math.isfinite(value) and value.is_integer()):
+        raise DataError(f"{where}: expected {name} to be a whole number from 0, found {row[name]!r}; correct that line")
+    return int(value)
+
+
+def _score(where: str, cell: str) -> float:
+    try:
+        score = float(cell)
+    except ValueError:
+        score = math.nan
+    if not math.isfinite(score):
+        raise DataError(f"{where}: expected a finite score, found {cell!r}; correct that line")
+    return score
+
+
+def _truth_value(where: str, row: dict[str, str], name: str) -> bool:
+    cell = (row.get(name) or "true").strip().lower()
+    values = {"true": True, "false": False, "1": True, "0": False}
+    if cell not in values:
+        raise DataError(f"{where}: expected {name} to be true or false, found {row[name]!r}; correct that line")
+    return values[cell]

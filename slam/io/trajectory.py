@@ -1,0 +1,117 @@
+"""Trajectory files in the formats of KITTI and TUM, which most tools read.
+
+Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by row. TUM:
+`timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from slam.errors import DataError
+from slam.io.atomic import atomic_writer
+from slam.io.text import read_lines, read_numbers
+
+Array = NDArray[np.float64]
+
+MAX_POSITION_M = 1e12  # farther than the sun: no position on earth
+MAX_ROTATION_ERROR = 1e-2  # largest element of R R^T - 1; files rounded to three digits are accepted
+
+
+def write_kitti(path: Path, poses: Array) -> None:
+    """Write T_world_camera (N, 4, 4), metres, as KITTI poses.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_rows(path, poses[:, :3, :].reshape(-1, 12))
+
+
+def read_kitti(path: Path) -> Array:
+    """Read T_world_camera (N, 4, 4), metres, from KITTI poses, exactly as in the file.
+
+    Raises:
+        DataError: the file is missing, a line does not have 12 finite numbers, or a matrix is not a rotation.
+    """
+    rows = read_numbers(path, 12).reshape(-1, 3, 4)
+    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
+    poses[:, :3] = rows
+    _check_rotations(path, poses[:, :3, :3])
+    check_positions(path, rows[:, :, 3])
+    return poses
+
+
+def write_tum(path: Path, timestamps: Array, poses: Array) -> None:
+    """Write T_world_camera (N, 4, 4), metres, at timestamps (N,), seconds, as TUM.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    _write_rows(path, np.column_stack([timestamps, poses[:, :3, 3], quaternions]))
+
+
+def read_tum(path: Path) -> tuple[Array, Array]:
+    """Read timestamps (N,), seconds, and T_world_camera (N, 4, 4), metres, from a TUM file.
+
+    Quaternions are normalised.
+
+    Raises:
+        DataError: the file is missing, a line does not have 8 finite numbers, or a quaternion has length zero.
+    """
+    rows = read_numbers(path, 8)
+    with np.errstate(over="ignore"):  # of lengths that are refused below
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
+    wrong = (lengths < 1e-6) | ~np.isfinite(lengths)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise DataError(
+            f"{path}, pose {at}: expected a unit quaternion, found one of length {lengths[at]:g}; write the file again"
+        )
+    check_positions(path, rows[:, 1:4])
+    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
+    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    poses[:, :3, 3] = rows[:, 1:4]
+    return rows[:, 0], poses
+
+
+def check_positions(path: Path, positions: Array) -> None:
+    """Raise DataError if positions (N, 3), metres, are impossibly far away."""
+    far = np.abs(positions).max(axis=1) > MAX_POSITION_M
+    if far.any():
+        at = int(np.argmax(far))
+        raise DataError(f"{path}, pose {at}: expected a position in metres, found {positions[at]}; correct that line")
+
+
+def read_trajectory(path: Path) -> tuple[Array | None, Array]:
+    """Read KITTI poses or TUM, by the count of numbers per line: timestamps (N,) or None, and poses (N, 4, 4).
+
+    Raises:
+        DataError: the file is missing, or its first line has neither 12 nor 8 numbers.
+    """
+    lines = (line.split() for line in read_lines(path) if not line.lstrip().startswith("#"))
+    columns = len(next((words for words in lines if words), []))
+    if columns == 8:
+        return read_tum(path)
+    if columns == 12:
+        return None, read_kitti(path)
+    raise DataError(f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them")
+
+
+def _write_rows(path: Path, rows: Array) -> None:
+    with atomic_writer(path) as file:
+        # repr is the shortest text of the same double; evo refuses a blank at the end of a line
+        file.writelines(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+
+
+def _check_rotations(path: Path, rotations: Array) -> None:
+    errors = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = (errors > MAX_ROTATION_ERROR) | (np.linalg.det(rotations) < 0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise DataError(
+            f"{path}, pose {at}: expected a rotation matrix, found one that is off by {errors[at]:.3g}"
+            " or mirrored; are these KITTI poses?"
+        )

@@ -1,0 +1,143 @@
+"""Localization of single images in a saved map: retrieval proposes key frames, geometric verification decides."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
+from slam.errors import DataError
+from slam.localization.absolute_pose import PoseConfig, estimate_camera_pose
+from slam.localization.keyframe_map import LocalMapConfig, SavedMap, match_local_map
+from slam.localization.pose_checks import AcceptanceConfig, Hypothesis, is_ambiguous, rejection_reason
+from slam.localization.retrieval import IndexConfig, PlaceIndex
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class LocalizerConfig:
+    """Settings of the localization.
+
+    Attributes:
+        max_candidates: maximum number of key frames that are verified.
+        min_keyframe_gap: minimum distance between two candidates, key frames.
+        coarse_offsets: key frames around a candidate whose landmarks are matched first, relative to it.
+        fine_offsets: the same for the best candidates, which are verified again.
+        index: settings of the retrieval.
+        local_map: settings of the matching.
+        pose: settings of the pose estimation.
+        acceptance: when a pose is accepted.
+    """
+
+    max_candidates: int = 6
+    min_keyframe_gap: int = 5
+    coarse_offsets: tuple[int, ...] = (-2, 0, 2)
+    fine_offsets: tuple[int, ...] = (-5, -3, -2, -1, 0, 1, 2, 3, 5)
+    index: IndexConfig = field(default_factory=IndexConfig)
+    local_map: LocalMapConfig = field(default_factory=LocalMapConfig)
+    pose: PoseConfig = field(default_factory=PoseConfig)
+    acceptance: AcceptanceConfig = field(default_factory=AcceptanceConfig)
+
+
+@dataclass(frozen=True)
+class LocalizationResult:
+    """Pose of an image in the map.
+
+    Attributes:
+        T_world_camera: (4, 4) pose in the map, metres, or the unit of a map that one camera has made.
+        covariance: (6, 6) of its right perturbation, rotation first, relative to the matched image: errors of the
+            map itself are not included.
+        image: number of the matched image of the map.
+        map_id: frame of reference.
+        inliers: number of features that agree with the pose.
+    """
+
+    T_world_camera: Array
+    covariance: Array
+    image: int
+    map_id: int
+    inliers: int
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position, metres."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def sigma_deg(self) -> float:
+        """Standard deviation of the orientation, degrees."""
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[:3, :3]))))
+
+
+@dataclass(frozen=True)
+class NotLocalized:
+    """An image for which no pose was accepted.
+
+    Attributes:
+        reason: why, with the numbers.
+        image: number of the map's image with most inliers; None where there is none.
+        inliers: number of features that agree with it.
+    """
+
+    reason: str
+    image: int | None = None
+    inliers: int = 0
+
+
+class Localizer:
+    """Localizes single images in a saved map, each by itself, in any order."""
+
+    def __init__(self, saved: SavedMap, extractor: FeatureExtractor, config: LocalizerConfig | None = None) -> None:
+        """Index the map, which takes some milliseconds a key frame."""
+        self._saved, self._extractor, self._config = saved, extractor, config or LocalizerConfig()
+        self._index = PlaceIndex.build(self._descriptors, self._config.index)
+
+    def locate(self, image: Image) -> LocalizationResult | NotLocalized:
+        """Find the pose of an image (H, W) uint8 of the map's camera.
+
+        Raises:
+            DataError: the map is of other features.
+        """
+        features = self._extractor.extract(image)
+        if features.descriptors.shape[1] != self._saved.descriptor_size and len(features):
+            raise DataError(
+                f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
+                f" {self._saved.descriptor_size} numbers; run again with these features"
+            )
+        coarse = [self._verify(features, place, self._config.coarse_offsets) for place in self._candidates(features)]
+        coarse.sort(key=lambda hypothesis: -len(hypothesis))
+        if not coarse or not len(coarse[0]):
+            return NotLocalized(f"none of the {len(coarse)} likeliest places agrees with it on a pose")
+        rivals = [other for other in coarse if is_ambiguous(self._saved, coarse[0], other, self._config.acceptance)]
+        fine = [self._verify(features, one.place, self._config.fine_offsets) for one in (coarse[0], *rivals)]
+        best, *others = sorted(fine, key=lambda hypothesis: -len(hypothesis))
+        reason = rejection_reason(best, others, features, self._saved, self._config.acceptance)
+        if reason is not None or best.pose is None:
+            return NotLocalized(reason or "no pose stands out among the matches", best.image, len(best))
+        T_world_camera = self._saved.poses[best.image] @ best.pose.T_base_camera
+        map_id = int(self._saved.map_id[best.image])
+        return LocalizationResult(T_world_camera, best.pose.covariance, best.image, map_id, len(best))
+
+    def _descriptors(self) -> Iterator[NDArray[np.float32]]:
+        for image in self._saved.key_frames:
+            yield self._saved.landmarks(image).descriptors.astype(np.float32)
+
+    def _candidates(self, features: LocalFeatures) -> Iterator[int]:
+        """The most similar key frames that are not neighbours of one another, best first."""
+        likeness = self._index.likeness(features.descriptors)
+        for _ in range(self._config.max_candidates):
+            best = int(np.argmax(likeness))
+            if likeness[best] <= 0:
+                return
+            yield best
+            likeness[max(best - self._config.min_keyframe_gap, 0) : best + self._config.min_keyframe_gap + 1] = -np.inf
+
+    def _verify(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
+        saved, base = self._saved, int(self._saved.key_frames[place])
+        matches = match_local_map(saved, base, saved.neighbors(place, offsets), features, self._config.local_map)
+        pose = estimate_camera_pose(saved.camera, matches, self._config.pose)
+        agreeing = np.empty(0, np.int64) if pose is None else np.unique(matches.features[pose.inliers])
+        return Hypothesis(place, base, agreeing, pose)

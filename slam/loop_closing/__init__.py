@@ -1,0 +1,1 @@
+"""Loop closing: from a recognised place to a verified relative pose."""

@@ -1,0 +1,166 @@
+"""States of components as JSON and arrays, and back, bit for bit.
+
+A state is what `state()` of a component returns: dicts with text keys, lists, plain values and numpy arrays, nested.
+Decision record: docs/decisions/checkpoints.md.
+
+Content-addressed storage of a checkpoint's arrays: chunks are named by their digests and written only once.
+
+The idea is that of version control. A recogniser's map grows by a thousandth with each image, and most of it never
+changes again; to digest all of it is cheap, to write all of it at each checkpoint is not.
+"""
+
+import json
+import math
+import sqlite3
+from hashlib import blake2b
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+_PLAIN = (str, int, bool, type(None))
+
+
+def serialize(state: object) -> tuple[Any, list[NDArray[Any]]]:
+    """Values that JSON can write, and the arrays of a state in the order in which they were met; not copied.
+
+    Raises:
+        TypeError: the state holds something else than dicts, lists, tuples, plain values, numpy scalars and arrays.
+    """
+    arrays: list[NDArray[Any]] = []
+    return _encode(state, arrays), arrays
+
+
+def deserialize(structure: Any, arrays: list[NDArray[Any]]) -> Any:
+    """The state of which `serialize` made a structure and arrays; its tuples have become lists.
+
+    Raises:
+        ValueError: the structure is none that `serialize` returns.
+    """
+    try:
+        return _decode(structure, arrays)
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ValueError(f"expected the state of a component, found another structure ({error!r})") from error
+
+
+def _encode(value: object, arrays: list[NDArray[Any]]) -> Any:
+    if isinstance(value, np.ndarray | np.generic):  # before float, which numpy's float64 is
+        arrays.append(np.asarray(value))
+        return {"array" if isinstance(value, np.ndarray) else "scalar": len(arrays) - 1}
+    if isinstance(value, float) and not math.isfinite(value):  # JSON knows no NaN
+        return {"float": repr(value)}
+    if isinstance(value, (float, *_PLAIN)):
+        return value
+    if isinstance(value, list | tuple):
+        return [_encode(item, arrays) for item in value]
+    if isinstance(value, dict):
+        return {"fields": {_key(key): _encode(item, arrays) for key, item in value.items()}}
+    raise _unexpected(value)
+
+
+def _key(key: object) -> str:
+    if not isinstance(key, str):
+        raise _unexpected(key)
+    return key
+
+
+def _unexpected(value: object) -> TypeError:
+    kind = type(value).__name__
+    return TypeError(f"expected plain values, arrays, lists and dicts with text keys, got {kind}")
+
+
+def _decode(encoded: Any, arrays: list[NDArray[Any]]) -> Any:
+    if isinstance(encoded, float | str | int | bool | None):
+        return encoded
+    if isinstance(encoded, list):
+        return [_decode(item, arrays) for item in encoded]
+    ((kind, content),) = encoded.items()
+    if kind == "fields":
+        return {key: _decode(item, arrays) for key, item in content.items()}
+    if kind == "array":
+        return arrays[content]
+    if kind == "scalar":
+        return arrays[content][()]
+    if kind == "float":
+        return float(content)
+    raise KeyError(kind)
+
+
+_CHUNK = 1 << 16  # bytes
+_DIGEST = 16  # bytes: two different pieces of one digest are not to be expected before 2^64 of them
+
+
+def write_arrays(connection: sqlite3.Connection, session: int, arrays: list[NDArray[Any]]) -> None:
+    """Write the arrays of a session's checkpoint in the place of those of the one before."""
+    connection.execute("DELETE FROM checkpoint_array WHERE session = ?", (session,))
+    known = {bytes(row[0]) for row in connection.execute("SELECT digest FROM piece")}
+    for number, array in enumerate(arrays):
+        digests = _write(connection, array, known)
+        dtype = json.dumps(npy.dtype_to_descr(array.dtype))
+        row = (session, number, dtype, json.dumps(array.shape), _layout(array), b"".join(digests))
+        connection.execute("INSERT INTO checkpoint_array VALUES (?, ?, ?, ?, ?, ?)", row)
+    _sweep(connection, known)
+
+
+def read_arrays(connection: sqlite3.Connection, session: int) -> list[NDArray[Any]]:
+    """Arrays of a session's checkpoint, in order; they may be written to.
+
+    Raises:
+        ValueError: a piece is missing or is not what its digest says.
+    """
+    found = connection.execute("SELECT * FROM checkpoint_array WHERE session = ? ORDER BY number", (session,))
+    return [_read(connection, row) for row in found]
+
+
+def _write(connection: sqlite3.Connection, array: NDArray[Any], known: set[bytes]) -> list[bytes]:
+    if array.dtype.hasobject:
+        raise ValueError(f"expected an array of numbers, got {array.dtype}")
+    flat = memoryview(array.tobytes(_layout(array)) if array.size else b"")
+    pieces = [flat[begin : begin + _CHUNK] for begin in range(0, len(flat), _CHUNK)]
+    digests = [digest(piece) for piece in pieces]
+    fresh = {name: piece for name, piece in zip(digests, pieces, strict=True) if name not in known}
+    connection.executemany("INSERT INTO piece VALUES (?, ?)", fresh.items())
+    known.update(fresh)
+    return digests
+
+
+def _read(connection: sqlite3.Connection, row: sqlite3.Row) -> NDArray[Any]:
+    content = bytearray()
+    bounds = range(0, len(row["pieces"]) + 1, _DIGEST)
+    for begin, end in pairwise(bounds):
+        name = row["pieces"][begin:end]
+        found = connection.execute("SELECT bytes FROM piece WHERE digest = ?", (name,)).fetchone()
+        if found is None or digest(found[0]) != name:
+            raise ValueError("a piece of the checkpoint is missing or damaged")
+        content += found[0]
+    dtype = npy.descr_to_dtype(_as_descr(json.loads(row["dtype"])))
+    if dtype.hasobject:
+        raise ValueError(f"expected an array of numbers, got {dtype}")
+    return np.frombuffer(content, dtype).reshape(json.loads(row["shape"]), order=row["layout"])
+
+
+def digest(content: bytes | memoryview) -> bytes:
+    """What a piece is named by."""
+    return blake2b(content, digest_size=_DIGEST).digest()
+
+
+def _layout(array: NDArray[Any]) -> Literal["C", "F"]:
+    """How the numbers lie: the same numbers in another order may be added up in another order."""
+    return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
+
+
+def _as_descr(read: Any) -> Any:
+    """Numpy's description of a type, in which JSON has turned tuples into lists."""
+    if isinstance(read, str):
+        return read
+    return [tuple(tuple(part) if k == 2 else _as_descr(part) for k, part in enumerate(field)) for field in read]
+
+
+def _sweep(connection: sqlite3.Connection, known: set[bytes]) -> None:
+    """Delete the pieces that no checkpoint needs any more."""
+    used: set[bytes] = set()
+    for (names,) in connection.execute("SELECT pieces FROM checkpoint_array"):
+        used.update(names[begin : begin + _DIGEST] for begin in range(0, len(names), _DIGEST))
+    connection.executemany("DELETE FROM piece WHERE digest = ?", [(name,) for name in known - used])

@@ -1,0 +1,115 @@
+"""Replay of a session without its odometry: motions and landmarks come from the map of an earlier run."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from odometry.motion import Motion
+from place_recognition.recognizer import MatrixSink
+from slam.components import build_components
+from slam.config import RunConfig
+from slam.datasets.dataset import DatasetSpec, Frame
+from slam.errors import DataError
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopCloser
+from slam.map_database.database import MapDatabase, map_file
+from slam.map_database.resume import ResumableRun
+from slam.system import Components
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Build = Callable[[StereoCamera, RunConfig, MatrixSink | None], Components]
+
+
+class ReplayedOdometry:
+    """Replays the motions of a map (a VisualOdometry)."""
+
+    calibration = None
+
+    def __init__(self, motions: Sequence[Motion], has_metric_scale: bool) -> None:
+        self._motions, self.has_metric_scale = motions, has_metric_scale
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous frame, as the earlier run measured it."""
+        return self._motions[frame.index]
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """NaN: nothing is known of pixels."""
+        return np.full(len(pixels), np.nan)
+
+    def array_bytes(self) -> int:
+        """Nothing that an odometry would hold."""
+        return 0
+
+    def state(self) -> dict[str, Any]:
+        """Nothing changes."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Nothing changes."""
+
+
+class ReplayedLandmarks(LoopCloser):
+    """Verifies loops by the landmarks of a map."""
+
+    def __init__(
+        self, landmarks: Sequence[FrameLandmarks], camera: StereoCamera, components: Components, config: RunConfig
+    ) -> None:
+        super().__init__(camera, components.features, components.odometry, config.loop_closing)
+        self._replayed = landmarks
+
+    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
+        """Landmarks of frame `index`, as the earlier run extracted them."""
+        self.restore_frame(index, self._replayed[index])
+        return self._replayed[index]
+
+
+def read_session(path: Path) -> ResumableRun:
+    """The one drive of a map, in a file or in a run's folder.
+
+    Raises:
+        DataError: there is no map, it is damaged, or it holds several drives.
+    """
+    file = map_file(path)
+    with MapDatabase.open(file) as store:
+        sessions, frames = store.sessions(), store.images()
+    if len(sessions) != 1:
+        raise DataError(f"{file}: expected the map of one drive, found {len(sessions)}; reprocess each drive by itself")
+    return ResumableRun(file, sessions[0], frames)
+
+
+def source_of(path: Path) -> DatasetSpec:
+    """The recording of which a map was made.
+
+    Raises:
+        DataError: as `read_session`, or the map does not say.
+    """
+    drive = read_session(path)
+    try:
+        return DatasetSpec.from_metrics(drive.session.provenance["recording"])
+    except (KeyError, TypeError) as error:
+        raise DataError(
+            f"{drive.map_file}: expected the map to name its recording, found none; --source DIR"
+        ) from error
+
+
+def replay_components(path: Path) -> Build:
+    """Build components that replay the motions and landmarks of a map with one session.
+
+    Raises:
+        DataError: it is damaged.
+    """
+    with MapDatabase.open(map_file(path)) as store:
+        frames = list(store.frames())
+
+    def build(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
+        odometry = ReplayedOdometry([frame.motion for frame in frames], has_metric_scale=not config.mono)
+        components = replace(build_components(camera, config, rows), odometry=odometry)
+        landmarks = [frame.landmarks for frame in frames]
+        return replace(components, loop_closer=ReplayedLandmarks(landmarks, camera, components, config))
+
+    return build

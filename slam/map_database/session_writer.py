@@ -1,0 +1,250 @@
+"""Records a session in a map database while it runs."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from odometry.camera import StereoCamera
+from place_recognition.evaluation.similarity_matrix import MatrixRecorder
+from slam.config import RunConfig, to_toml
+from slam.errors import RevisitError
+from slam.frame_record import FrameRecord, LoopRecord
+from slam.io.atomic import replacing
+from slam.io.run_folder import RunFolder
+from slam.map_database.database import MAP_FILE, Checkpoint, MapDatabase, Session
+from slam.map_database.inter_session import SessionRecognizer, components_in_session, loop_in_map
+from slam.map_database.resume import restore_session, session_start, system_state
+from slam.map_database.session_merging import SessionResult, close_session, merge_session
+from slam.pose_graph.robust.backends import OptimizationResult
+from slam.run_log import RunLog
+from slam.system import Components, FrameResult, LoopCandidate, Slam
+
+_MIN_FRAMES = 100  # from one checkpoint to the next
+_MAX_SHARE = 0.04  # of the run's time that checkpoints may take: those of a large map come less often
+
+
+@dataclass(frozen=True)
+class SessionInfo:
+    """A new session of a map.
+
+    Attributes:
+        name: name of the dataset.
+        camera: camera of its left images, with the pair's baseline.
+        provenance: source, recording, command, versions, and the id of the run.
+        map_file: map of earlier sessions, which stays as it is; None for none.
+    """
+
+    name: str
+    camera: StereoCamera
+    provenance: Mapping[str, object]
+    map_file: Path | None = None
+
+
+class SessionRecorder(Protocol):
+    """Records a session: what is known of each frame, and checkpoints from which a run resumes."""
+
+    def components_in_session(self, components: Components) -> Components:
+        """The components as a system sees them that counts the frames of this session."""
+        ...
+
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
+        """Restore a new system to where the session stopped.
+
+        Returns:
+            Number of frames of the session that have been processed.
+        """
+        ...
+
+    def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
+        """Record a frame, and the milliseconds of its stages, those outside the system included."""
+        ...
+
+    def write_checkpoint(self) -> None:
+        """Record everything so far, and the state of the components."""
+        ...
+
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
+        """Record the last loops and the corrected poses.
+
+        Args:
+            late: candidates that came at the end.
+            optimized: trajectory of the session by itself.
+            ended: False for a run that was interrupted and may be resumed.
+        """
+        ...
+
+
+class NullSessionRecorder:
+    """Records nothing (a SessionRecorder)."""
+
+    def components_in_session(self, components: Components) -> Components:
+        """The components themselves."""
+        return components
+
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
+        """Start with the first frame."""
+        return 0
+
+    def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
+        """Do nothing."""
+
+    def write_checkpoint(self) -> None:
+        """Do nothing."""
+
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
+        """The trajectory by itself."""
+        return SessionResult(optimized)
+
+
+class MapSessionRecorder:
+    """Records a session in a map database (a SessionRecorder).
+
+    Frames wait in memory until the next checkpoint and are written with it in one transaction.
+
+    Attributes:
+        frames: number of frames of the session that have been written.
+    """
+
+    def __init__(self, store: MapDatabase, session: Session, config: RunConfig) -> None:
+        self.frames = 0
+        self._store, self._session, self._config = store, session, config
+        self._recognizer: SessionRecognizer | None = None
+        self._waiting: list[FrameRecord] = []
+        self._loops: list[LoopRecord] = []
+        self._num_loops = 0
+        self._state: Callable[[], object] = dict
+        self._last, self._cost = time.perf_counter(), 0.0
+
+    def components_in_session(self, components: Components) -> Components:
+        """The components as a system sees them that counts the frames of this session."""
+        components = components_in_session(components, session_start(self._store, self._session))
+        if isinstance(components.recognizer, SessionRecognizer):
+            self._recognizer = components.recognizer
+        return components
+
+    def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
+        """Restore a new system to where the session stopped; the number of frames that have been processed."""
+        restored = restore_session(self._store, self._session, slam, matrix, run_log)
+        self.frames, self._num_loops = restored.num_frames, restored.num_loops
+        self._state = partial(system_state, slam.components, matrix)
+        return self.frames
+
+    def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
+        """Record a frame, and the milliseconds of its stages, those outside the system included."""
+        image = self._session.first_image + result.frame.index
+        self._waiting.append(_frame_record(result, image, stage_ms))
+        self._loops += [self._loop_record(candidate, image) for candidate in result.candidates]
+        spent = time.perf_counter() - self._last
+        if len(self._waiting) >= _MIN_FRAMES and _MAX_SHARE * spent >= self._cost:
+            self.write_checkpoint()
+
+    def write_checkpoint(self) -> None:
+        """Record everything so far, and the state of the components."""
+        begin = time.perf_counter()
+        with self._store.writing():
+            self._store.delete_loops_from(self._num_loops)  # those of an interruption's end, which come again
+            for frame in self._waiting:
+                self._store.add_frame(frame, self._session.number)
+            self._write_loops(self._loops)
+            num_frames = self.frames + len(self._waiting)
+            self._store.set_checkpoint(self._session.number, Checkpoint(num_frames, self._state()))
+        self.frames, self._num_loops = num_frames, self._num_loops + len(self._loops)
+        self._waiting, self._loops = [], []
+        self._last = time.perf_counter()
+        self._cost = self._last - begin
+
+    def finish(self, late: Sequence[LoopCandidate], optimized: OptimizationResult, ended: bool) -> SessionResult:
+        """Record the last loops and the corrected poses; a session that was interrupted may be resumed."""
+        with self._store.writing():
+            if ended:
+                self._write_loops([self._loop_record(candidate, None) for candidate in late])
+                corrected, result = merge_session(self._store, self._session, optimized, self._config)
+            else:
+                corrected, result = close_session(self._session, optimized)
+            self._store.finish(self._session.number, corrected, ended)
+        return result
+
+    def _loop_record(self, candidate: LoopCandidate, at_image: int | None) -> LoopRecord:
+        """A candidate in the numbers of the map; with an image of an earlier session where it matches one."""
+        first = self._session.first_image
+        if self._recognizer is not None:
+            inter_session = self._recognizer.take_inter_session(first + candidate.belief.query)
+            if inter_session is not None:
+                return replace(inter_session, at_image=at_image)
+        return loop_in_map(candidate, at_image, first)
+
+    def _write_loops(self, loops: Iterable[LoopRecord]) -> None:
+        for number, loop in enumerate(loops, start=self._num_loops):
+            self._store.add_candidate(number, loop)
+
+
+@contextmanager
+def open_session_recorder(folder: RunFolder, config: RunConfig, session: SessionInfo) -> Iterator[SessionRecorder]:
+    """Record a session in the map of a run's folder, from its first frame or from where it stopped.
+
+    Whatever ends the block early, the map stays in the folder as soon as there is a frame in it.
+
+    Raises:
+        OutputError: the map cannot be written.
+        RevisitError: what the block raises, with a word on how to go on.
+    """
+    if not config.save_map:
+        yield NullSessionRecorder()
+        return
+    with _open(folder.path / MAP_FILE, config, session) as store:
+        recorder = MapSessionRecorder(store, store.sessions()[-1], config)
+        try:
+            yield recorder
+        except RevisitError as error:
+            if not recorder.frames:
+                raise
+            kept = f"{recorder.frames} frames are kept in {folder.final}: go on with --resume"
+            raise type(error)(f"{error}; {kept}") from error
+        finally:
+            if recorder.frames:
+                folder.keep()
+
+
+def _open(path: Path, config: RunConfig, session: SessionInfo) -> MapDatabase:
+    if not path.exists():
+        with replacing(path) as begun:  # a map without its new session would be taken for that of another run
+            _begin(begun, config, session)
+    return MapDatabase.open(path, writable=True)
+
+
+def _begin(path: Path, config: RunConfig, session: SessionInfo) -> None:
+    """Write the map with which a session begins."""
+    if session.map_file is not None:
+        with MapDatabase.open(session.map_file) as known:
+            known.copy(path)
+    database = MapDatabase.open(path, writable=True) if session.map_file else MapDatabase.create(path)
+    with database as store, store.writing():
+        number = len(store.sessions())
+        store.add_session(
+            Session(
+                number=number,
+                first_image=store.images(),
+                name=session.name,
+                camera=session.camera,
+                config=to_toml(config),
+                provenance=session.provenance,
+                map_id=number,
+            )
+        )
+
+
+def _frame_record(result: FrameResult, image: int, stage_ms: dict[str, float]) -> FrameRecord:
+    return FrameRecord(
+        image=image,
+        timestamp=result.frame.timestamp,
+        motion=result.motion,
+        T_world_odometry=result.T_world_camera_odometry,
+        T_world_online=result.T_world_camera,
+        landmarks=result.landmarks,
+        is_key_frame=result.is_key_frame,
+        stage_ms=stage_ms,
+    )

@@ -1,1 +1,0 @@
-"""Place recognition alone, with one camera and without odometry: `revisit places`."""

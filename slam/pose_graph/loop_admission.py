@@ -1,0 +1,285 @@
+"""Online loop selection: which loops the map uses while driving.
+
+A loop that drift can explain may still be false, and nothing at that moment tells. So no loop is used by itself: it
+waits until a second loop of the same stretch agrees with it (pairwise consistency: Mangelson et al., ICRA 2018,
+equation 3), and the map, with its uncertainty, must not exclude it. Whenever a cluster of loops has doubled, the
+clusters in use, and one that the map excludes, are compared with one another by a leave-one-out test
+(`slam.pose_graph.loop_clusters`). Figures: docs/decisions/online_loop_selection.md.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import Enum, auto
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.incremental import IncrementalPoseGraph
+from slam.pose_graph.loop_clusters import LeaveOneOutTest, LoopClusterConfig, LoopClusters
+from slam.pose_graph.node_chain import NodeChain
+from slam.pose_graph.odometry_chain import OdometryChain
+from slam.pose_graph.robust.backends import GateResult
+
+Array = NDArray[np.float64]
+
+# Removals of one loop: without a bound two loops that exclude each other would take turns for ever.
+_MAX_REMOVALS = 3
+
+
+@dataclass(frozen=True)
+class LoopSelectionConfig:
+    """When the online map uses a loop; chi-squares of 6 degrees of freedom."""
+
+    max_inlier_chi2: float = 22.5  # 99.9 %: a loop further from the map, by its own covariance, does not agree
+    max_predictive_chi2: float = 34.0  # 99.999 %: a loop further from the map, by both covariances, is excluded
+    clusters: LoopClusterConfig = field(default_factory=LoopClusterConfig)
+
+
+@dataclass(frozen=True)
+class LoopDecision:
+    """Decision on a loop at the moment when it is proposed.
+
+    Attributes:
+        passed: whether odometry's drift can explain the loop.
+        used: whether the online map uses the loop from now on.
+        residual: square root of the loop's chi-square against odometry.
+        reason: the decision in a sentence, with the numbers.
+    """
+
+    passed: bool
+    used: bool
+    residual: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class LoopEvent:
+    """A change of what the online map does with a loop.
+
+    Attributes:
+        frame: newest frame at that moment.
+        loop: number of the loop, in the order in which they were added.
+        used: True if the map uses the loop from now on; False if it waits or has been taken out.
+        reason: the cause in a sentence, with the numbers.
+    """
+
+    frame: int
+    loop: int
+    used: bool
+    reason: str
+
+
+class _Phase(Enum):
+    """What the next step of the selector does; the earlier ones come first."""
+
+    SETTLE = auto()  # a step of optimisation: loops are judged by a map at rest only
+    TEST = auto()  # a step of the leave-one-out test that is under way
+    BEGIN_TEST = auto()  # start the leave-one-out test that is due
+    RECONSIDER = auto()  # compare one cluster that was excluded with the map, as it is now
+    REST = auto()
+
+
+@dataclass
+class _State:
+    """State of the selector between two steps.
+
+    Attributes:
+        is_settling: the map has changed and has not come to rest.
+        test: leave-one-out test under way, or None; it pauses while the map settles.
+        candidate: cluster outside the map that this test is about, or None.
+        is_test_due: a cluster in use has doubled since it was last tested.
+        to_reconsider: clusters to compare with the map again, as it has changed.
+    """
+
+    is_settling: bool = False
+    test: LeaveOneOutTest | None = None
+    candidate: int | None = None
+    is_test_due: bool = False
+    to_reconsider: list[int] = field(default_factory=list)
+
+    @property
+    def phase(self) -> _Phase:
+        if self.is_settling:
+            return _Phase.SETTLE
+        if self.test is not None:
+            return _Phase.TEST
+        if self.is_test_due:
+            return _Phase.BEGIN_TEST
+        return _Phase.RECONSIDER if self.to_reconsider else _Phase.REST
+
+
+class OnlineLoopSelector:
+    """Takes loops one by one and keeps the online map on those that agree.
+
+    Args:
+        chain: odometry of all frames.
+        nodes: frames on the nodes of the online graph.
+        graph: the online graph, which the selector adds loops to and removes them from.
+        config: thresholds.
+    """
+
+    def __init__(
+        self, chain: OdometryChain, nodes: NodeChain, graph: IncrementalPoseGraph, config: LoopSelectionConfig
+    ) -> None:
+        self._chain, self._nodes, self._graph, self._config = chain, nodes, graph, config
+        self._clusters = LoopClusters(chain, config.clusters)
+        self._tested_sizes: dict[int, int] = {}  # size of each cluster when it was last tested
+        self._removals: Counter[int] = Counter()  # of each loop, because the map contradicted it
+        self._state = _State()
+        self.events: list[LoopEvent] = []
+
+    def propose(self, number: int, loop: LoopClosure, gate: GateResult) -> LoopDecision:
+        """Use a loop, or let it wait.
+
+        Args:
+            number: number of the loop, in the order in which they are added.
+            loop: the loop between frames, noise floor included.
+            gate: test of the loop against odometry alone.
+        """
+        reason = self._assess(number, loop) if gate.passed else gate.reason
+        used = number in self._graph.used
+        self._log([number], used, reason)
+        if used:
+            self.step()
+        return LoopDecision(gate.passed, used, gate.residual, reason)
+
+    def step(self) -> None:
+        """Do one step of the work that is under way; called once a frame, so that no frame waits for a large one."""
+        state = self._state
+        if state.phase is _Phase.SETTLE:
+            if self._graph.step():
+                state.is_settling = self._remove_contradicted() or self._accept_waiting()
+        elif state.test is not None:
+            if state.test.step():
+                self._apply(state.test)
+        elif state.phase is _Phase.BEGIN_TEST:
+            state.is_test_due = False
+            self._begin_test(None)
+        elif state.phase is _Phase.RECONSIDER:
+            self._reconsider(state.to_reconsider.pop())
+
+    def _assess(self, number: int, loop: LoopClosure) -> str:
+        """Use a loop that the map or another loop supports; the reason why it is used or waits."""
+        between_nodes = self._nodes.between_nodes(loop)
+        if between_nodes is None:
+            return "waits: both frames belong to one graph node, so there is nothing to correct"
+        companions = self._clusters.add(number, loop, between_nodes)
+        self._graph.register_loop(number, between_nodes)
+        chi2 = float(self._graph.chi2([number])[0])
+        if self._graph.used and chi2 <= self._config.max_inlier_chi2:
+            self._use([number])
+            return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma"
+        if not companions:
+            return "waits: drift explains it, but no other loop of this stretch agrees yet"
+        return self._assess_with(number, companions)
+
+    def _assess_with(self, number: int, companions: list[int]) -> str:
+        """Use a loop together with its cluster, unless the map excludes it."""
+        used = self._graph.used
+        chi2 = self._predictive_chi2(number) if used else 0.0
+        if chi2 > self._config.max_predictive_chi2:
+            return self._challenge(number, chi2)
+        newcomers = [other for other in companions if other not in used]
+        self._use([number, *newcomers])
+        self._log(newcomers, True, f"joined: loop {number} of this stretch agrees")
+        found = f"{len(companions)} {'loops' if len(companions) > 1 else 'loop'} of this stretch"
+        return f"joined: {found} and the map agree, {np.sqrt(chi2):.1f} sigma"
+
+    def _challenge(self, number: int, chi2: float) -> str:
+        """Begin to compare a cluster that the map excludes with those in use, if it has doubled since last time."""
+        limit = np.sqrt(self._config.max_predictive_chi2)
+        reason = f"waits: {np.sqrt(chi2):.1f} sigma from the map (limit {limit:.1f})"
+        cluster = self._clusters[number].cluster
+        size = len(self._clusters.members(cluster))
+        if self._state.test is not None or size < 2 * self._tested_sizes.get(cluster, 1):
+            return reason
+        self._tested_sizes[cluster] = size
+        self._begin_test(cluster)
+        return f"{reason}; as {size} loops agree with it, each group is compared with the others"
+
+    def _begin_test(self, candidate: int | None) -> None:
+        """Begin to compare the clusters in use, and a candidate, with one another."""
+        clusters: dict[int, list[int]] = {}
+        for k in self._graph.used:
+            clusters.setdefault(self._clusters[k].cluster, []).append(k)
+        if candidate is not None:
+            clusters[candidate] = self._clusters.members(candidate)
+        self._state.candidate = candidate
+        self._state.test = LeaveOneOutTest(clusters, self._clusters.chi2_given_others, self._config.max_predictive_chi2)
+
+    def _apply(self, test: LeaveOneOutTest) -> None:
+        """Remove the clusters that a test has left out, and use its candidate if it was not."""
+        state, used, candidate = self._state, set(self._graph.used), self._state.candidate
+        state.test = state.candidate = None
+        for cluster, chi2 in test.left_out.items():
+            wrong = [k for k in self._clusters.members(cluster) if k in used]
+            self._graph.remove_loops(wrong)
+            self._log(wrong, False, f"taken out: the other groups of loops put it {np.sqrt(chi2):.1f} sigma off")
+            state.is_settling = state.is_settling or bool(wrong)
+        if candidate is not None and candidate not in test.left_out:
+            members = [k for k in self._clusters.members(candidate) if k not in used]
+            self._use(members)
+            self._log(members, True, f"joined: {len(members)} loops outweigh those against them")
+        if state.is_settling:
+            state.to_reconsider = [cluster for cluster in self._clusters.names if cluster != candidate]
+
+    def _reconsider(self, cluster: int) -> None:
+        """Use a cluster that the map has excluded, if it no longer does."""
+        used = set(self._graph.used)
+        waiting = [k for k in self._clusters.members(cluster) if k not in used]
+        if len(waiting) < 2 or not used:
+            return
+        chi2 = self._predictive_chi2(waiting[len(waiting) // 2])
+        if chi2 <= self._config.max_predictive_chi2:
+            self._use(waiting)
+            self._log(waiting, True, f"joined: {np.sqrt(chi2):.1f} sigma from the map by now")
+
+    def _use(self, numbers: Iterable[int]) -> None:
+        """Add loops to the map; a cluster that has doubled by them makes a test due."""
+        self._graph.add_loops({k: self._clusters[k].between_nodes for k in numbers})
+        self._state.is_settling = True
+        for cluster in sorted({self._clusters[k].cluster for k in numbers}):
+            size = len(self._clusters.members(cluster))
+            if size >= 2 * self._tested_sizes.get(cluster, 1):
+                self._tested_sizes[cluster], self._state.is_test_due = size, True
+
+    def _remove_contradicted(self) -> bool:
+        """Remove the used loops that are furthest from the map; whether there were any.
+
+        Only those beyond half of the largest chi-square: the others may agree when these are gone.
+        """
+        used = self._graph.used
+        chi2 = self._graph.chi2(used)
+        limit = max(self._config.max_inlier_chi2, 0.5 * float(chi2.max(initial=0.0)))
+        wrong = [used[k] for k in np.flatnonzero(chi2 > limit)]
+        self._graph.remove_loops(wrong)
+        self._removals.update(wrong)
+        self._log(wrong, False, f"taken out: over {np.sqrt(limit):.1f} sigma from the map that the others make")
+        if len(used) - len(wrong) == 1:
+            (last,) = set(used) - set(wrong)
+            self._graph.remove_loops([last])
+            self._log([last], False, "taken out: no other loop agrees any more")
+            return True
+        return bool(wrong)
+
+    def _accept_waiting(self) -> bool:
+        """Use the waiting loops that the map now agrees with; whether there were any."""
+        used = set(self._graph.used)
+        numbers = self._clusters.numbers if used else []
+        waiting = [k for k in numbers if k not in used and self._removals[k] < _MAX_REMOVALS]
+        chi2 = self._graph.chi2(waiting)
+        agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.max_inlier_chi2]
+        if agree:
+            self._use(agree)
+        self._log(agree, True, "joined: the map agrees by now")
+        return bool(agree)
+
+    def _predictive_chi2(self, number: int) -> float:
+        """Chi-square of a loop against the map, the covariances of both counted."""
+        bias = self._clusters.bias_covariance(number, self._graph.used)
+        return self._graph.predictive_chi2(self._clusters[number].between_nodes, bias)
+
+    def _log(self, numbers: Iterable[int], used: bool, reason: str) -> None:
+        self.events += [LoopEvent(len(self._chain) - 1, number, used, reason) for number in numbers]

@@ -1,0 +1,1 @@
+"""Least squares on pose graphs: edges, Lie groups, solvers, covariances, scale."""

@@ -1,0 +1,120 @@
+"""Marginal covariances of all poses of an optimised trajectory.
+
+Two parts are added. The graph's own marginals (Kaess and Dellaert, RAS 2009) count errors that are independent
+from motion to motion. A bias of odometry that lasts for the whole path is not one of the graph's unknowns, so it shifts
+the solution; by how much follows from the same linear system (the sandwich formula: covariance of an estimator under
+errors that it does not model).
+
+Covariance of the relative pose of any two poses of a graph, from samples of its posterior.
+
+A marginal for every proposed loop would need as many solves as there are loops; a fixed number of samples
+gives all of them at once (perturb-and-solve: Papandreou and Yuille, NIPS 2010).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.optimization import gtsam_factors as factors
+from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.gauss_newton import factorize, factorize_jacobian, whitened_jacobian
+from slam.pose_graph.optimization.lie_groups import inverse
+
+Array = NDArray[np.float64]
+
+_DOF = 6
+
+
+def marginal_covariances(
+    motions: Sequence[tuple[Array, Array]], loops: Sequence[LoopClosure], poses: Array, bias_sigmas: Array
+) -> Array:
+    """Covariances (N, 6, 6) of the right perturbations of poses, rotation first, frame 0 held.
+
+    Args:
+        motions: N - 1 motions T_previous_current (4, 4) with their covariances (6, 6), in order.
+        loops: loops that the poses are fitted to.
+        poses: T_world_camera (N, 4, 4), metres, the solution of the graph.
+        bias_sigmas: (N - 1, 6) standard deviation of the bias's error in each motion; all share its sign.
+    """
+    graph, values = _graph(motions, loops), factors.to_values(poses)
+    linear, marginals = graph.linearize(values), gtsam.Marginals(graph, values)
+    independent = np.array([marginals.marginalCovariance(key) for key in range(len(poses))])
+    shift = _response(linear, len(poses), bias_sigmas)
+    return independent + shift @ np.swapaxes(shift, 1, 2)
+
+
+def _graph(motions: Sequence[tuple[Array, Array]], loops: Sequence[LoopClosure]) -> gtsam.NonlinearFactorGraph:
+    """Prior, motions, loops, in the order on which `_response` relies."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(factors.prior_factor(np.eye(4)))
+    for k, (T, covariance) in enumerate(motions):
+        graph.add(factors.odometry_factor(k, k + 1, T, covariance))
+    for loop in loops:
+        graph.add(factors.loop_factor(loop))
+    return graph
+
+
+def _response(linear: gtsam.GaussianFactorGraph, count: int, bias_sigmas: Array) -> Array:
+    """Shift (N, 6, 6) of each pose by a bias of one sigma, one column for each of the six errors."""
+    rows, columns, values = linear.sparseJacobian_()
+    shape = (int(rows.max()), count * _DOF + 1)
+    # GTSAM counts from 1 and puts the right-hand side last.
+    A = sparse.csr_array((values, (rows.astype(int) - 1, columns.astype(int) - 1)), shape=shape)[:, :-1]
+    motions = sparse.csr_array(A[: count * _DOF].tocoo())
+    # The Jacobian of a motion by the pose that it leads to is what whitens its error.
+    same_pose = sparse.block_diag([np.ones((_DOF, _DOF))] * count, format="csr")
+    whitening = motions.multiply(same_pose).tocsr()
+    errors = np.concatenate([np.zeros((1, _DOF)), bias_sigmas])[:, :, None] * np.eye(_DOF)
+    right = A[: count * _DOF].T @ (whitening @ errors.reshape(-1, _DOF))
+    return factorize((A.T @ A).tocsc()).solve(right).reshape(count, _DOF, _DOF)
+
+
+SAMPLES = 48  # a variance is then known to a fifth of itself, one standard deviation: sqrt(2 / 48)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Samples of the Gaussian posterior of a graph around its poses.
+
+    Attributes:
+        poses: (N, n, n) mean of the posterior, metres.
+        samples: (N, dof, S) right perturbations of the poses, the first pose held.
+    """
+
+    poses: Array
+    samples: Array
+
+    def relative_covariance(self, edges: Edges) -> Array:
+        """Covariances (M, dof, dof) of the relative pose between the ends of each edge, without its own measurement.
+
+        Scaled so that its inverse is unbiased (Hartlap et al., A&A 2007).
+        """
+        relative = inverse(self.poses[edges.second]) @ self.poses[edges.first]
+        moved = edges.group.adjoint(relative) @ self.samples[edges.first]
+        difference = self.samples[edges.second] - moved
+        return difference @ np.swapaxes(difference, 1, 2) / self._divisor
+
+    @property
+    def inflation(self) -> float:
+        """Expected `relative_covariance` over the true covariance."""
+        return self.samples.shape[2] / self._divisor
+
+    @property
+    def _divisor(self) -> int:
+        return self.samples.shape[2] - self.samples.shape[1] - 1
+
+
+def sample_posterior(poses: Array, edges: Edges, seed: int = 0) -> Posterior:
+    """Sample the posterior of a connected graph at poses (N, n, n), the first pose held."""
+    dof = edges.group.dof
+    jacobian = whitened_jacobian(poses, edges)[:, dof:]
+    # The least-squares answer to unit noise in the whitened errors is a sample of the posterior.
+    noise = np.random.default_rng(seed).normal(size=(jacobian.shape[0], SAMPLES))
+    moved = factorize_jacobian(jacobian).solve(jacobian.T @ noise)
+    samples = np.concatenate([np.zeros((dof, SAMPLES)), moved]).reshape(len(poses), dof, SAMPLES)
+    return Posterior(poses, samples)

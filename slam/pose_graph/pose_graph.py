@@ -1,0 +1,222 @@
+"""The pose graph: frames are nodes, odometry is a chain of edges, loops are edges that shorten it.
+
+Online with iSAM2 (Kaess et al., IJRR 2012) on some of the frames, and at the end a robust batch optimisation of all
+frames that decides on every loop again.
+"""
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry import se3
+from slam.errors import GraphError
+from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.incremental import IncrementalConfig, IncrementalPoseGraph
+from slam.pose_graph.loop_admission import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
+from slam.pose_graph.node_chain import NodeChain, NodeSpacing
+from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, chained
+from slam.pose_graph.optimization.edges import from_measurements
+from slam.pose_graph.optimization.marginals import marginal_covariances
+from slam.pose_graph.optimization.sim3 import estimate_log_scales, in_common_scale, refine_sim3
+from slam.pose_graph.robust import backends as back_ends
+from slam.pose_graph.robust.backends import GateResult, OptimizationResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseGraphConfig:
+    """Noise of odometry and loops, and what the online graph optimises."""
+
+    drift: OdometryDriftModel = field(default_factory=OdometryDriftModel)  # beyond odometry's stated covariance
+    scale_drift: float = 0.0  # standard deviation of the log scale over a metre; grows with the root of the path
+    # Added to every loop, true or false: a loop that is stated to be exact bends odometry round itself.
+    loop_sigma_rad: float = 2e-3  # of rotation
+    loop_sigma_m: float = 0.05  # of translation
+    max_gate_chi2: float = 34.0  # 99.999 % of 6 dof: drift cannot explain a loop further from odometry
+    nodes: NodeSpacing = field(default_factory=NodeSpacing)  # which frames are optimised online
+    loop_selection: LoopSelectionConfig = field(default_factory=LoopSelectionConfig)  # which loops are used online
+    incremental: IncrementalConfig = field(default_factory=IncrementalConfig)
+
+    def with_noise_floor(self, closure: LoopClosure) -> LoopClosure:
+        """A loop with `loop_sigma_rad` and `loop_sigma_m` added to its covariance."""
+        floor = np.diag(np.repeat(np.square([self.loop_sigma_rad, self.loop_sigma_m]), 3))
+        return replace(closure, covariance=closure.covariance + floor)
+
+
+class PoseGraph:
+    """Frames with their odometry and loops; frame 0 stays at the identity.
+
+    All poses are T_world_camera in metres; covariances (6, 6) belong to right perturbations, rotation first.
+    """
+
+    def __init__(self, config: PoseGraphConfig | None = None) -> None:
+        self.config = config or PoseGraphConfig()
+        self._chain = OdometryChain(self.config.drift)
+        self._edges: list[tuple[Array, Array]] = []
+        self._loops: list[LoopClosure] = []
+        self._gates: list[GateResult] = []
+        self._nodes = NodeChain(self.config.nodes)
+        self._incremental = IncrementalPoseGraph(self.config.incremental)
+        self._selector = OnlineLoopSelector(self._chain, self._nodes, self._incremental, self.config.loop_selection)
+
+    def __len__(self) -> int:
+        return len(self._chain)
+
+    @property
+    def loops(self) -> tuple[LoopClosure, ...]:
+        """All loops in the order in which they were added, those that failed the gate too: the batch decides anew."""
+        return tuple(self._loops)
+
+    @property
+    def gates(self) -> tuple[GateResult, ...]:
+        """The gate's result for each of `loops`."""
+        return tuple(self._gates)
+
+    @property
+    def odometry(self) -> tuple[tuple[Array, Array], ...]:
+        """(N - 1) motions T_previous_current (4, 4) with their stated covariances (6, 6)."""
+        return tuple(self._edges)
+
+    def add_odometry(self, T_previous_current: Array, covariance: Array) -> None:
+        """Add the next frame by its motion.
+
+        Args:
+            T_previous_current: (4, 4) camera of the new frame in that of the frame before, metres.
+            covariance: (6, 6) of its right perturbation, rotation first.
+
+        Raises:
+            GraphError: the covariance is not finite and positive definite.
+        """
+        stated = _checked(covariance, f"motion to frame {len(self)}")
+        self._edges.append((T_previous_current, covariance))
+        self._chain.append(T_previous_current, stated)
+        node = self._nodes.append(T_previous_current, self.config.drift.of_motion(T_previous_current, stated))
+        if node is not None:
+            self._incremental.add_node(node.T_node_frame, node.covariance)
+        self._selector.step()
+
+    def add_loop(self, closure: LoopClosure) -> LoopDecision:
+        """Add a loop: test it against odometry's drift and against the loops so far, and use it online if it agrees.
+
+        Raises:
+            GraphError: a frame is not in the graph, or the covariance is not positive definite.
+        """
+        self._check(closure)
+        floored = self.config.with_noise_floor(closure)
+        gate = self._gate(floored)
+        self._loops.append(closure)
+        self._gates.append(gate)
+        return self._selector.propose(len(self._loops) - 1, floored, gate)
+
+    def current_pose(self) -> Array:
+        """T_world_camera (4, 4) of the newest frame, by odometry and the loops in use."""
+        return self._incremental.T_world_newest @ self._nodes[len(self) - 1].T_node_frame
+
+    def poses(self) -> Array:
+        """T_world_camera (N, 4, 4) of all frames, by odometry and the loops in use."""
+        return self._nodes.poses(self._incremental.poses())
+
+    @property
+    def loop_events(self) -> tuple[LoopEvent, ...]:
+        """What became of the loops online, in the order in which it happened."""
+        return tuple(self._selector.events)
+
+    def odometry_poses(self) -> Array:
+        """T_world_camera (N, 4, 4) by odometry alone."""
+        return self._chain.poses
+
+    def odometry_covariances(self) -> Array:
+        """Covariances (N, 6, 6) of odometry's poses, drift model included; frame 0 is held."""
+        return self._chain.covariances()
+
+    def covariances(self, optimized: OptimizationResult) -> Array:
+        """Covariances (N, 6, 6) of the poses of an optimisation, by odometry and the loops that it kept."""
+        loops = [self.config.with_noise_floor(self._loops[number]) for number in np.flatnonzero(optimized.kept)]
+        return marginal_covariances(self._with_drift(self._edges), loops, optimized.poses, self._chain.bias_sigmas())
+
+    def optimize(self, robust: str = back_ends.DEFAULT) -> OptimizationResult:
+        """Optimise all frames and loops at once with a robust back end of `slam.pose_graph.robust.backends.BACK_ENDS`.
+
+        Raises:
+            ConfigError: there is no back end of this name.
+        """
+        start = time.perf_counter()
+        scales = self._scales()
+        result = back_ends.solve(self._problem(scales), robust)
+        poses, scales = self._refine_scales(result, scales)
+        problem = self._problem(scales)
+        return OptimizationResult(
+            poses=poses,
+            weights=result.weights,
+            residuals=np.sqrt(problem.loops.chi2(poses)),
+            kept=result.kept,
+            reasons=result.reasons,
+            error_initial=problem.error(result.kept, problem.start),
+            error_final=problem.error(result.kept, poses),
+            seconds=time.perf_counter() - start,
+            scales=scales,
+        )
+
+    def in_common_scale(self, scales: Array) -> tuple[list[tuple[Array, Array]], list[LoopClosure]]:
+        """Motions with their covariances, and loops, in one unit of length; `scales` (N,) is that of each frame."""
+        return in_common_scale(self._edges, self._loops, scales)
+
+    def _scales(self) -> Array:
+        """Scale (N,) of each frame in that of the first, by the loops that measure it."""
+        steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
+        return np.exp(estimate_log_scales(steps, self._loops, self.config.scale_drift))
+
+    def _refine_scales(self, result: back_ends.BackEndResult, scales: Array) -> tuple[Array, Array]:
+        """Poses and scales refined together in Sim(3) by the kept loops; unchanged where scale does not drift."""
+        kept = [loop for loop, keep in zip(self._loops, result.kept, strict=True) if keep]
+        if not self.config.scale_drift or not kept:
+            return result.poses, scales
+        floored = [self.config.with_noise_floor(loop) for loop in kept]
+        return refine_sim3(self._with_drift(self._edges), floored, result.poses, scales, self.config.scale_drift)
+
+    def _with_drift(self, edges: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
+        """Motions with the random walk of the drift model added to their covariances."""
+        return [(T, self.config.drift.of_motion(T, covariance)) for T, covariance in edges]
+
+    def _problem(self, scales: Array) -> back_ends.LoopProblem:
+        edges, closures = self.in_common_scale(scales)
+        motions = self._with_drift(edges)
+        floored = [self.config.with_noise_floor(loop) for loop in closures]
+        before, ends = np.arange(len(motions)), [(loop.match, loop.query) for loop in floored]
+        chain = from_measurements(np.column_stack([before, before + 1]), motions)
+        loops = from_measurements(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in floored])
+        return back_ends.LoopProblem(chain, loops, chained([T for T, _ in edges]))
+
+    def _check(self, closure: LoopClosure) -> None:
+        if not 0 <= closure.match < closure.query < len(self):
+            raise GraphError(
+                f"loop {closure.query} -> {closure.match}: expected an earlier frame and a later one among "
+                f"the {len(self)} in the graph; add the odometry of both frames first"
+            )
+        _checked(closure.covariance, f"loop {closure.query} -> {closure.match}")
+
+    def _gate(self, closure: LoopClosure) -> GateResult:
+        """Test a loop against the relative pose that odometry gives, with the covariances of both."""
+        between = self._chain.between(closure.match, closure.query)
+        difference = se3.inverse(closure.T_match_query) @ between.T_first_second
+        error = se3.log(difference)
+        residual = float(np.sqrt(error @ np.linalg.solve(between.covariance + closure.covariance, error)))
+        passed = residual**2 <= self.config.max_gate_chi2
+        verb = "drift explains" if passed else "drift does not explain"
+        distance, angle = np.linalg.norm(difference[:3, 3]), np.degrees(se3.angle(difference))
+        reason = (
+            f"{verb} {distance:.1f} m and {angle:.1f} deg over {between.path_length_m:.0f} m of path: "
+            f"{residual:.1f} sigma (limit {np.sqrt(self.config.max_gate_chi2):.1f})"
+        )
+        return GateResult(passed, residual, reason)
+
+
+def _checked(covariance: Array, name: str) -> Array:
+    """The covariance (6, 6) itself; GraphError if it is not finite and positive definite."""
+    good = np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()
+    if not good or np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise GraphError(f"{name}: expected a finite, positive definite covariance (6, 6), got {covariance}")
+    return covariance

@@ -1,0 +1,1 @@
+"""Robust back ends: which loops of a pose graph can be trusted."""

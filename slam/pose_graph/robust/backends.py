@@ -1,0 +1,208 @@
+"""Robust back ends by name: which loops the final map uses, and why the others were left out.
+
+A back end is a function of a `LoopProblem` and of the screening of its loops; adding one is one function and
+one line in `BACK_ENDS` (docs/add_a_back_end.md). All but `none` start from loops that passed a gate on each alone.
+Chi-square is the squared Mahalanobis length of an error.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from slam.errors import ConfigError, GraphError
+from slam.pose_graph.optimization.batch import optimize, refine
+from slam.pose_graph.robust.calibration import Screening, screen
+from slam.pose_graph.robust.consensus import grow_consensus
+from slam.pose_graph.robust.gnc import gnc, least_squares
+from slam.pose_graph.robust.kernels import Kernel, dcs, huber, kernel_poses, switchable
+from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO
+from slam.pose_graph.robust.pcm import pairwise_consistent
+from slam.pose_graph.robust.problem import MIN_KEPT_WEIGHT, BackEndResult, LoopProblem
+
+__all__ = [
+    "BACK_ENDS",
+    "DEFAULT",
+    "BackEndResult",
+    "GateResult",
+    "LoopProblem",
+    "OptimizationResult",
+    "back_end",
+    "solve",
+]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DEFAULT = "pcm+gnc"
+
+
+@dataclass(frozen=True)
+class GateResult:
+    """Test of a loop by itself against odometry, before any optimisation.
+
+    Attributes:
+        passed: whether the drift that odometry may have can explain the loop.
+        residual: square root of the loop's chi-square against odometry.
+        reason: the result in a sentence, with the numbers.
+    """
+
+    passed: bool
+    residual: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class OptimizationResult:
+    """The corrected trajectory, and what became of each loop, in the order in which they were added.
+
+    Attributes:
+        poses: (N, n, n) T_world_camera in space, metres.
+        weights: (L,) weight of each loop by the back end, 0 to 1.
+        residuals: (L,) square root of each loop's chi-square at `poses`.
+        kept: (L,) bool, the loops that the poses are fitted to.
+        reasons: (L,) why each loop was kept or left out, a sentence each.
+        error_initial, error_final: half the chi-square of odometry and kept loops, at odometry and at `poses`.
+        seconds: wall-clock time of the optimisation.
+        scales: (N,) length of each frame's unit of length in that of `poses`; all one with a stereo camera.
+    """
+
+    poses: Array
+    weights: Array
+    residuals: Array
+    kept: Mask
+    reasons: tuple[str, ...]
+    error_initial: float
+    error_final: float
+    seconds: float
+    scales: Array
+
+    @property
+    def similarities(self) -> Array:
+        """(N, 4, 4) similarities that take points from a camera, in its own unit, to the world."""
+        out = self.poses.copy()
+        out[:, :3, :3] *= self.scales[:, None, None]
+        return out
+
+
+def _all_loops(problem: LoopProblem, screening: Screening) -> BackEndResult:
+    """Least squares on every loop, true or false: the baseline."""
+    return _fit_from_odometry(problem, np.ones(len(problem.loops), dtype=bool))
+
+
+def _with_kernel(kernel: Kernel) -> "BackEnd":
+    """Back end of a robust kernel on the gated loops."""
+
+    def run(problem: LoopProblem, screening: Screening) -> BackEndResult:
+        return BackEndResult(*kernel_poses(problem, screening, kernel), reasons=())
+
+    return run
+
+
+def _gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
+    """Graduated non-convexity on the gated loops, odometry taken to be right (Yang et al., RA-L 2020)."""
+    use = screening.passed
+    if not use.any():
+        return _fit_from_odometry(problem, use)
+    # From least squares on the gated loops: from odometry the large first residuals set the schedule, and every
+    # loop is rejected (docs/decisions/own_gauss_newton.md).
+    poses, kept = gnc(problem, use, least_squares(problem, use, problem.start), screening.max_inlier_chi2)
+    return _fit_nearby(problem, kept, poses)
+
+
+def _pcm(problem: LoopProblem, screening: Screening) -> BackEndResult:
+    """Pairwise consistent loops among the gated ones, and least squares on them (Mangelson et al., ICRA 2018)."""
+    kept = np.zeros(len(problem.loops), dtype=bool)
+    kept[pairwise_consistent(screening.likelihood, np.flatnonzero(screening.passed), screening.scale)] = True
+    return _fit_from_odometry(problem, kept)
+
+
+def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
+    """Loops accepted by likelihood ratio and pairwise consistency, misfits removed by GNC, until none follows."""
+    consensus = grow_consensus(screening)
+    return _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
+
+
+# The problem and the screening of its loops -> poses and weights; `solve` adds the reasons.
+BackEnd = Callable[[LoopProblem, Screening], BackEndResult]
+BACK_ENDS: dict[str, BackEnd] = {
+    "none": _all_loops,
+    "huber": _with_kernel(huber),
+    "dcs": _with_kernel(dcs),
+    "switchable": _with_kernel(switchable),
+    "gnc": _gnc,
+    "pcm": _pcm,
+    "pcm+gnc": _pcm_gnc,
+}
+
+
+def back_end(name: str) -> BackEnd:
+    """Back end of a name; ConfigError lists the names there are."""
+    if name not in BACK_ENDS:
+        raise ConfigError(f"unknown robust back end '{name}': expected one of {', '.join(BACK_ENDS)}")
+    return BACK_ENDS[name]
+
+
+def solve(problem: LoopProblem, name: str = DEFAULT) -> BackEndResult:
+    """Solve a problem by the named back end: poses, and a weight and a reason for each loop.
+
+    Raises:
+        ConfigError: there is no back end of this name.
+        GraphError: the trusted edges do not connect all poses, or an information matrix is not positive definite.
+    """
+    run = back_end(name)
+    _check(problem)
+    if not len(problem.loops):
+        return _fit_from_odometry(problem, np.zeros(0, dtype=bool))
+    screening = screen(problem)  # of `none` too: its reasons need the scale of covariances
+    result = run(problem, screening)
+    return replace(result, reasons=_reasons(problem, screening, result))
+
+
+def _check(problem: LoopProblem) -> None:
+    """GraphError, one line, for a problem that has no unique solution."""
+    trusted, count = problem.trusted, len(problem.start)
+    links = sparse.coo_array((np.ones(len(trusted)), (trusted.first, trusted.second)), shape=(count, count))
+    part = connected_components(links, directed=False)[1]
+    connected = int((part == part[0]).sum())
+    if connected < count:
+        raise GraphError(
+            f"expected trusted edges that connect all poses, but only {connected} poses of {count} are connected to "
+            "the first; add the missing edge, or split the graph"
+        )
+    try:
+        _ = trusted.sqrt_information, problem.loops.sqrt_information
+    except np.linalg.LinAlgError as error:
+        raise GraphError("expected positive definite information in every edge; correct that edge") from error
+
+
+def _fit_from_odometry(problem: LoopProblem, kept: Mask) -> BackEndResult:
+    """Least squares on the kept loops from the better of two starts; without any loop, where the trusted edges lead."""
+    poses = optimize(problem.edges_with(kept), problem.start) if kept.any() else problem.start
+    return BackEndResult(poses, kept.astype(np.float64), ())
+
+
+def _fit_nearby(problem: LoopProblem, kept: Mask, poses: Array) -> BackEndResult:
+    """Least squares on the kept loops from poses near the minimum; without any loop, where the trusted edges lead."""
+    poses = refine(problem.edges_with(kept), poses) if kept.any() else problem.start
+    return BackEndResult(poses, kept.astype(np.float64), ())
+
+
+def _reasons(problem: LoopProblem, screening: Screening, result: BackEndResult) -> tuple[str, ...]:
+    """(L,) why each loop was kept or left out, a sentence each."""
+    # Residuals on the calibrated scale: stated covariances may be wrong by any factor.
+    after = np.sqrt(problem.loops.chi2(result.poses) / screening.scale)
+    before = np.sqrt(screening.likelihood.chi2 / screening.scale)
+    log_ratio = screening.likelihood.log_ratio_at(screening.scale)
+    return tuple(map(_reason, result.weights, after, before, log_ratio))
+
+
+def _reason(weight: float, after: float, before: float, log_ratio: float) -> str:
+    if weight >= MIN_KEPT_WEIGHT:
+        return f"kept with weight {weight:.2f}: {after:.1f} sigma from the optimised map"
+    if log_ratio < MIN_LOG_RATIO:
+        return f"left out: {before:.1f} sigma from odometry, likelier a false loop than its drift"
+    return f"left out: {after:.1f} sigma from the map that the kept loops agree on"

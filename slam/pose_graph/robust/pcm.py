@@ -1,0 +1,155 @@
+"""Pairwise consistency maximisation: a large set of loops of which every two agree (Mangelson et al., ICRA 2018).
+
+Two loops agree where the cycle through both of them and the poses between closes within its covariance. Sets
+are weighted by the likelihood ratios of their loops and grown greedily, so that many true loops win over a clique of
+false ones.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.marginals import Posterior
+from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO, LoopLikelihood, max_inlier_chi2
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+# Pairs grow with the square of the loops: every pair of the seeds is tested, the other loops against the seeds only.
+SEEDS = 150
+_LIMIT_FACTOR = 2.0  # on the chi-square limit of a cycle: the scale of single covariances is uncertain
+_MIN_AGREEING_SHARE = 0.8  # of the accepted seeds, with which another loop must agree
+_NEIGHBORS = 8  # loops nearest to a loop, itself included, that vote on it
+# False loops come in runs that agree with one another: two loops are independent evidence only if both of their
+# ends are this far apart.
+_MIN_INDEPENDENT_POSES = 100
+_MIN_WEIGHT = 1e-3  # weights of a clique must be positive
+_PAIRS_PER_CHUNK = 3000  # bounds the memory
+
+
+def pairwise_consistent(likelihood: LoopLikelihood, rows: Rows, scale: float) -> Rows:
+    """Rows of a set of pairwise consistent loops of large weight.
+
+    Args:
+        likelihood: likelihood ratio of all L loops by the rest of the graph.
+        rows: (M,) rows of the proposed loops.
+        scale: covariance scale.
+    """
+    log_ratio = np.maximum(likelihood.log_ratio_at(scale)[rows], _MIN_WEIGHT)
+    order = np.argsort(-log_ratio, kind="stable")
+    seeds, others = rows[order[:SEEDS]], rows[np.sort(order[SEEDS:])]
+    agree = pairwise_consistency(likelihood, seeds, seeds, scale)
+    good = seeds[greedy_max_weight_clique(agree & agree.T, log_ratio[order[:SEEDS]])]
+    share = pairwise_consistency(likelihood, others, good, scale).sum(axis=1)
+    return np.sort(np.concatenate([good, others[share >= _MIN_AGREEING_SHARE * len(good)]]))
+
+
+def contradicted_by_neighbors(likelihood: LoopLikelihood, rows: Rows, scale: float) -> Rows:
+    """Rows of the proposed loops (M rows) that their nearest neighbours contradict, weighted by likelihood ratio.
+
+    Only close neighbours vote: by the drift between them, loops that are far apart agree with almost anything.
+    """
+    if len(rows) < 2:
+        return rows[:0]
+    ends = np.column_stack([likelihood.loops.first[rows], likelihood.loops.second[rows]])
+    _, near = cKDTree(ends).query(ends, k=min(_NEIGHBORS, len(rows)))
+    one, other = np.repeat(np.arange(len(rows)), near.shape[1]), near.ravel()
+    agree = (_agree(likelihood, rows[one], rows[other], scale) | (one == other)).reshape(near.shape)
+    # A proposed loop has a log ratio above -MIN_LOG_RATIO, so votes are positive.
+    votes = likelihood.log_ratio_at(scale)[rows] + MIN_LOG_RATIO
+    return rows[(np.where(agree, 1.0, -1.0) * votes[near]).sum(axis=1) < 0.0]
+
+
+def greedy_max_weight_clique(agree: Mask, weights: Array) -> Rows:
+    """Members of a clique of large weight, found greedily: always the vertex whose remaining neighbours weigh most.
+
+    Args:
+        agree: (M, M) symmetric adjacency.
+        weights: (M,) positive.
+    """
+    agree = agree | np.eye(len(agree), dtype=bool)
+    left, members = np.ones(len(agree), dtype=bool), []
+    while left.any():
+        total = np.where(left, agree @ (weights * left), -1.0)
+        best = int(np.argmax(total))
+        members.append(best)
+        left &= agree[best]
+        left[best] = False
+    return np.sort(np.array(members, dtype=np.int64))
+
+
+def pairwise_consistency(likelihood: LoopLikelihood, ones: Rows, others: Rows, scale: float) -> Mask:
+    """(A, B) bool, whether every two loops agree."""
+    a, b = np.repeat(ones, len(others)), np.tile(others, len(ones))
+    return _agree(likelihood, a, b, scale).reshape(len(ones), len(others))
+
+
+def _agree(likelihood: LoopLikelihood, a: Rows, b: Rows, scale: float) -> Mask:
+    """(P,) bool, whether the loops of P pairs agree at a covariance scale.
+
+    Two loops that have nothing to do with each other each add their own distance from the map to their cycle. That
+    is no disagreement, so the bound is at least the sum of their own chi-squares.
+    """
+    bound = np.maximum(_LIMIT_FACTOR * max_inlier_chi2(likelihood.dof) * scale, likelihood.chi2[a] + likelihood.chi2[b])
+    agree: Mask = _cycles(likelihood, a, b)[0] <= bound
+    return agree
+
+
+def is_compatible(likelihood: LoopLikelihood, scale: float) -> Mask:
+    """(L,) bool, loops that the rest of the graph does not contradict, even if only because it is uncertain."""
+    fits: Mask = likelihood.chi2 <= _LIMIT_FACTOR * max_inlier_chi2(likelihood.dof) * scale
+    return fits
+
+
+def best_pair_log_ratio(likelihood: LoopLikelihood, rows: Rows, scale: float) -> Array:
+    """(M,) log likelihood ratio of each loop (M rows) together with the best other one that is independent of it."""
+    log_ratio, grid = likelihood.log_ratio_at(scale)[rows], (len(rows), len(rows))
+    ends = np.column_stack([likelihood.loops.first[rows], likelihood.loops.second[rows]])
+    independent = np.abs(ends[:, None] - ends).min(axis=2) > _MIN_INDEPENDENT_POSES
+    a, b = np.nonzero(independent)
+    given = np.full(grid, -np.inf)
+    given[a, b] = likelihood.log_ratio(*_cycles(likelihood, rows[a], rows[b]), scale)
+    return np.asarray(log_ratio + given.max(axis=1, initial=-np.inf))
+
+
+def _cycles(likelihood: LoopLikelihood, a: Rows, b: Rows) -> tuple[Array, Array]:
+    """Chi-squares (P,) of the cycles through P pairs of loops, and log-determinants of their covariances."""
+    chi2, log_det = [np.zeros(0)], [np.zeros(0)]
+    for k in range(0, len(a), _PAIRS_PER_CHUNK):
+        part = slice(k, k + _PAIRS_PER_CHUNK)
+        values = _cycle(likelihood.posterior, likelihood.loops[a[part]], likelihood.loops[b[part]])
+        chi2.append(values[0])
+        log_det.append(values[1])
+    return np.concatenate(chi2), np.concatenate(log_det)
+
+
+def _cycle(posterior: Posterior, one: Edges, other: Edges) -> tuple[Array, Array]:
+    """Chi-squares (P,) of the cycles through P pairs of loops, and log-determinants of their covariances.
+
+    A cycle runs from the second end of the first loop back to it: the first loop backwards, the poses between the
+    two first ends, the other loop, the poses between the two second ends. Its covariance is that of the two
+    measurements and that of the four poses, whose correlations the samples of the posterior carry.
+    """
+    poses, samples, adjoint = posterior.poses, posterior.samples, one.group.adjoint
+    T_first_first = inverse(poses[one.first]) @ poses[other.first]
+    T_second_second = inverse(poses[other.second]) @ poses[one.second]
+    T_other_end = other.motions @ T_second_second
+    T_back = inverse(T_second_second)
+    # Each pose's perturbation, moved by the adjoint to the end of the cycle
+    moved = (
+        samples[one.second]
+        - adjoint(T_back) @ samples[other.second]
+        + adjoint(inverse(T_other_end)) @ samples[other.first]
+        - adjoint(inverse(T_first_first @ T_other_end)) @ samples[one.first]
+    )
+    Ad = adjoint(T_back)
+    measured = one.covariance + Ad @ other.covariance @ np.swapaxes(Ad, 1, 2)
+    count, dof = moved.shape[2], moved.shape[1]
+    # count - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
+    covariance = moved @ np.swapaxes(moved, 1, 2) / (count - dof - 1) + measured
+    error = one.group.log(inverse(one.motions) @ T_first_first @ T_other_end)
+    whitened: Array = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return (error * whitened).sum(axis=1), np.linalg.slogdet(covariance)[1]

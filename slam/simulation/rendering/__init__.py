@@ -1,0 +1,1 @@
+"""How the simulated town becomes images: rasterizer, shading, and the model of the sensor."""

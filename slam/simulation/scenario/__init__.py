@@ -1,0 +1,1 @@
+"""What is driven: the settings of a simulated drive, and its path."""

@@ -1,0 +1,1 @@
+"""What stands in the simulated town: streets, houses, vegetation, vehicles, and their materials."""

@@ -1,0 +1,102 @@
+"""Trees, bushes and hedges: trunks, branches and some thousand sprays of leaves each.
+
+Prototypes stand on the origin; the town places turned, scaled and tinted copies.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.simulation.world import materials as m
+from slam.simulation.world.mesh import Mesh, merge_meshes, prism, triangles
+
+Array = NDArray[np.float64]
+
+
+def _sprays(centres: Array, size: float, material: int, tint: Array, rng: np.random.Generator) -> Mesh:
+    """One triangle of about `size` metres in any direction at each of centres (N, 3)."""
+    n = len(centres)
+    corners = centres[:, None] + rng.normal(0, 0.62 * size, (n, 3, 3)) * [1.0, 1.0, 0.8]
+    uv = rng.uniform(0, 1, (n, 1, 2)) + rng.uniform(-0.5, 0.5, (n, 3, 2))
+    return triangles(corners, uv, material, tint)
+
+
+def _blob(rng: np.random.Generator, count: int, radii: Array) -> Array:
+    """Points (count, 3) in an ellipsoid, dense near its skin."""
+    d = rng.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True) * rng.uniform(0.5, 1.0, (count, 1)) ** 0.6 * radii
+
+
+def broadleaf(rng: np.random.Generator, height: float = 8.0, sprays: int = 2200, size: float = 0.3) -> Mesh:
+    """Grow a tree of `height` metres whose crown is a heap of blobs, darker inside."""
+    trunk = 0.28 * height
+    blobs = [np.array([*rng.normal(0, 0.13 * height, 2), trunk + rng.uniform(0.1, 0.62) * height]) for _ in range(11)]
+    centre = np.array([0.0, 0.0, trunk + 0.36 * height])
+    each = [b + _blob(rng, sprays // 11, np.array([0.16, 0.16, 0.12]) * height) for b in blobs]
+    points = np.concatenate(each)
+    away = np.linalg.norm((points - centre) / height, axis=1)
+    tint = (0.45 + 1.1 * np.clip(away / 0.36, 0, 1)) * rng.uniform(0.7, 1.25, len(points))
+    parts = [
+        _sprays(points, size, m.LEAF, tint, rng),
+        prism(0.025 * height, 0.014 * height, trunk * 1.6, m.BARK),
+    ]
+    parts += [_branch(np.array([0, 0, trunk]), b, 0.009 * height) for b in blobs]
+    return merge_meshes(parts)
+
+
+def _branch(start: Array, end: Array, radius: float) -> Mesh:
+    """Grow a thin three-sided branch."""
+    axis = (end - start) / np.linalg.norm(end - start)
+    side = np.cross(axis, [0.3, 0.5, 0.81])
+    side *= radius / np.linalg.norm(side)
+    other = np.cross(axis, side)
+    ring = np.stack([side, -0.5 * side + 0.87 * other, -0.5 * side - 0.87 * other])
+    corners = np.stack([np.stack([start + ring[i], start + ring[(i + 1) % 3], end]) for i in range(3)])
+    uv = np.tile([[0.0, 0.0], [0.3, 0.0], [0.15, 2.0]], (3, 1, 1))
+    return triangles(corners, uv, m.BARK)
+
+
+def conifer(rng: np.random.Generator, height: float = 11.0, sprays: int = 1800) -> Mesh:
+    """Grow a spruce: whorls of drooping boughs, narrow at the top."""
+    level = rng.uniform(0, 1, sprays) ** 1.4
+    reach = (1 - level) * 0.24 * height * rng.uniform(0.35, 1.0, sprays) ** 0.5
+    angle = rng.uniform(0, 2 * np.pi, sprays)
+    whorl = 0.02 * height * np.sin(level * 75)
+    z = 0.1 * height + level * 0.9 * height - 0.25 * reach + whorl
+    points = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], axis=1)
+    tint = (0.35 + 0.9 * reach / np.maximum((1 - level) * 0.24 * height, 1e-3)) * rng.uniform(0.7, 1.2, sprays)
+    return merge_meshes(
+        [_sprays(points, 0.34, m.NEEDLE, tint, rng), prism(0.02 * height, 0.004 * height, height, m.BARK)]
+    )
+
+
+def sapling(rng: np.random.Generator) -> Mesh:
+    """Grow a young street tree with a stake: sky shows through it."""
+    points = np.array([0, 0, 3.4]) + _blob(rng, 560, np.array([0.9, 0.9, 1.5]))
+    tint = rng.uniform(0.6, 1.4, len(points))
+    stake = prism(0.03, 0.03, 1.8, m.WOOD, 4).transform(0.0, np.array([0.35, 0.1, 0.0]))
+    branches = [_branch(np.array([0, 0, 1.8]), points[i], 0.018) for i in range(0, 60, 5)]
+    return merge_meshes([_sprays(points, 0.14, m.LEAF, tint, rng), prism(0.05, 0.02, 3.6, m.BARK, 5), stake, *branches])
+
+
+def bush(rng: np.random.Generator) -> Mesh:
+    """Grow a garden bush of about 1.4 m."""
+    points = np.array([0, 0, 0.65]) + _blob(rng, 420, np.array([0.8, 0.8, 0.7]))
+    tint = (0.5 + 0.7 * np.clip(points[:, 2], 0, 1.2)) * rng.uniform(0.7, 1.3, len(points))
+    return _sprays(points, 0.17, m.LEAF, tint, rng)
+
+
+def hedge(rng: np.random.Generator, length: float = 4.0, height: float = 1.3) -> Mesh:
+    """Grow a cut hedge along +x with twigs standing out."""
+    n = int(170 * length)
+    points = rng.uniform([0, -0.35, 0.0], [length, 0.35, height], (n, 3))
+    push = rng.integers(0, 3, n)
+    points[push == 0, 1] = -0.35 + rng.normal(0, 0.03, (push == 0).sum())
+    points[push == 1, 2] = height + rng.normal(0, 0.04, (push == 1).sum())
+    tint = (0.45 + 0.5 * points[:, 2] / height) * rng.uniform(0.7, 1.3, n)
+    return _sprays(points, 0.15, m.LEAF, tint, rng)
+
+
+def grove(rng: np.random.Generator) -> list[Mesh]:
+    """Grow the prototypes that the town draws its trees from: broadleaves, conifers, saplings."""
+    broad = [broadleaf(rng, h, size=0.031 * h) for h in (6.0, 8.0, 9.5, 12.0)]
+    return [*broad, conifer(rng), conifer(rng, 8.0), sapling(rng), sapling(rng)]

@@ -1,0 +1,176 @@
+"""NumPy arrays as rerun archetypes: colours, sizes and subsampling of what the viewer draws.
+
+An entity that grows with the drive, logged in parts: the file grows linearly, not with the square of the length.
+"""
+
+from collections.abc import Callable, Iterable
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
+from slam.mapping.tsdf import Surface
+from slam.report import colours
+from slam.run_result import PointCloud
+from slam.viewer.viewer import FrameView
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_JPEG_QUALITY = 60  # 54 kB for a 1241 x 376 image of a street; 75 would take 70 kB
+_MAX_TRACKS = 400  # drawn in an image
+_MAX_MAP_POINTS = 300_000  # drawn of each map
+_MAX_MATRIX_SIDE_PX = 500
+_NUM_DASHES = 300  # of the ground truth
+_LIFT_M = np.array([0.0, 0.5, 0.0])  # up is -y: dots float above the line, which would hide them
+
+
+def encode_jpeg(image: Image) -> rr.EncodedImage:
+    """Compress an image, (H, W) uint8, as JPEG."""
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+
+
+def render_matrix(matrix: SimilarityMatrix) -> rr.EncodedImage:
+    """Draw a similarity matrix (row: query, column: earlier image), bright where it is large.
+
+    Where several pairs share a pixel, the largest value is shown. The scale begins at the 90th percentile, so that nine
+    in ten pairs are dark and the lines of the revisits stand out.
+    """
+    images = len(matrix.values)
+    fold = max(-(-images // _MAX_MATRIX_SIDE_PX), 1)  # images that share a cell
+    side = -(-images // fold)
+    padded = np.full((side * fold, side * fold), np.nan, np.float32)
+    padded[:images, :images] = matrix.values
+    cells = np.fmax.reduce(np.fmax.reduce(padded.reshape(side, fold, side, fold), axis=3), axis=1)
+    known = cells[np.isfinite(cells)]
+    low, high = np.percentile(known, [90.0, 99.8]) if len(known) else (0.0, 1.0)
+    grey = np.clip((np.nan_to_num(cells, nan=low) - low) / max(high - low, 1e-9), 0.0, 1.0)
+    _, data = cv2.imencode(".png", (255 * grey).astype(np.uint8))
+    return rr.EncodedImage(contents=data.tobytes(), media_type="image/png")
+
+
+def line_drawer(colour: str) -> Callable[[Array], rr.LineStrips3D]:
+    """Return a function that draws positions (N, 3), metres, as one line."""
+
+    def draw(positions: Array) -> rr.LineStrips3D:
+        return rr.LineStrips3D([positions], colors=[colours.rgb(colour)], radii=rr.Radius.ui_points(1.4))
+
+    return draw
+
+
+def draw_landmarks(points: Array) -> rr.Points3D:
+    """Draw landmarks (N, 3), metres, as small grey dots."""
+    return rr.Points3D(points, colors=[150, 150, 150], radii=rr.Radius.ui_points(0.8))
+
+
+def draw_dashed_line(positions: Array) -> rr.LineStrips3D:
+    """Draw positions (N, 3), metres, as a dashed grey line: rerun has no dashes, so each dash is a line."""
+    length = max(len(positions) // (2 * _NUM_DASHES), 1) + 1
+    pieces = [positions[k : k + length] for k in range(0, len(positions), 2 * (length - 1))]
+    return rr.LineStrips3D(pieces, colors=[colours.rgb(colours.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
+
+
+def draw_tracks(view: FrameView) -> rr.Arrows2D:
+    """Draw tracks as arrows from the previous to the current pixel: inliers green, the others red."""
+    shown = slice(None, None, len(view.pixels_current) // _MAX_TRACKS + 1)
+    start, end, agrees = view.pixels_previous[shown], view.pixels_current[shown], view.inliers[shown]
+    good, bad = colours.rgb(colours.ACCEPTED), colours.rgb(colours.REJECTED)
+    return rr.Arrows2D(
+        origins=start, vectors=end - start, colors=np.where(agrees[:, None], good, bad).astype(np.uint8),
+        radii=rr.Radius.ui_points(1.0),
+    )  # fmt: skip
+
+
+def draw_loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> tuple[rr.Arrows3D, rr.Points3D]:
+    """Draw loops (query, match) on poses (N, 4, 4), metres, as arrows from query to match.
+
+    Queries are dots as well: the arrow of a well closed loop is too short to be seen.
+    """
+    known = np.array([pair for pair in pairs if max(pair) < len(poses)], dtype=np.int64).reshape(-1, 2)
+    ends = poses[:, :3, 3][known]
+    look = {"colors": colours.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
+    arrows = rr.Arrows3D(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], **look)
+    return arrows, rr.Points3D(ends[:, 0] - _LIFT_M, colors=colours.rgb(colour), radii=rr.Radius.ui_points(4.0))
+
+
+def draw_cloud(points: PointCloud, colour: str) -> rr.Points3D:
+    """Draw a map in one colour, as bright as its points are in the images."""
+    shown = slice(None, None, len(points.points) // _MAX_MAP_POINTS + 1)
+    brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0
+    tinted = (brightness * np.array(colours.rgb(colour))).astype(np.uint8)
+    return rr.Points3D(points.points[shown], colors=tinted, radii=rr.Radius.ui_points(0.8))
+
+
+def draw_mesh(surface: Surface) -> rr.Mesh3D:
+    """Draw a triangle mesh, as bright as it is in the images."""
+    return rr.Mesh3D(
+        vertex_positions=surface.points.astype(np.float32),
+        vertex_colors=np.repeat(surface.grey[:, None], 3, axis=1),
+        triangle_indices=surface.triangles,
+    )
+
+
+def draw_matches(pixels: Array) -> rr.Points2D:
+    """Draw matched pixels (K, 2); the k-th point has the same colour in both images of a pair."""
+    hues = np.linspace(0, 179, len(pixels), endpoint=False).astype(np.uint8)
+    hsv = np.stack([hues, np.full_like(hues, 200), np.full_like(hues, 255)], axis=1)
+    rgb = cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0] if len(hues) else hsv
+    return rr.Points2D(pixels, colors=rgb, radii=rr.Radius.ui_points(3.0))
+
+
+def subsample(rows: Array, max_rows: int) -> Array:
+    """Return every n-th row, with n such that at most `max_rows` are left."""
+    return rows[:: len(rows) // max_rows + 1]
+
+
+_MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
+
+
+class GrowingEntity:
+    """Rows (N, 3), metres, shown under one entity path and its parts.
+
+    A viewer shows what was logged last to a path, so adding a row means to log all rows again. Here only the newest
+    rows are logged again; once they are more than `max_rows` they become a part of their own that stays as it is.
+    """
+
+    def __init__(
+        self, recording: rr.RecordingStream, path: str, draw: Callable[[Array], object], max_rows: int
+    ) -> None:
+        self._recording = recording
+        self._path = path
+        self._draw = draw
+        self._max_rows = max_rows
+        self._parts = 0
+        self._newest = np.empty((0, 3))
+
+    def append(self, rows: Array) -> None:
+        """Add rows (M, 3)."""
+        self._newest = np.concatenate([self._newest, rows])
+        if len(self._newest) > self._max_rows:
+            self._recording.log(f"{self._path}/part_{self._parts:03d}", self._draw(self._newest))
+            self._parts += 1
+            self._newest = self._newest[-1:]  # the next part begins where this one ends: a line has no gap
+        self._recording.log(self._path, self._draw(self._newest))
+
+    def replace(self, rows: Array) -> None:
+        """Show rows (M, 3) instead of all earlier ones, subsampled if there are many."""
+        self.clear()
+        if len(rows):
+            stride = len(rows) // _MAX_REPLACED_ROWS + 1
+            self._recording.log(f"{self._path}/part_000", self._draw(np.concatenate([rows[::stride], rows[-1:]])))
+            self._parts, self._newest = 1, rows[-1:]
+
+    def conclude(self, rows: Array) -> None:
+        """Show the final rows (M, 3), all of them under the path itself."""
+        self.clear()
+        self._recording.log(self._path, self._draw(rows))
+
+    def clear(self) -> None:
+        """Remove everything from the view."""
+        for part in range(self._parts):
+            self._recording.log(f"{self._path}/part_{part:03d}", rr.Clear(recursive=False))
+        self._recording.log(self._path, rr.Clear(recursive=False))
+        self._parts, self._newest = 0, np.empty((0, 3))

@@ -1,0 +1,126 @@
+"""Visual odometry as the system uses it: motion and depth from frames, with a stereo pair or with one camera."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odometry.camera import StereoCamera
+from odometry.mono.mono_odometry import MonoOdometry
+from odometry.motion import Motion
+from odometry.stereo.stereo_odometry import StereoOdometry
+from odometry.stereo.stereo_self_calibration import Calibration
+from place_recognition.evaluation.memory import count_array_bytes
+from slam.datasets.dataset import Frame
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+# Depth from motion is used where the camera has moved by this share of the pair's baseline: it is then about as
+# accurate as depth from the pair.
+_MIN_BASELINE_SHARE = 0.5
+
+
+class VisualOdometry(Protocol):
+    """Measures the motion between frames, and the depth of pixels of the latest frame."""
+
+    @property
+    def has_metric_scale(self) -> bool:
+        """Whether all frames have one unit of length; the scale of one camera drifts."""
+        ...
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration error of a stereo pair as learned so far; None where none is learned."""
+        ...
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous frame; always finite."""
+        ...
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,), pixels, at pixels (N, 2) of the frame tracked last; NaN where it is unknown."""
+        ...
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from frame to frame, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state that another odometry of the same configuration has given."""
+        ...
+
+
+class StereoVisualOdometry:
+    """Odometry of a stereo pair (a VisualOdometry)."""
+
+    has_metric_scale = True
+
+    def __init__(self, odometry: StereoOdometry) -> None:
+        self._odometry = odometry
+
+    @property
+    def calibration(self) -> Calibration:
+        """Calibration error of the pair as learned so far."""
+        return self._odometry.calibration
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous pair."""
+        assert frame.right is not None  # the run refuses recordings without right images
+        return self._odometry.track(frame.left, frame.right, frame.timestamp)
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,) by matching left and right."""
+        assert right is not None
+        return self._odometry.disparity(left, right, pixels)
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        return count_array_bytes(self._odometry)
+
+    def state(self) -> dict[str, Any]:
+        """State of the odometry."""
+        return self._odometry.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the odometry."""
+        self._odometry.restore(state)
+
+
+class MonocularVisualOdometry:
+    """Odometry of one camera; earlier images of it take the place of the right image (a VisualOdometry).
+
+    Depths are given as the disparities that a pair of the camera's baseline would show, in the unit of the map.
+    """
+
+    has_metric_scale = False
+    calibration = None
+
+    def __init__(self, odometry: MonoOdometry, camera: StereoCamera) -> None:
+        self._odometry, self._camera = odometry, camera
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous left image."""
+        return self._odometry.track(frame.left, frame.timestamp)
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,) by depth from motion, where that is about as accurate as a pair's."""
+        depths, camera = self._odometry.depths(left, pixels), self._camera
+        accurate = depths.baseline >= _MIN_BASELINE_SHARE * camera.baseline
+        return np.where(accurate, camera.fx * camera.baseline * depths.inverse, np.nan)
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        return count_array_bytes(self._odometry)
+
+    def state(self) -> dict[str, Any]:
+        """State of the odometry."""
+        return self._odometry.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore the odometry."""
+        self._odometry.restore(state)

@@ -1,0 +1,132 @@
+"""What SciPy writes for MATLAB comes back, and damage is an error and never the end of the process."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.sparse import csc_matrix
+
+from place_recognition.evaluation import matlab
+from place_recognition.evaluation.ground_truth import load_truth
+from place_recognition.evaluation.matlab import read_positive
+
+KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"]
+KILLERS = Path(__file__).parents[2] / "fuzzing" / "corpus" / "truth-MATLAB"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "a.mat"
+
+
+def matrices(seed: int) -> dict[str, np.ndarray]:
+    """Matrices of every kind and of several shapes, by name."""
+    rng, made = np.random.default_rng(seed), {}
+    for kind in KINDS:
+        for rows, columns in ((1, 2), (5, 1), (3, 3), (4, 5), (9, 8)):
+            low = -1 if kind[0] in "fi" else 0
+            made[f"of_{kind.replace('?', 'bool')}_{rows}_{columns}"] = rng.integers(low, 3, (rows, columns)).astype(
+                kind
+            )
+    return made
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_matrices_come_back_from_a_file_that_scipy_wrote(file: Path, packed: bool, sparse: bool) -> None:
+    whole = matrices(seed=2 * packed + sparse)
+    written = {name: csc_matrix(value.astype(float)) for name, value in whole.items()} if sparse else whole
+    savemat(file, written, do_compression=packed)
+    read = read_positive(file)
+    assert set(read) == set(whole)
+    for name, value in whole.items():
+        assert read[name].dtype == np.bool_
+        np.testing.assert_array_equal(read[name], value > 0)
+
+
+def test_what_is_no_matrix_of_real_numbers_is_left_out(file: Path) -> None:
+    cells = np.array([1, "x"], object)
+    savemat(
+        file, {"a": np.eye(2), "one": 3.0, "text": "words", "cells": cells, "table": {"x": 1.0}, "z": np.eye(2) * 1j}
+    )
+    assert set(read_positive(file)) == {"a"}
+    savemat(file, {"text": "words", "one": 3.0})
+    assert read_positive(file) == {}
+    with pytest.raises(ValueError, match="expected one matrix of numbers, found none"):
+        load_truth(file)
+    savemat(file, {"first": np.eye(2), "second": np.eye(2)})
+    with pytest.raises(ValueError, match="expected one matrix of numbers, found first, second"):
+        load_truth(file)
+
+
+def test_the_other_order_of_bytes_is_read_too(file: Path) -> None:
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+    numbers = [(6, np.array([6, 0], ">u4")), (5, np.array([1, 2], ">i4")), (9, np.array([0.0, 2.0], ">f8"))]
+    parts = [(kind, array.tobytes()) for kind, array in numbers]
+    parts.insert(2, (1, b"truthfull"))
+    body = b"".join(
+        kind.to_bytes(4, "big") + len(data).to_bytes(4, "big") + data + bytes(-len(data) % 8) for kind, data in parts
+    )
+    file.write_bytes(header + (14).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body)
+    np.testing.assert_array_equal(read_positive(file)["truthfull"], [[False, True]])
+
+
+@pytest.mark.parametrize("killer", sorted(KILLERS.iterdir()), ids=lambda path: path.name)
+def test_a_file_that_crashes_scipy_is_one_error(file: Path, killer: Path) -> None:
+    file.write_bytes(killer.read_bytes())
+    with pytest.raises(ValueError, match="expected an intact MATLAB file of version") as error:
+        load_truth(file)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_damaged_byte_is_an_error_or_changes_nothing_but_numbers(file: Path, packed: bool) -> None:
+    savemat(file, {"truth": csc_matrix(np.eye(4)), "full": np.eye(3, dtype=np.uint8)}, do_compression=packed)
+    whole, rng, refused = file.read_bytes(), random.Random(0), 0
+    for at in rng.sample(range(124, len(whole)), 20):  # each costs the start of a process
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << rng.randrange(8)
+        file.write_bytes(damaged if rng.random() < 0.8 else whole[:at])
+        try:
+            assert all(matrix.ndim == 2 and matrix.dtype == np.bool_ for matrix in read_positive(file).values())
+        except ValueError as error:
+            assert str(error).isprintable()  # noqa: PT017 - both outcomes are right
+            refused += 1
+    assert refused > 3
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("import os; os.abort()", "crashes SciPy .SIGABRT"),
+        ("import time; time.sleep(60)", "takes more than 1 s"),
+        ("raise SystemExit('bad\\x07 news\\nsecond\\tline')", "second line"),
+        ("raise SystemExit('x' * 5000)", "x{200}$"),
+        ("raise SystemExit(3)", "ends the reader without a reason"),
+    ],
+)
+def test_whatever_becomes_of_the_reader_is_one_line(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, reason: str
+) -> None:
+    reader = tmp_path / "reader.py"
+    reader.write_text(program)
+    monkeypatch.setattr(matlab, "READER", reader)
+    monkeypatch.setattr(matlab, "TIMEOUT_S", 1.0)
+    with pytest.raises(ValueError, match=reason) as error:
+        read_positive(file)
+    assert str(error.value).isprintable()
+
+
+def test_a_sparse_matrix_of_any_stated_size_is_refused_before_memory_is_taken(file: Path) -> None:
+    savemat(file, {"truth": csc_matrix((100000, 100000))})
+    with pytest.raises(ValueError, match="of more than 134217728 numbers"):
+        read_positive(file)
+
+
+def test_a_file_that_needs_too_much_memory_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    savemat(file, {"truth": np.zeros((20000, 2000))}, do_compression=True)  # 320 MB in 0.3 MB
+    monkeypatch.setattr(matlab, "MAX_MEMORY_BYTES", 700 << 20)
+    with pytest.raises(ValueError, match="too much memory"):
+        read_positive(file)

@@ -1,0 +1,155 @@
+"""The contract of every recogniser. A new paradigm joins by its line in the registry."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from place_images import sliding_view, textured_world
+
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from place_recognition.recognizer import Belief
+
+STEP = 2.0  # metres from image to image
+
+
+def drive(recognizer, images, first_id=0, id_step=1):
+    """Beliefs of a whole drive."""
+    beliefs: list[Belief] = []
+    for i, image in enumerate(images):
+        beliefs += recognizer.observe(first_id + i * id_step, image, STEP * i)
+    return beliefs + recognizer.finish()
+
+
+class RememberingSurf(Surf):
+    """Extracts the features of each image once for all tests."""
+
+    known: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
+
+    def extract(self, image):
+        key = image.tobytes(), image.shape
+        if key not in self.known:
+            self.known[key] = super().extract(image)
+        return self.known[key]
+
+
+@pytest.fixture(scope="module", params=PARADIGMS)
+def make(request):
+    """Makes a recogniser that has seen nothing."""
+    return lambda: make_recognizer(request.param, FeatureCache(RememberingSurf()))
+
+
+@pytest.fixture(scope="module")
+def lap():
+    """Forty images along one path, each with new texture."""
+    return sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
+
+
+@pytest.fixture(scope="module")
+def two_laps(lap):
+    return lap + lap
+
+
+@pytest.fixture(scope="module")
+def expected(make, two_laps):
+    """The beliefs about two laps."""
+    return drive(make(), two_laps)
+
+
+def test_every_image_gets_one_belief_in_order(expected, two_laps):
+    assert [b.query for b in expected] == list(range(len(two_laps)))
+
+
+def test_ids_may_start_anywhere_and_leave_gaps(make, two_laps, expected):
+    beliefs = drive(make(), two_laps, first_id=100, id_step=5)
+    assert [b.query for b in beliefs] == [100 + 5 * b.query for b in expected]
+    assert [b.match for b in beliefs] == [None if b.match is None else 100 + 5 * b.match for b in expected]
+
+
+def test_matches_are_earlier_images_outside_the_latest_ones(expected):
+    matched = [b for b in expected if b.match is not None]
+    assert all(0 <= b.match < b.query - 2 for b in matched)
+
+
+def test_a_belief_without_a_match_has_no_score_and_is_not_accepted(expected):
+    unmatched = [b for b in expected if b.match is None]
+    assert unmatched
+    assert all(b.score == 0 and not b.accepted for b in unmatched)
+
+
+def test_the_first_lap_is_not_taken_for_a_revisit_and_the_second_is(expected):
+    lap = len(expected) // 2
+    assert not any(b.accepted for b in expected[:lap])
+    assert sum(b.accepted and b.match == b.query - lap for b in expected[lap:]) > 0.8 * lap
+
+
+def test_two_runs_give_the_same_beliefs(make, two_laps, expected):
+    again = drive(make(), two_laps)
+    assert again == expected
+    assert all(np.array_equal(one.pixels, other.pixels) for one, other in zip(again, expected, strict=True))
+
+
+def test_a_verified_match_has_the_pixels_of_its_inliers(expected):
+    lap = len(expected) // 2
+    assert all(len(b.pixels) in (0, b.inliers or 0) for b in expected)
+    seen_again = [b.pixels for b in expected if b.accepted and b.match == b.query - lap and len(b.pixels)]
+    assert bool(seen_again) == any(b.inliers for b in expected)
+    assert all(np.median(np.abs(pixels[:, :2] - pixels[:, 2:])) == 0 for pixels in seen_again)  # the very same image
+
+
+def test_beliefs_do_not_depend_on_later_images(make, two_laps, expected):
+    recognizer = make()
+    begun = [b for i, image in enumerate(two_laps[:60]) for b in recognizer.observe(i, image, STEP * i)]
+    assert begun == expected[: len(begun)]
+
+
+def test_images_are_not_changed_and_may_be_overwritten_afterwards(make, two_laps, expected):
+    recognizer, beliefs = make(), []
+    buffer = np.empty_like(two_laps[0])
+    for i, image in enumerate(two_laps):
+        buffer[:] = image
+        beliefs += recognizer.observe(i, buffer, STEP * i)
+        np.testing.assert_array_equal(buffer, image)
+    assert beliefs + recognizer.finish() == expected
+
+
+def test_black_images_match_nothing_and_the_others_are_still_recognised(make, two_laps):
+    images = list(two_laps)
+    for k in (0, 20, 21, 60):
+        images[k] = np.zeros_like(images[k])
+    beliefs = drive(make(), images)
+    assert not any(beliefs[k].accepted for k in (0, 20, 21, 60))
+    assert sum(b.accepted for b in beliefs[70:]) > 5
+
+
+def test_a_drive_of_black_images_matches_nothing(make):
+    beliefs = drive(make(), [np.zeros((240, 320), np.uint8)] * 50)
+    assert not any(b.accepted for b in beliefs)
+
+
+def test_images_may_change_their_size(make, two_laps):
+    images = [image if i % 30 < 25 else image[:200, :300] for i, image in enumerate(two_laps)]
+    images[33] = images[33][:3, :5]
+    assert len(drive(make(), images)) == len(images)
+
+
+@pytest.mark.parametrize("distance_m", [0.0, float("nan")], ids=["no distance measured", "distance unknown"])
+def test_standing_still_is_no_revisit(make, lap, distance_m):
+    rng, recognizer, beliefs = np.random.default_rng(0), make(), []
+    for i, image in enumerate(lap[:20] + 60 * [lap[20]] + lap[21:]):
+        noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        beliefs += recognizer.observe(i, noisy, distance_m)
+    assert not any(b.accepted for b in beliefs + recognizer.finish())
+
+
+def test_ids_that_do_not_increase_are_refused(make, lap):
+    recognizer = make()
+    recognizer.observe(4, lap[0], 0.0)
+    with pytest.raises(ValueError, match="expected an image id greater than 4, got 4"):
+        recognizer.observe(4, lap[1], 0.0)
+
+
+def test_images_in_colour_are_refused(make):
+    with pytest.raises(ValueError, match="expected a grey image"):
+        make().observe(0, np.zeros((60, 80, 3), np.uint8), 0.0)

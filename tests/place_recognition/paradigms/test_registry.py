@@ -1,0 +1,136 @@
+"""The registry makes every paradigm by its name and passes on an exclusion to each."""
+
+from dataclasses import fields, is_dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from place_images import sliding_view, textured_world
+
+from place_recognition.evaluation.memory import count_array_bytes, map_size
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.image_processing.surf import Surf
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_recognizer, with_exclusion
+from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
+
+NAMES = {
+    "sequence-histograms",
+    "dynamic-sequences",
+    "hierarchical-places",
+    "tracked-words",
+    "pixel-sequences",
+    "global-descriptor",
+}
+
+
+def exclusions(settings):
+    """Every exclusion within settings."""
+    if not is_dataclass(settings):
+        return []
+    inner = [(item.name, getattr(settings, item.name)) for item in fields(settings)]
+    return [found for name, value in inner for found in ([value] if name == "exclusion_frames" else exclusions(value))]
+
+
+def test_the_names_are_those_of_the_command_line():
+    assert set(PARADIGMS) == NAMES
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(ValueError, match=r"unknown paradigm .guess.: expected one of .*tracked-words"):
+        make_recognizer("guess", FeatureCache(Surf()))
+
+
+def test_a_vocabulary_of_other_features_is_refused_with_its_file(tmp_path):
+    file = tmp_path / "orb.vocabulary"
+    save_vocabulary(file, Vocabulary("orb-256", np.eye(4, dtype=np.float32), np.ones(4, np.float32)))
+    with pytest.raises(ValueError, match=r"orb\.vocabulary: expected a vocabulary of surf-upright-64 features"):
+        make_recognizer("dynamic-sequences", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(file)))
+
+
+def test_a_damaged_vocabulary_is_refused_with_its_file(tmp_path):
+    (tmp_path / "x.vocabulary").write_bytes(b"words")
+    with pytest.raises(ValueError, match=r"x\.vocabulary"):
+        make_recognizer(
+            "sequence-histograms", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(tmp_path / "x.vocabulary"))
+        )
+
+
+def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="unknown global descriptor 'magic'"):
+        make_recognizer("global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor="magic"))
+    with pytest.raises(ValueError, match=r"none\.onnx: expected an ONNX file, found none"):
+        make_recognizer(
+            "global-descriptor", FeatureCache(Surf()), ParadigmsConfig(descriptor=f"onnx:{tmp_path}/none.onnx")
+        )
+
+
+def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
+    config = ParadigmsConfig()
+    changed = with_exclusion(config, 40)
+    assert exclusions(changed) == [40] * len(PARADIGMS)
+    assert with_exclusion(changed, 0) == config
+
+
+class RememberingSurf(Surf):
+    """Extracts the features of each image once for all tests."""
+
+    known: ClassVar[dict[bytes, LocalFeatures]] = {}
+
+    def extract(self, image):
+        key = image.tobytes()
+        if key not in self.known:
+            self.known[key] = super().extract(image)
+        return self.known[key]
+
+
+@pytest.fixture(scope="module")
+def two_laps():
+    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
+    return lap + lap
+
+
+@pytest.mark.parametrize("name", PARADIGMS)
+def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two_laps, name):
+    def beliefs(images):
+        recognizer = make_recognizer(name, FeatureCache(RememberingSurf()), with_exclusion(ParadigmsConfig(), images))
+        found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
+        return found + recognizer.finish()
+
+    matched = [b for b in beliefs(38) if b.match is not None]
+    assert matched
+    assert all(b.query - b.match >= 38 for b in matched)
+    assert all(b.match is None or b.query - b.match >= 70 for b in beliefs(70))
+
+
+@pytest.mark.parametrize("name", PARADIGMS)
+def test_a_map_grows_with_the_images(two_laps, name):
+    recognizer = make_recognizer(name, FeatureCache(RememberingSurf()))
+    sizes = []
+    for i, image in enumerate(two_laps):
+        recognizer.observe(i, image, float("nan"))
+        if i in (0, 79):
+            sizes.append(map_size(recognizer).bytes)
+    assert sizes[1] > sizes[0]
+
+
+class Holder:
+    """Holds arrays in every way that a map may."""
+
+    __slots__ = ("inner", "others")
+
+    def __init__(self) -> None:
+        whole = np.zeros((10, 10))
+        self.inner = {"view": whole[2:4], "again": whole}
+        self.others = [(np.ones(5, np.int8),), self]
+
+
+def test_shared_memory_counts_once_and_circles_do_no_harm():
+    assert count_array_bytes(Holder()) == 805
+
+
+def test_a_recogniser_that_knows_its_size_is_believed():
+    class Sized:
+        word_count, map_bytes = 7, 123
+
+    size = map_size(Sized())
+    assert (size.words, size.bytes) == (7, 123)

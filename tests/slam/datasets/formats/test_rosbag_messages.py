@@ -1,0 +1,114 @@
+"""Image messages become the right grey values, whatever their padding and byte order; CameraInfo becomes a camera."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image, read_camera_info, read_timestamp
+
+
+def message(values: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int = 0) -> SimpleNamespace:
+    rows = values.reshape(len(values), -1).view(np.uint8)
+    padded = np.hstack([rows, np.full((len(rows), padding), 77, np.uint8)])
+    return SimpleNamespace(
+        encoding=encoding, height=len(values), width=values.shape[1], step=padded.shape[1],
+        is_bigendian=is_bigendian, data=padded.ravel(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_padding_of_rows_changes_nothing(encoding: str) -> None:
+    kind, channels, _ = ENCODINGS[encoding]
+    values = np.random.default_rng(0).integers(0, np.iinfo(kind).max, (12, 16, channels)).astype(kind)
+    expected = decode_image(message(values, encoding))
+    for padding in (1, 4, 16):
+        np.testing.assert_array_equal(decode_image(message(values, encoding, padding)), expected)
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("rgb8", (0, 1, 2)), ("bgr8", (2, 1, 0)), ("8UC3", (2, 1, 0))])
+def test_colours_are_weighted_in_the_order_of_their_channels(encoding: str, order: tuple[int, ...]) -> None:
+    red_green_blue = np.random.default_rng(1).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    values = np.ascontiguousarray(red_green_blue[..., list(order)])
+    expected = red_green_blue @ np.array([0.299, 0.587, 0.114])
+    assert np.abs(decode_image(message(values, encoding)) - expected).max() <= 1.0
+
+
+def test_sixteen_bits_keep_the_high_byte_in_either_byte_order() -> None:
+    values = np.random.default_rng(2).integers(0, 2**16, (5, 7, 1)).astype(np.uint16)
+    for is_bigendian, kind in ((0, "<u2"), (1, ">u2")):
+        decoded = decode_image(message(values.astype(kind), "mono16", 2, is_bigendian))
+        np.testing.assert_array_equal(decoded, values[..., 0] >> 8)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_a_uniform_colour_survives_every_bayer_pattern(pattern: str) -> None:
+    colour = {"r": 200, "g": 100, "b": 50}
+    tile = np.array([[colour[c] for c in pattern[:2]], [colour[c] for c in pattern[2:]]], np.uint8)
+    grey = decode_image(message(np.tile(tile, (8, 8))[..., None], f"bayer_{pattern}8"))
+    expected = 0.299 * 200 + 0.587 * 100 + 0.114 * 50
+    assert np.abs(grey[2:-2, 2:-2] - expected).max() <= 1.0
+
+
+def test_a_compressed_image_is_that_image() -> None:
+    image = np.random.default_rng(3).integers(0, 256, (9, 11), dtype=np.uint8)
+    data = np.frombuffer(cv2.imencode(".png", image)[1].tobytes(), np.uint8)
+    np.testing.assert_array_equal(decode_image(SimpleNamespace(format="png", data=data)), image)
+
+
+def test_data_that_do_not_fill_the_image_are_refused() -> None:
+    short = message(np.zeros((4, 6, 1), np.uint8), "mono8")
+    short.data = short.data[:-1]
+    with pytest.raises(ValueError, match="expected 4 rows of 6 bytes for 6 x 4 mono8, found steps of 6 in 23 bytes"):
+        decode_image(short)
+
+
+def info(**changes: object) -> SimpleNamespace:
+    fields = {
+        "k": [400.0, 0, 320, 0, 410.0, 240, 0, 0, 1], "d": [0.0] * 5, "r": np.eye(3).ravel().tolist(),
+        "p": [380.0, 0, 315, -76.0, 0, 380.0, 235, 0, 0, 0, 1, 0], "distortion_model": "plumb_bob",
+        "width": 640, "height": 480,
+    }  # fmt: skip
+    return SimpleNamespace(**(fields | changes))
+
+
+def test_camera_info_gives_intrinsics_and_the_position_of_the_right_camera() -> None:
+    found = read_camera_info(info())
+    assert (found.model.fx, found.model.fy, found.model.cx, found.model.cy) == (400.0, 410.0, 320.0, 240.0)
+    assert found.model.is_pinhole
+    assert found.has_rectification
+    assert found.offset_right_m == pytest.approx(0.2)
+    assert found.size == (640, 480)
+
+
+def test_camera_info_without_a_projection_is_of_a_single_camera() -> None:
+    found = read_camera_info(info(p=[0.0] * 12, r=[0.0] * 9))
+    assert not found.has_rectification
+    assert found.offset_right_m == 0.0
+    np.testing.assert_array_equal(found.R_view_camera, np.eye(3))
+
+
+def test_the_names_of_ros_1_serve_as_well() -> None:
+    small = vars(info())
+    large = SimpleNamespace(**{name.upper() if len(name) == 1 else name: value for name, value in small.items()})
+    np.testing.assert_array_equal(read_camera_info(large).P, read_camera_info(info()).P)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"r": [2.0, 0, 0, 0, 1, 0, 0, 0, 1]}, "expected a rotation R"),
+        ({"p": [float("nan")] * 12}, "finite numbers P"),
+        ({"d": [0.1] * 4, "distortion_model": "omni"}, "found 'omni'"),
+        ({"k": [0.0] * 9}, "positive focal lengths"),
+    ],
+)
+def test_camera_info_of_no_camera_is_refused(changes: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        read_camera_info(info(**changes))
+
+
+def test_a_time_stamp_has_seconds_and_nanoseconds() -> None:
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=12, nanosec=500_000_000))
+    assert read_timestamp(SimpleNamespace(header=header)) == 12.5

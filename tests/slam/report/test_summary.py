@@ -1,0 +1,37 @@
+"""The summary of a run, on paper and in the terminal, shows the recogniser beside the trajectory."""
+
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+from slam.report.formatting import summary_table
+from slam.report.html_report import render_report
+from slam.run_result import RunRecord
+
+from .fabricate import record
+
+
+def judged() -> RunRecord:
+    whole = record()
+    places = {"recall_at_100_precision": 0.875, "average_precision": 0.9375}
+    return replace(whole, metrics=whole.metrics | {"places": places})
+
+
+def shown(drive: RunRecord) -> str:
+    page = io.StringIO()
+    Console(width=200, file=page).print(summary_table(drive))
+    return page.getvalue()
+
+
+def test_the_terminal_shows_the_recall_at_full_precision():
+    assert "places: R@P100 0.875" in shown(judged())
+
+
+def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
+    assert "R@P100" not in shown(replace(record(), metrics={}))
+
+
+def test_the_report_shows_the_recogniser_by_itself():
+    page = " ".join(render_report(judged(), None, {}).split())
+    assert "R@P100 0.875, average precision 0.938." in page

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from slam.errors import ConfigError
+from slam.simulation.scenario.config import SimulationConfig
+
+
+def test_the_default_camera_is_that_of_kitti():
+    camera = SimulationConfig().camera
+    np.testing.assert_allclose(
+        [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline],
+        [718.856, 718.856, 607.1928, 185.2157, 0.54],
+    )
+
+
+def test_a_smaller_image_keeps_the_field_of_view():
+    big, small = SimulationConfig().camera, SimulationConfig(width=320, height=96).camera
+    for edge in (-0.5, 1.0):
+        end_big = (big.width - 0.5) if edge > 0 else edge
+        end_small = (small.width - 0.5) if edge > 0 else edge
+        assert (end_big - big.cx) / big.fx == pytest.approx((end_small - small.cx) / small.fx)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"shape": "spiral"}, "shape .spiral.: expected circle, figure-eight, blocks or the path"),
+        ({"laps": 0}, "laps of a simulated drive: expected 1 to 1000, got 0"),
+        ({"speed": float("nan")}, "speed .* got nan"),
+        ({"lateral_offset": 3.0}, "lateral_offset .* expected -1.5 to 1.5, got 3"),
+        ({"width": 8}, "width .* got 8"),
+    ],
+)
+def test_a_spec_that_cannot_work_says_what_was_expected(wrong, message):
+    with pytest.raises(ConfigError, match=message):
+        SimulationConfig(**wrong)
+
+
+def test_random_numbers_of_one_purpose_do_not_depend_on_others():
+    config = SimulationConfig(seed=3)
+    config.rng(1).normal(size=5)
+    assert config.rng(2, 7).normal() == SimulationConfig(seed=3).rng(2, 7).normal()
+    assert config.rng(2, 7).normal() != config.rng(2, 8).normal()
