@@ -39,8 +39,8 @@ RETIRED = {
 # Bounds are min_ and max_.
 BOUNDS = re.compile(r"(^|_)(least|most|fewest|longest|shortest)(_|$)")
 UNITS = {
-    "m", "px", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent", "sigma", "per_m",
-    "deg_per_m", "m_per_s", "per_360m",
+    "m", "px", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent", "sigma",
+    "per_m", "deg_per_m", "m_per_s", "per_360m",
 }  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """Normal equations of the motion between two stereo pairs, compiled: residuals, Jacobians and depths eliminated.
 
 The unknowns are, in this order, the motion as a left perturbation `exp(xi) @ T_second_first` (6, rotation first)
-and the calibration error (15, see `odometry.stereo.stereo_self_calibration`); and an inverse depth for every point. All residuals are
-in pixels. docs/math.md, section "Two stereo views", derives them and their Jacobians.
+and the calibration error (15, see `odometry.stereo.stereo_self_calibration`); and an inverse depth for every point.
+All residuals are in pixels. docs/math.md, section "Two stereo views", derives them and their Jacobians.
 """
 
 import numpy as np

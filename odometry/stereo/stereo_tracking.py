@@ -34,7 +34,6 @@ from odometry.stereo.two_view_adjustment import (
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Pair = tuple[Image, Image]
 
 _FEATURES = 3000  # SIFT features of each image
 _RATIO = 0.8  # best over second best distance (Lowe, section 7.1)

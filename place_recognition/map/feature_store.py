@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.local_features import LocalFeatures
+from place_recognition.image_processing.local_features import DESCRIPTOR_STEPS, LocalFeatures
 from place_recognition.spill_file import SpillFile
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.int8]
 
-STEPS = 127  # numbers of unit descriptors are stored in one byte as multiples of 1 / STEPS: 0.02 of distance
 PIXEL_STEP = 1 / 16  # resolution of stored pixels: a 30th of the distance within which matches agree
 FIRST_OCTAVE, OCTAVE_STEPS = -1.0, 32  # scales from half a pixel to 125 are stored to 1 % of themselves in one byte
 IN_MEMORY = 2048  # latest images kept in memory: 74 MB of 500 SURF features each
@@ -24,7 +23,7 @@ class StoredFeatures:
 
     Attributes:
         pixels: (N, 2) float32, x and y to a sixteenth of a pixel (coarser in images of more than 4,096 pixels a side).
-        quantised: (N, D) int8, descriptors in steps of 1 / STEPS.
+        quantised: (N, D) int8, descriptors in steps of 1 / DESCRIPTOR_STEPS.
         octaves: (N,) float32, logarithm to base 2 of the scales in pixels.
     """
 
@@ -38,7 +37,7 @@ class StoredFeatures:
     @property
     def descriptors(self) -> Floats:
         """(N, D) float32 of about unit length."""
-        return self.quantised.astype(np.float32) * np.float32(1 / STEPS)
+        return self.quantised.astype(np.float32) * np.float32(1 / DESCRIPTOR_STEPS)
 
     def strongest(self, count: int) -> "StoredFeatures":
         """Return the `count` strongest features."""
@@ -97,7 +96,7 @@ class FeatureStore:
         step = max(PIXEL_STEP, float(pixels.max(initial=0)) / np.iinfo(np.uint16).max)
         record["count"], record["pixel_step"] = count, step
         record["pixels"][:count] = np.round(np.maximum(pixels, 0) / step)
-        record["quantised"][:count] = np.round(features.descriptors[:count] * STEPS)
+        record["quantised"][:count] = np.round(features.descriptors[:count] * DESCRIPTOR_STEPS)
         steps = OCTAVE_STEPS * (np.log2(np.maximum(features.scales[:count], 1e-6)) - FIRST_OCTAVE)
         record["octaves"][:count] = np.clip(np.round(steps), 0, 255)
         records.append(record)

@@ -102,7 +102,7 @@ def load_vocabulary(path: Path) -> Vocabulary:
 
 def default_vocabulary() -> Vocabulary:
     """Load the general vocabulary that ships with the package, of "surf-upright-64" features."""
-    with as_file(files("place_recognition.map") / DEFAULT_FILE) as path:
+    with as_file(files("place_recognition.vocabulary") / DEFAULT_FILE) as path:
         return load_vocabulary(path)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.growing_array import GrowingArray
-from place_recognition.map.feature_store import STEPS
+from place_recognition.image_processing.local_features import DESCRIPTOR_STEPS
 from place_recognition.vocabulary.kernels.word_tree import CAPACITY, FINE, Nodes, insert_words, search_words
 from place_recognition.vocabulary.word_index import ExactWordIndex, WordIndex
 
@@ -110,8 +110,8 @@ def beam_width(words: int) -> int:
 
 
 def quantize(descriptors: Floats) -> Shorts:
-    """Round descriptors (N, D) of at most unit length to steps of 1 / (STEPS FINE)."""
-    return np.round(descriptors * (STEPS * FINE)).astype(np.int16)
+    """Round descriptors (N, D) of at most unit length to steps of 1 / (DESCRIPTOR_STEPS FINE)."""
+    return np.round(descriptors * (DESCRIPTOR_STEPS * FINE)).astype(np.int16)
 
 
 def reserve(nodes: Nodes | None, dimension: int) -> Nodes:

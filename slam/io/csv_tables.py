@@ -1,7 +1,7 @@
 """The CSV tables of a run.
 
-`frames.csv` has a line for each frame, `loops.csv` is the loop log with a line for each belief, `loop_stages.csv` holds what each
-stage measured of it, and `loop_events.csv` the decisions of the online pose graph about verified loops. Unknown values
+`frames.csv` has a line for each frame, `loops.csv` is the loop log with a line for each belief, `loop_stages.csv` has
+the measurements of each stage, and `loop_events.csv` the decisions of the online pose graph about verified loops. Unknown values
 (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
 """
 
