@@ -26,10 +26,9 @@ from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
 from slam.pipeline.provenance import peak_memory_mb
-from slam.simulation.ground_truth import ground_truth_surfaces
 from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.trajectory import plan_trajectory
-from slam.simulation.simulator import MANIFEST
+from slam.simulation.simulator import MANIFEST, ground_truth_surfaces
 
 Array = NDArray[np.float64]
 REACH_M = 25.0

@@ -1,7 +1,8 @@
 """Remaining lens distortion of one camera, learned while driving.
 
 Radial and decentering distortion (Brown, Decentering Distortion of Lenses, 1966), which
-`odometry.stereo.stereo_self_calibration` learns for a pair as well. Points that move through the image show it. Formulas: docs/math.md, section "Self-calibration".
+`odometry.stereo.stereo_self_calibration` learns for a pair as well. Points that move through the image
+show it. Formulas: docs/math.md, section "Self-calibration".
 """
 
 from dataclasses import dataclass

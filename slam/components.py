@@ -16,8 +16,8 @@ from slam.loop_closing.loop_closer import LoopCloser
 from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
-from slam.system import Components
-from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry, VisualOdometry
+from slam.system import Components, VisualOdometry
+from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
 
 
 def check_paradigm(name: str) -> None:

@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
+from odometry.stereo.stereo_self_calibration import Calibration
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.datasets.dataset import Frame
@@ -19,10 +20,43 @@ from slam.pose_graph.loop_admission import LoopDecision
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.timing import StageTimer
-from slam.visual_odometry import VisualOdometry
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+
+class VisualOdometry(Protocol):
+    """Measures the motion between frames, and the depth of pixels of the latest frame."""
+
+    @property
+    def has_metric_scale(self) -> bool:
+        """Whether all frames have one unit of length; the scale of one camera drifts."""
+        ...
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration error of a stereo pair as learned so far; None where none is learned."""
+        ...
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous frame; always finite."""
+        ...
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,), pixels, at pixels (N, 2) of the frame tracked last; NaN where it is unknown."""
+        ...
+
+    def array_bytes(self) -> int:
+        """Memory of all arrays held, bytes."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from frame to frame, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state that another odometry of the same configuration has given."""
+        ...
 
 
 class LoopVerifier(Protocol):

@@ -1,6 +1,6 @@
 """Visual odometry as the system uses it: motion and depth from frames, with a stereo pair or with one camera."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,40 +19,6 @@ Image = NDArray[np.uint8]
 # Depth from motion is used where the camera has moved by this share of the pair's baseline: it is then about as
 # accurate as depth from the pair.
 _MIN_BASELINE_SHARE = 0.5
-
-
-class VisualOdometry(Protocol):
-    """Measures the motion between frames, and the depth of pixels of the latest frame."""
-
-    @property
-    def has_metric_scale(self) -> bool:
-        """Whether all frames have one unit of length; the scale of one camera drifts."""
-        ...
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """Calibration error of a stereo pair as learned so far; None where none is learned."""
-        ...
-
-    def track(self, frame: Frame) -> Motion:
-        """Motion since the previous frame; always finite."""
-        ...
-
-    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Disparity (N,), pixels, at pixels (N, 2) of the frame tracked last; NaN where it is unknown."""
-        ...
-
-    def array_bytes(self) -> int:
-        """Memory of all arrays held, bytes."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """Everything that changes from frame to frame, for a checkpoint."""
-        ...
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from the state that another odometry of the same configuration has given."""
-        ...
 
 
 class StereoVisualOdometry:

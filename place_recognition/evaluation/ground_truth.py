@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from place_recognition.evaluation.ground_truth_files import array_names, read_array
-from place_recognition.evaluation.matlab import read_positive
+from place_recognition.evaluation.ground_truth_files import array_names, read_array, read_positive
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]

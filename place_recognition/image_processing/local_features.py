@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-# Numbers of unit descriptors are stored in one byte, as multiples of 1 / DESCRIPTOR_STEPS: an error of 0.02 in distance.
+# Unit descriptors are stored with one byte a number, as multiples of 1 / DESCRIPTOR_STEPS: 0.02 of distance.
 DESCRIPTOR_STEPS = 127
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.thumbnail import (
+from place_recognition.image_processing.global_descriptors import (
     MIDDLE,
     ThumbnailConfig,
     make_thumbnail,

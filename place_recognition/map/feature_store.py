@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.growing_array import SpillFile
 from place_recognition.image_processing.local_features import DESCRIPTOR_STEPS, LocalFeatures
-from place_recognition.spill_file import SpillFile
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.int8]

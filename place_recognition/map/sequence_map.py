@@ -1,6 +1,12 @@
-"""The map of sequences: the images of each sequence, and an inverted index of its words."""
+"""The map of sequences: the images of each sequence, and an inverted index of its words.
 
-from typing import Any
+Segmentation of a drive into sequences of images: by distance, or by visual word variance.
+
+Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed distance) and IJRR 37(1) 2018 (visual word variance).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,3 +68,156 @@ class SequenceMap:
         """Continue from a state."""
         self.index.restore(state["index"])
         self._lasts.restore(state["last_images"])
+
+
+class Segmentation(Protocol):
+    """Divides a drive into sequences that do not overlap."""
+
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image starts a new sequence; the very first image does.
+
+        Args:
+            words: (N,) visual words of the image.
+            distance_travelled_m: length of the path so far, metres; NaN, or always the same value, where it is not
+                measured.
+        """
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        ...
+
+
+@dataclass(frozen=True)
+class FixedDistanceConfig:
+    """Length of a sequence.
+
+    Attributes:
+        distance_m: length of the path of a sequence; the paper tried 3 m to 6 m.
+        unmeasured_images: number of images of a sequence where no distance is measured: the paper's 5 m at 10 m/s and
+            10 images a second.
+        max_images: number of images at which a sequence ends even if the car has hardly moved, as at a red light.
+    """
+
+    distance_m: float = 5.0
+    unmeasured_images: int = 5
+    max_images: int = 20
+
+
+class FixedDistanceSegmentation:
+    """Sequences of a fixed path length by odometry (a Segmentation)."""
+
+    def __init__(self, config: FixedDistanceConfig | None = None) -> None:
+        self.config = config or FixedDistanceConfig()
+        self._first_distance_m = self._start_distance_m = float("nan")
+        self._images = 0
+
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image is too far from the first image of its sequence, or exceeds their number."""
+        if self._images == 0:
+            self._first_distance_m = distance_travelled_m
+        # NaN compares as False: then the number of images decides.
+        is_measured = np.isfinite(distance_travelled_m) and distance_travelled_m != self._first_distance_m
+        is_far = is_measured and distance_travelled_m - self._start_distance_m >= self.config.distance_m
+        is_full = self._images >= (self.config.max_images if is_measured else self.config.unmeasured_images)
+        starts = self._images == 0 or is_far or is_full
+        if starts:
+            self._start_distance_m, self._images = distance_travelled_m, 0
+        self._images += 1
+        return bool(starts)
+
+    def state(self) -> dict[str, Any]:
+        """Where the drive and the open sequence began, for a checkpoint."""
+        return {
+            "first_distance_m": self._first_distance_m,
+            "start_distance_m": self._start_distance_m,
+            "num_images": self._images,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._first_distance_m, self._start_distance_m = state["first_distance_m"], state["start_distance_m"]
+        self._images = state["num_images"]
+
+
+@dataclass(frozen=True)
+class WordVarianceConfig:
+    """Change of the view that ends a sequence.
+
+    The variance of an image is the share of its distinct words that its sequence has not shown yet.
+
+    Attributes:
+        min_variance: a sequence ends before an image of a greater variance than this,
+        min_variance_ratio: and than this many times the usual variance from one image to the next.
+        min_images: number of images of a sequence before its variance is tested.
+        max_images: number of images at which a sequence ends in any case.
+    """
+
+    min_variance: float = 0.0
+    min_variance_ratio: float = 1.0
+    min_images: int = 2
+    max_images: int = 10
+
+
+class WordVariance:
+    """Sequences of images that show the same words (a Segmentation)."""
+
+    def __init__(self, words: int, config: WordVarianceConfig | None = None) -> None:
+        self.config = config or WordVarianceConfig()
+        self._seen = np.zeros(words, np.bool_)
+        self._images = 0
+        self._latest = np.empty(0, np.int64)
+        self._changes = np.zeros(2)  # sum and number of the variances from one image to the next
+
+    def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
+        """Whether the next image shows too many words that are new to its sequence, or exceeds its number of images."""
+        distinct = np.unique(words)
+        self._update_usual(distinct)
+        starts = self._images == 0 or self._images >= self.config.max_images or self._has_changed(distinct)
+        if starts:
+            self._seen[:] = False
+            self._images = 0
+        self._seen[distinct] = True
+        self._images += 1
+        return starts
+
+    def _has_changed(self, distinct: Indices) -> bool:
+        if self._images < self.config.min_images or len(distinct) == 0:
+            return False
+        variance = 1.0 - float(np.mean(self._seen[distinct]))
+        return variance > max(self.config.min_variance, self.config.min_variance_ratio * self._usual_variance())
+
+    def _usual_variance(self) -> float:
+        """Return the mean variance from one image to the next so far; 0 before the second image."""
+        return float(self._changes[0] / max(self._changes[1], 1))
+
+    def _update_usual(self, distinct: Indices) -> None:
+        # An image without words measures no change, and is no image to compare the next one with.
+        if len(distinct) and len(self._latest):
+            self._changes += [1.0 - float(np.mean(np.isin(distinct, self._latest, assume_unique=True))), 1]
+        if len(distinct):
+            self._latest = distinct
+
+    def state(self) -> dict[str, Any]:
+        """The words of the open sequence and what usually changes, for a checkpoint."""
+        return {
+            "words_seen": self._seen,
+            "num_images": self._images,
+            "latest_words": self._latest,
+            "changes": self._changes,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state.
+
+        Raises:
+            ValueError: of another number of words.
+        """
+        if len(state["words_seen"]) != len(self._seen):
+            raise ValueError(f"expected a vocabulary of {len(self._seen)} words, got {len(state['words_seen'])}")
+        self._seen, self._images = state["words_seen"], state["num_images"]
+        self._latest, self._changes = state["latest_words"], state["changes"]

@@ -23,8 +23,7 @@ from place_recognition.belief.sequence_consensus import CandidateBeliefs, Delaye
 from place_recognition.belief.temporal_consistency import ConsistencyConfig
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
 from place_recognition.map.image_history import ImageHistory, ImageHistoryConfig
-from place_recognition.map.sequence_map import SequenceMap
-from place_recognition.map.sequence_segmentation import Segmentation
+from place_recognition.map.sequence_map import Segmentation, SequenceMap
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 from place_recognition.vocabulary.tf_idf import ImageWords, WordVector, word_vector
 from place_recognition.vocabulary.vocabulary import Vocabulary

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
 from place_recognition.image_processing.local_features import FeatureCache
-from place_recognition.map.sequence_segmentation import (
+from place_recognition.map.sequence_map import (
     FixedDistanceConfig,
     FixedDistanceSegmentation,
     WordVariance,

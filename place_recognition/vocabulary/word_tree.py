@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.local_features import DESCRIPTOR_STEPS
-from place_recognition.vocabulary.kernels.word_tree import CAPACITY, FINE, Nodes, insert_words, search_words
 from place_recognition.vocabulary.word_index import ExactWordIndex, WordIndex
+from place_recognition.vocabulary.word_tree_kernels import CAPACITY, FINE, Nodes, insert_words, search_words
 
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.int8]

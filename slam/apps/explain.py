@@ -7,7 +7,7 @@ from pathlib import Path
 from slam.errors import DataError
 from slam.io.csv_tables import read_events, read_loops, read_stages
 from slam.io.metrics import read_metrics
-from slam.report.loop_explanation import describe_outcome, describe_stages
+from slam.report.loop_details import describe_outcome, describe_stages
 from slam.run_result import LoopEventRow, LoopRow, StageRow
 
 _MAX_NAMED_FRAMES = 3  # other frames that are named if the given one has no match

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.errors import ConfigError, DataError, OutputError
-from slam.io.atomic import atomic_writer
 from slam.io.colmap import Model, write_colmap
+from slam.io.files import atomic_writer
 from slam.io.landmarks import read_landmark_observers
 from slam.io.ply import read_cloud
 from slam.io.run_folder import RunFolder

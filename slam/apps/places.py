@@ -21,7 +21,6 @@ from slam.errors import ConfigError
 from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
-from slam.pipeline.interrupt import stop_on_interrupt
 from slam.pipeline.place_recognition import (
     PlaceRecognitionRun,
     PlacesRecord,
@@ -31,7 +30,7 @@ from slam.pipeline.place_recognition import (
     run_recognizer,
     write_results,
 )
-from slam.pipeline.progress import progress_bar
+from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 
 

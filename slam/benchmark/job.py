@@ -13,7 +13,7 @@ from rich.console import Console
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError, RevisitError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
 from slam.pipeline.pipeline import RunOptions, resolve_config, run_pipeline
 

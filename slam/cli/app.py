@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import typer
 
-from slam.cli import doctor, evaluate, inspect, places, run
+from slam.cli import evaluate, inspect, places, run
 from slam.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, FORMAT_NAMES
 from slam.errors import ConfigError, RevisitError
 
@@ -44,7 +44,7 @@ for command in (
     inspect.export,
     inspect.view,
     run.dense,
-    doctor.doctor,
+    inspect.doctor,
 ):
     app.command()(command)
 evaluate_app.command("trajectory")(evaluate.evaluate_trajectory)

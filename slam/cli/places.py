@@ -106,7 +106,7 @@ def train_vocabulary(
 
     Example: revisit vocabulary train ~/photos ~/drive --out town.vocabulary
     """
-    from slam.apps.train_vocabulary import TrainingOptions, train_from_images
+    from slam.apps.train import TrainingOptions, train_from_images
     from slam.pipeline.progress import progress_bar
 
     options = TrainingOptions(tuple(sources), out, features)
@@ -131,6 +131,6 @@ def filter_train(
 
     Example: revisit filter train runs/places05/matrix.npz loops_05.npz --out filter.toml
     """
-    from slam.apps.train_filter import train_filter_file
+    from slam.apps.train import train_filter_file
 
     Console().print(train_filter_file(matrix, truth, out, paradigm), markup=False, highlight=False, soft_wrap=True)

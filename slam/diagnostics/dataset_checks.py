@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format
-from slam.diagnostics.camera_checks import check_camera, check_rectification
+from slam.diagnostics.camera_checks import (
+    ImageStatistics,
+    check_camera,
+    check_images,
+    check_rectification,
+    check_timestamps,
+    measure_image,
+)
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -20,7 +27,6 @@ from slam.diagnostics.findings import (
     report_ok,
     report_warning,
 )
-from slam.diagnostics.image_checks import ImageStatistics, check_images, check_timestamps, measure_image
 from slam.errors import DataError
 from slam.evaluation.trajectory import path_length
 

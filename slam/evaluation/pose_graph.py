@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from slam.errors import DataError
 from slam.evaluation.trajectory import umeyama
+from slam.io.files import read_numbers
 from slam.io.g2o import Graph
-from slam.io.text import read_numbers
 from slam.io.trajectory import read_trajectory
 
 Array = NDArray[np.float64]

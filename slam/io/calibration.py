@@ -10,7 +10,7 @@ import tomli_w
 from odometry.camera import StereoCamera
 from odometry.stereo.stereo_self_calibration import NUM_COEFFICIENTS, NUM_DISTORTION, NUM_RECTIFICATION, Calibration
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 
 _GROUPS = {
     "lens": slice(0, NUM_DISTORTION),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.io.landmarks import LandmarkObservers
 from slam.run_result import PointCloud
 

@@ -1,8 +1,8 @@
 """The CSV tables of a run.
 
 `frames.csv` has a line for each frame, `loops.csv` is the loop log with a line for each belief, `loop_stages.csv` has
-the measurements of each stage, and `loop_events.csv` the decisions of the online pose graph about verified loops. Unknown values
-(None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
+the measurements of each stage, and `loop_events.csv` the decisions of the online pose graph about verified loops.
+Unknown values (None, NaN) are empty cells, truth values are `true` and `false`, numbers keep every digit.
 """
 
 import csv
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.run_result import LoopEventRow, LoopRow, StageRow
 
 Array = NDArray[np.float64]

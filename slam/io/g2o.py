@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.io.g2o_parser import UPPER, Kind, parse_g2o
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization.lie_groups import planar_poses

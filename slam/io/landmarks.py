@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from odometry.camera import PinholeCamera
 from place_recognition.evaluation.ground_truth_files import read_array
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.run_result import RunRecord
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 
 SCHEMA = 2
 

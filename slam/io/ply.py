@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.run_result import PointCloud
 
 _HEADER = """ply

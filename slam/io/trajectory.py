@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slam.errors import DataError
-from slam.io.atomic import atomic_writer
-from slam.io.text import read_lines, read_numbers
+from slam.io.files import atomic_writer, read_lines, read_numbers
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from slam.config import RunConfig, to_toml
 from slam.errors import RevisitError
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.io.atomic import replacing
+from slam.io.files import replacing
 from slam.io.run_folder import RunFolder
 from slam.map_database.database import MAP_FILE, Checkpoint, MapDatabase, Session
 from slam.map_database.inter_session import SessionRecognizer, components_in_session, loop_in_map

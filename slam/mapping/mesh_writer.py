@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.mapping.tsdf import Surface
 
 _POINTS = """ply

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from slam.errors import OutputError
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.mapping.submaps import Submap, SubmapStore
 
 Array = NDArray[np.float64]

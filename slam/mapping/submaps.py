@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.mapping.tsdf import Surface
 
 Array = NDArray[np.float64]

@@ -1,8 +1,12 @@
-"""The pipeline: one dataset from its images to its results, with the viewer, the map database and the files."""
+"""The pipeline: one dataset from its images to its results, with the viewer, the map database and the files.
 
+The event log of a run, `run.log`: what is out of the ordinary about frames, and what became of each loop.
+"""
+
+import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
@@ -30,17 +34,55 @@ from slam.map_database.resume import (
     reopen_run_folder,
 )
 from slam.map_database.session_writer import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
-from slam.pipeline.event_log import log, log_frame, log_loops, log_to_file
-from slam.pipeline.interrupt import stop_on_interrupt
-from slam.pipeline.progress import progress_bar
+from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 from slam.pipeline.results import PipelineResult, make_record, write_results
 from slam.pipeline.visualization import RunVisualizer
 from slam.report.formatting import summary_table
 from slam.run_log import RunLog
-from slam.system import FrameResult, Slam
+from slam.system import FrameResult, LoopCandidate, Slam
 from slam.timing import timed
 from slam.viewer.viewer import NullViewer, Viewer
+
+log = logging.getLogger("revisit")
+
+
+def log_frame(result: FrameResult) -> None:
+    """Log what is out of the ordinary about a frame."""
+    if result.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
+    log_loops(result.candidates)
+
+
+def log_loops(candidates: Sequence[LoopCandidate]) -> None:
+    """Log what became of each loop that was proposed."""
+    for candidate in candidates:
+        if candidate.reason:
+            outcome = "closed" if candidate.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
+
+
+@contextmanager
+def log_to_file(path: Path) -> Iterator[None]:
+    """Send the log to a file while the block runs."""
+    handler = _LogFile(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Go on."""
+
 
 _WARM_UP_FRAMES = 3  # the first frame with a motion, and one after it
 _MATRIX_ROWS = 1500  # of the recogniser's similarity matrix, for a picture of it: 9 MB

@@ -23,9 +23,9 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.io.atomic import atomic_writer
 from slam.io.calibration import write_calibration
 from slam.io.csv_tables import write_events, write_frames, write_loops, write_stages
+from slam.io.files import atomic_writer
 from slam.io.g2o import chain_graph, write_g2o
 from slam.io.landmarks import write_covariances, write_landmark_observers
 from slam.io.metrics import write_metrics

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.loop_prediction import predictive_chi2
-from slam.pose_graph.optimization import gtsam_factors as factors
+from slam.pose_graph.loop_clusters import predictive_chi2
+from slam.pose_graph.optimization import gtsam_solver as factors
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.io.atomic import atomic_writer
+from slam.io.files import atomic_writer
 from slam.mapping.birds_eye_view import BirdsEyeView, PlaneWindow
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.report.html_report import template_environment

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from slam.simulation.scenario.config import SimulationConfig
 
 if TYPE_CHECKING:
-    from slam.simulation.ground_truth import loop_truth
-    from slam.simulation.simulator import simulate
+    from slam.simulation.simulator import loop_truth, simulate
 
 __all__ = ["SimulationConfig", "loop_truth", "simulate"]
 
@@ -21,7 +20,7 @@ def __getattr__(name: str) -> object:
 
         return simulate
     if name == "loop_truth":
-        from slam.simulation.ground_truth import loop_truth
+        from slam.simulation.simulator import loop_truth
 
         return loop_truth
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,15 +11,15 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
-from slam.io.atomic import replacing
+from slam.io.files import replacing
 from slam.mapping.tsdf import Surface
-from slam.report import colours
+from slam.report import figure_style
 from slam.viewer import rerun_archetypes
 from slam.viewer.blueprint import blueprint
 
 Array = NDArray[np.float64]
 
-_COLOURS = {"before": colours.ODOMETRY, "after": colours.CORRECTED}
+_COLOURS = {"before": figure_style.ODOMETRY, "after": figure_style.CORRECTED}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from place_recognition.vocabulary.vocabulary import load_vocabulary
-from slam.apps.train_filter import read_similarities
+from slam.apps.train import read_similarities
 from slam.benchmark.sweep_config import read_sweep
 from slam.components import read_checked_config
 from slam.datasets.dataset import Dataset

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 # Not what numba compiles.
 _WATCHED = [
     "slam.benchmark.sweep_config", "slam.config", "slam.datasets", "slam.evaluation.ground_truth",
-    "slam.apps.train_filter", "slam.io.ply", "slam.simulation.scenario.trajectory", "slam.io",
+    "slam.apps.train", "slam.io.ply", "slam.simulation.scenario.trajectory", "slam.io",
     "place_recognition.evaluation", "place_recognition.vocabulary.vocabulary_file", "pykitti", "rosbags", "tomllib",
     "yaml", "json", "csv",
 ]  # fmt: skip

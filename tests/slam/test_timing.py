@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from slam.pipeline.interrupt import stop_on_interrupt
+from slam.pipeline.progress import stop_on_interrupt
 from slam.timing import StageTimer
 
 

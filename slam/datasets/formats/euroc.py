@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from slam.datasets.camera_toml import parse_pose
-from slam.datasets.dataset import DatasetSpec
+from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
-from slam.datasets.folders import find_dataset
 from slam.datasets.formats.recording import (
     CameraStream,
     GroundTruthTrajectory,
@@ -32,7 +31,7 @@ from slam.datasets.formats.recording import (
 from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS, read_timestamped_rows
 from slam.datasets.rectification import Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
-from slam.io.text import read_lines
+from slam.io.files import read_lines
 from slam.io.trajectory import check_positions
 
 Array = NDArray[np.float64]

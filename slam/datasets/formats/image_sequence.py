@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.formats.kitti_files import find_images, find_poses, find_sequence
 from slam.errors import DataError
-from slam.io.text import read_numbers
+from slam.io.files import read_numbers
 from slam.io.trajectory import read_kitti
 
 Array = NDArray[np.float64]

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from slam.datasets.dataset import Dataset, DatasetSpec
-from slam.datasets.folders import contains_dataset, subfolders
+from slam.datasets.dataset import Dataset, DatasetSpec, contains_dataset, subfolders
 from slam.datasets.formats.custom_camera import (
     has_camera_toml,
     is_custom_camera,

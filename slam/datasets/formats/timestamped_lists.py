@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.formats.image_sequence import ImageSequence
 from slam.errors import DataError
-from slam.io.text import read_lines
+from slam.io.files import read_lines
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ import re
 from pathlib import Path
 
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
-from slam.datasets.dataset import DatasetSpec
+from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
-from slam.datasets.folders import find_dataset
 from slam.datasets.formats.recording import (
     ImageDataset,
     LeftImages,

@@ -2,7 +2,7 @@
 
 The inner loop of the back ends, where weights change with every step. GTSAM's optimisers keep weights fixed while they
 converge and need each factor built anew for a new weight; here a weight is a factor on rows. The last step to the
-minimum is left to GTSAM (`slam.pose_graph.optimization.batch`). Why not GTSAM's GNC:
+minimum is left to GTSAM (`slam.pose_graph.optimization.gtsam_solver`). Why not GTSAM's GNC:
 docs/decisions/own_gauss_newton.md.
 """
 

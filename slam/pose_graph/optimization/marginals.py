@@ -20,7 +20,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.optimization import gtsam_factors as factors
+from slam.pose_graph.optimization import gtsam_solver as factors
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import factorize, factorize_jacobian, whitened_jacobian
 from slam.pose_graph.optimization.lie_groups import inverse

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from slam.errors import ConfigError, GraphError
-from slam.pose_graph.optimization.batch import optimize, refine
+from slam.pose_graph.optimization.gtsam_solver import optimize, refine
 from slam.pose_graph.robust.calibration import Screening, screen
 from slam.pose_graph.robust.consensus import grow_consensus
 from slam.pose_graph.robust.gnc import gnc, least_squares

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from slam.errors import DataError
-from slam.io.text import read_numbers
+from slam.io.files import read_numbers
 from slam.simulation.scenario.config import SimulationConfig
 
 Array = NDArray[np.float64]

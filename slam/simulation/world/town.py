@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.trajectory import SimulatedTrajectory, plan_base_path
-from slam.simulation.world import street_furniture, vegetation, vehicles
+from slam.simulation.world import street_objects, vehicles
 from slam.simulation.world.buildings import build_house, draw_house
 from slam.simulation.world.mesh import Mesh
 from slam.simulation.world.streets import PAVEMENT_END, ROAD_HALF, Streets, ground, lay_streets
@@ -100,12 +100,12 @@ class TownBuilder:
         self.streets: Streets = lay_streets(plan_base_path(config), trajectory)
         self.plots = _Plots()
         rng = config.rng(3)
-        self.grove, self.cars = vegetation.grove(rng), vehicles.fleet(rng)
-        self.bushes = [vegetation.bush(rng) for _ in range(3)]
-        self.hedges = [vegetation.hedge(rng) for _ in range(2)]
+        self.grove, self.cars = street_objects.grove(rng), vehicles.fleet(rng)
+        self.bushes = [street_objects.bush(rng) for _ in range(3)]
+        self.hedges = [street_objects.hedge(rng) for _ in range(2)]
         self.street_objects = [
-            street_furniture.lamp_post(),
-            *(street_furniture.sign(rng) for _ in range(5)),
+            street_objects.lamp_post(),
+            *(street_objects.sign(rng) for _ in range(5)),
             vehicles.bin_and_box(rng),
         ]
         self.meshes: list[PlacedMesh] = []
@@ -212,7 +212,7 @@ class TownBuilder:
             for x in np.arange(-length / 2, length / 2 - 3.9, 4.0):
                 self.meshes.append(PlacedMesh(self.hedges[int(rng.integers(2))], site.yaw, site.at(x, 0.3, 0.1)))
         else:
-            mesh = street_furniture.border(int(kind), length, rng)
+            mesh = street_objects.border(int(kind), length, rng)
             self.meshes.append(PlacedMesh(mesh, site.yaw, site.at(-length / 2, 0.0, 0.1)))
 
     def _plant(self, position: tuple[float, float, float], choice: list[Mesh], rng: np.random.Generator) -> None:

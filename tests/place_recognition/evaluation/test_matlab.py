@@ -8,9 +8,9 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
-from place_recognition.evaluation import matlab
+from place_recognition.evaluation import ground_truth_files
 from place_recognition.evaluation.ground_truth import load_truth
-from place_recognition.evaluation.matlab import read_positive
+from place_recognition.evaluation.ground_truth_files import read_positive
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"]
 KILLERS = Path(__file__).parents[2] / "fuzzing" / "corpus" / "truth-MATLAB"
@@ -112,8 +112,8 @@ def test_whatever_becomes_of_the_reader_is_one_line(
 ) -> None:
     reader = tmp_path / "reader.py"
     reader.write_text(program)
-    monkeypatch.setattr(matlab, "READER", reader)
-    monkeypatch.setattr(matlab, "TIMEOUT_S", 1.0)
+    monkeypatch.setattr(ground_truth_files, "READER", reader)
+    monkeypatch.setattr(ground_truth_files, "TIMEOUT_S", 1.0)
     with pytest.raises(ValueError, match=reason) as error:
         read_positive(file)
     assert str(error.value).isprintable()
@@ -127,6 +127,6 @@ def test_a_sparse_matrix_of_any_stated_size_is_refused_before_memory_is_taken(fi
 
 def test_a_file_that_needs_too_much_memory_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(file, {"truth": np.zeros((20000, 2000))}, do_compression=True)  # 320 MB in 0.3 MB
-    monkeypatch.setattr(matlab, "MAX_MEMORY_BYTES", 700 << 20)
+    monkeypatch.setattr(ground_truth_files, "MAX_MEMORY_BYTES", 700 << 20)
     with pytest.raises(ValueError, match="too much memory"):
         read_positive(file)

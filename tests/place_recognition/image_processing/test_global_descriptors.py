@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 from place_images import kitti_images, textured_world
 
 from place_recognition.image_processing.global_descriptors import (
+    DEVIATION,
     GLOBAL_DESCRIPTORS,
+    MIDDLE,
     ColorHistogram,
     ColorHistogramConfig,
-    make_global_descriptor,
-)
-from place_recognition.image_processing.hog import Hog, HogConfig, cell_histograms
-from place_recognition.image_processing.thumbnail import (
-    DEVIATION,
-    MIDDLE,
+    Hog,
+    HogConfig,
     Thumbnail,
     ThumbnailConfig,
+    cell_histograms,
+    make_global_descriptor,
     make_thumbnail,
     mean_absolute_difference,
 )

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from place_recognition.belief.distances import cosine_similarity
 from place_recognition.map.inverted_index import InvertedIndex
-from place_recognition.map.sequence_map import SequenceMap
-from place_recognition.map.sequence_segmentation import (
+from place_recognition.map.sequence_map import (
     FixedDistanceConfig,
     FixedDistanceSegmentation,
+    SequenceMap,
     WordVariance,
     WordVarianceConfig,
 )

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_images import changed, kitti_images, sliding_view, textured_world
 
-from place_recognition.image_processing.hog import Hog
+from place_recognition.image_processing.global_descriptors import Hog
 from place_recognition.map.descriptor_database import DenseMap, absolute_differences, dot_products
 from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching

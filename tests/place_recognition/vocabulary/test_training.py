@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from place_recognition.vocabulary.k_majority import k_majority
 from place_recognition.vocabulary.training import (
     DescriptorSample,
     VocabularyTrainingConfig,
     inverse_document_frequencies,
+    k_majority,
     train_vocabulary,
 )
 from place_recognition.vocabulary.vocabulary import Vocabulary

@@ -6,9 +6,9 @@ from place_images import textured_world
 
 from place_recognition.image_processing.keypoint_selection import SpreadConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
-from place_recognition.vocabulary.kernels.word_tree import CAPACITY, MIN_FILL
 from place_recognition.vocabulary.word_index import ExactWordIndex
 from place_recognition.vocabulary.word_tree import HybridWordIndex, WordTree, beam_width
+from place_recognition.vocabulary.word_tree_kernels import CAPACITY, MIN_FILL
 
 
 @pytest.fixture(scope="module")

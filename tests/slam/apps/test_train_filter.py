@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from slam.apps.train_filter import train_filter_file
+from slam.apps.train import train_filter_file
 from slam.errors import ConfigError, DataError
 
 

@@ -6,9 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry.camera import StereoCamera
-from slam.diagnostics.camera_checks import check_camera, check_rectification, match_displacements
+from slam.diagnostics.camera_checks import (
+    ImageStatistics,
+    check_camera,
+    check_images,
+    check_rectification,
+    check_timestamps,
+    match_displacements,
+    measure_image,
+)
 from slam.diagnostics.findings import Finding, Inspection, Status, Use, report_fault, report_ok, report_warning
-from slam.diagnostics.image_checks import ImageStatistics, check_images, check_timestamps, measure_image
 
 from ..datasets.rig import IDEAL, RIGS, Walls
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from slam.errors import OutputError
-from slam.io.atomic import atomic_writer, replacing
+from slam.io.files import atomic_writer, replacing
 
 
 def names(folder: Path) -> list[str]:

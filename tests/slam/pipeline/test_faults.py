@@ -13,7 +13,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
-from place_recognition.spill_file import SpillFile
+from place_recognition.growing_array import SpillFile
 from slam.cli import app
 from slam.errors import OutputError
 from slam.io.metrics import read_metrics

@@ -20,8 +20,7 @@ from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.submaps import SubmapStore
 from slam.pipeline.pipeline import RunOptions, run_pipeline
 from slam.simulation import SimulationConfig
-from slam.simulation.ground_truth import ground_truth_surfaces
-from slam.simulation.simulator import MANIFEST
+from slam.simulation.simulator import MANIFEST, ground_truth_surfaces
 from slam.viewer.rerun_viewer import RerunViewer
 
 from ...command_lines import Shown

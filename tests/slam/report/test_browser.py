@@ -10,7 +10,7 @@ from selenium.webdriver.common.keys import Keys
 
 from slam.report.formatting import MISSING
 from slam.report.html_report import write_report
-from slam.report.loop_explanation import describe_stages
+from slam.report.loop_details import describe_stages
 from slam.report.trajectory_figure import position_errors
 
 from . import fabricate

@@ -1,8 +1,8 @@
 import numpy as np
 
-from slam.simulation.ground_truth import loop_truth
 from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.simulator import loop_truth
 
 
 def truth_of(**config):

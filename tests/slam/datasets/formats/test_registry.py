@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from odometry import se3
 from slam.datasets.camera_toml import parse_pose, read_camera_toml
-from slam.datasets.dataset import DatasetSpec, is_valid_fps
-from slam.datasets.folders import contains_dataset, find_dataset
+from slam.datasets.dataset import DatasetSpec, contains_dataset, find_dataset, is_valid_fps
 from slam.datasets.formats.image_sequence import natural_sort_key
 from slam.datasets.formats.kitti_files import find_images, find_sequence, sequence_names
 from slam.datasets.formats.place_datasets import parse_times

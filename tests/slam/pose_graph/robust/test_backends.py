@@ -11,8 +11,8 @@ from slam.evaluation.outlier_injection import KINDS, OutlierConfig, inject_outli
 from slam.evaluation.pose_graph import absolute_error, find_truth
 from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
-from slam.pose_graph.optimization.batch import optimize
 from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 from slam.pose_graph.robust.gnc import gnc_tls_weights

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.pose_graph.optimization.batch import optimize
 from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.condensation import condense
 from slam.pose_graph.robust.problem import LoopProblem

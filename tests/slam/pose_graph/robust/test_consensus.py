@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.pose_graph.optimization.batch import optimize, refine
 from slam.pose_graph.optimization.edges import Edges
+from slam.pose_graph.optimization.gtsam_solver import optimize, refine
 from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
 from slam.pose_graph.robust.consensus import conflicting_loops
 from slam.pose_graph.robust.likelihood_ratio import estimate_student_dof, loop_likelihood

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam.errors import GraphError
-from slam.pose_graph.optimization.batch import optimize
 from slam.pose_graph.optimization.edges import Edges, concatenate
+from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 

@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from slam.simulation.rendering.renderer import RenderFrame, build_scene, build_shadow_map, cull_scene
 from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.trajectory import LANE, plan_base_path, plan_trajectory
-from slam.simulation.scene_streaming import SceneStream, choose_daylight
-from slam.simulation.world import street_furniture, vegetation
+from slam.simulation.simulator import SceneStream, choose_daylight
+from slam.simulation.world import street_objects
 from slam.simulation.world.buildings import build_house, draw_house
 from slam.simulation.world.materials import FRONTS
 from slam.simulation.world.streets import ROAD_HALF, ground, lay_streets
@@ -126,16 +126,16 @@ def test_houses_fill_their_measures_and_stand_on_the_ground(urban: bool) -> None
 
 def test_plants_have_their_height_and_stand_upright() -> None:
     rng = np.random.default_rng(0)
-    for mesh, height in ((vegetation.broadleaf(rng, 9.0), 9.0), (vegetation.conifer(rng, 11.0), 11.0)):
+    for mesh, height in ((street_objects.broadleaf(rng, 9.0), 9.0), (street_objects.conifer(rng, 11.0), 11.0)):
         corners = mesh.corners.reshape(-1, 3)
         assert 0.8 * height < corners[:, 2].max() < 1.25 * height
         assert np.abs(corners[:, :2].mean(axis=0)).max() < 0.15 * height
-    assert vegetation.bush(rng).corners[..., 2].max() < 2.5
+    assert street_objects.bush(rng).corners[..., 2].max() < 2.5
 
 
 @pytest.mark.parametrize("kind", [1, 2, 3, 4])
 def test_borders_are_as_long_as_asked_for(kind: int) -> None:
-    mesh = street_furniture.border(kind, 12.0, np.random.default_rng(1))
+    mesh = street_objects.border(kind, 12.0, np.random.default_rng(1))
     low, high = mesh.corners.min(axis=(0, 1)), mesh.corners.max(axis=(0, 1))
     assert -0.1 < low[0] < 0.1
     assert 11.5 < high[0] < 12.6
