@@ -7,20 +7,20 @@ from matplotlib.figure import Figure
 
 from slam.benchmark.results import DISPLAYED, ResultRow, format_values
 from slam.io.files import atomic_writer
-from slam.report import figure_style
-from slam.report.figure_style import inline_svg
+from slam.report import colours
 from slam.report.formatting import Cell
 from slam.report.html_report import template_environment
+from slam.report.svg import inline_svg
 from slam.report.trajectory_figure import INK, new_figure, style_axes
 
 # Paradigms differ in shape as well as in colour, for readers who are colour-blind.
 _MARKS = (
-    ("o", figure_style.CORRECTED),
-    ("s", figure_style.ODOMETRY),
-    ("^", figure_style.ACCEPTED),
-    ("D", figure_style.REJECTED),
-    ("v", figure_style.ONLINE),
-    ("P", figure_style.GROUND_TRUTH),
+    ("o", colours.CORRECTED),
+    ("s", colours.ODOMETRY),
+    ("^", colours.ACCEPTED),
+    ("D", colours.REJECTED),
+    ("v", colours.ONLINE),
+    ("P", colours.GROUND_TRUTH),
 )
 
 _MIN_AXIS_M = 0.01  # smallest upper end of the error axis: runs without any error would give it no length

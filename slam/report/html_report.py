@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from slam.errors import OutputError
 from slam.report.charts import draw_error_over_distance, draw_inliers, draw_stage_times
-from slam.report.figure_style import inline_svg
 from slam.report.formatting import (
     ERRORS,
     ESTIMATES,
@@ -35,6 +34,7 @@ from slam.report.formatting import (
 from slam.report.interactive_map import draw_interactive_map, map_data
 from slam.report.loop_details import ImageSource, example_pairs, loop_details
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall
+from slam.report.svg import inline_svg
 from slam.run_result import RunRecord
 
 _MAP_WORDS = {

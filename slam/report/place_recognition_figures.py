@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
-from slam.report import figure_style
+from slam.report import colours
 from slam.report.trajectory_figure import INK, new_figure, style_axes
 
 Floats = NDArray[np.float32]
@@ -18,15 +18,15 @@ Ids = NDArray[np.int64]
 
 _PANEL_INCHES = 4.6  # side of a panel
 _MAX_CELLS = 600  # largest number of cells drawn along a side of a matrix: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", figure_style.CORRECTED, figure_style.MOST])
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
 # Colour and dashes of the curves. The dashes tell them apart in print and for the colour-blind.
 _LINES = (
-    (figure_style.CORRECTED, "-"),
-    (figure_style.ODOMETRY, "--"),
-    (figure_style.ACCEPTED, "-."),
-    (figure_style.REJECTED, (0, (1, 1))),
-    (figure_style.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
+    (colours.CORRECTED, "-"),
+    (colours.ODOMETRY, "--"),
+    (colours.ACCEPTED, "-."),
+    (colours.REJECTED, (0, (1, 1))),
+    (colours.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
     (INK, (0, (6, 3))),
 )
 
@@ -89,17 +89,17 @@ def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, 
     _frame(ax, f"Detections: {len(detections)}", images)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
-    ax.plot(*_columns_first(detections[right]), "o", color=figure_style.ACCEPTED, ms=2.4, mew=0, label=label)
+    ax.plot(*_columns_first(detections[right]), "o", color=colours.ACCEPTED, ms=2.4, mew=0, label=label)
     if truth is not None:
         wrong = detections[~right]
-        ax.plot(*_columns_first(wrong), "x", color=figure_style.REJECTED, ms=7, mew=1.6, label=f"false ({len(wrong)})")
+        ax.plot(*_columns_first(wrong), "x", color=colours.REJECTED, ms=7, mew=1.6, label=f"false ({len(wrong)})")
     ax.legend(loc="upper right", frameon=False, labelcolor=INK)
 
 
 def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
     """Draw which images show the same place: Figure 4.9."""
     _frame(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", len(truth))
-    ax.plot(*_columns_first(np.argwhere(truth)), "s", color=figure_style.CORRECTED, ms=1.4, mew=0, rasterized=True)
+    ax.plot(*_columns_first(np.argwhere(truth)), "s", color=colours.CORRECTED, ms=1.4, mew=0, rasterized=True)
 
 
 def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> Figure:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from slam.report import figure_style
+from slam.report import colours
 from slam.report.trajectory_figure import INK, new_figure
 
 # Published R@P100 in per cent: the chapter, Table 4.2, which has no baselines.
@@ -84,12 +84,12 @@ def plot_table(table: RecallTable) -> Figure:
     panels = figure.subplots(1, len(DATASETS), sharey=True)
     for ax, data_set in zip(panels, DATASETS, strict=True):
         ours = [table.measured.get((name, data_set), 0.0) for name in table.paradigms]
-        ax.barh(rows, ours, height=0.6, color=figure_style.CORRECTED, label="ours")
+        ax.barh(rows, ours, height=0.6, color=colours.CORRECTED, label="ours")
         known = [
             (PUBLISHED[n][DATASETS.index(data_set)], row) for row, n in enumerate(table.paradigms) if n in PUBLISHED
         ]
         values, at = zip(*known, strict=True) if known else ((), ())
-        ax.plot(values, at, "|", color=figure_style.REJECTED, ms=16, mew=2.5, label="published")
+        ax.plot(values, at, "|", color=colours.REJECTED, ms=16, mew=2.5, label="published")
         for row, name in enumerate(table.paradigms):
             ax.text(103, row, table.cell(name, data_set), va="center", fontsize=8, color=INK)
         ax.set(xlim=(0, 100), title=data_set, xlabel="R@P100 [%]")

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from odometry.se3 import inverse
 from slam.errors import OutputError
 from slam.evaluation.trajectory import Similarity, distances_along, umeyama
-from slam.report import figure_style
-from slam.report.figure_style import set_font_fallbacks
+from slam.report import colours
+from slam.report.fonts import set_font_fallbacks
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected
 from slam.run_result import LoopRow, PointCloud, RunRecord
 
@@ -232,7 +232,7 @@ def _panel(record: RunRecord, heading: str, name: str, cloud: PointCloud) -> Pan
     return Panel(
         title=f"{heading}\n{_ate(record, name)}",
         name=name,
-        colour=figure_style.ODOMETRY if name == "odometry" else figure_style.CORRECTED,
+        colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
         positions=aligned.apply(estimate[:, :3, 3]),
         landmarks=aligned.apply(points[:: len(points) // _MAX_LANDMARKS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
@@ -256,13 +256,13 @@ def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
     ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
     if panel.truth is not None:
         truth = panel.truth[:, [0, 2]].T
-        ax.plot(*truth, ls=(0, (6, 5)), color=figure_style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
-    for name, colour in (("odometry", figure_style.ODOMETRY), ("corrected", figure_style.CORRECTED)):
+        ax.plot(*truth, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
+    for name, colour in (("odometry", colours.ODOMETRY), ("corrected", colours.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
         ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
     _draw_ellipses(ax, panel)
-    _draw_loops(ax, panel, kept(record), ("accepted loop", figure_style.ACCEPTED, "-"))
-    _draw_loops(ax, panel, rejected(record), ("rejected loop", figure_style.REJECTED, ":"))
+    _draw_loops(ax, panel, kept(record), ("accepted loop", colours.ACCEPTED, "-"))
+    _draw_loops(ax, panel, rejected(record), ("rejected loop", colours.REJECTED, ":"))
     _draw_start(ax, panel)
 
 
@@ -279,7 +279,7 @@ def _draw_height(ax: Axes, panel: Panel) -> None:
     ax.set_xlabel("distance travelled [m]")
     if panel.truth is not None:
         truth = panel.truth
-        ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=figure_style.GROUND_TRUTH, lw=1.2, zorder=4)
+        ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
     ax.plot(_distances(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
     low, high = ax.get_ylim()
     if high - low < _MIN_SIDE_M:  # a flat drive is not magnified into mountains

@@ -13,13 +13,13 @@ from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
 from slam.io.files import replacing
 from slam.mapping.tsdf import Surface
-from slam.report import figure_style
+from slam.report import colours
 from slam.viewer import rerun_archetypes
-from slam.viewer.blueprint import blueprint
+from slam.viewer.rerun_archetypes import blueprint
 
 Array = NDArray[np.float64]
 
-_COLOURS = {"before": figure_style.ODOMETRY, "after": figure_style.CORRECTED}
+_COLOURS = {"before": colours.ODOMETRY, "after": colours.CORRECTED}
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """NumPy arrays as rerun archetypes: colours, sizes and subsampling of what the viewer draws.
 
 An entity that grows with the drive, logged in parts: the file grows linearly, not with the square of the length.
+
+Layout of a recording in the rerun viewer: maps, camera image, latest loop and curves.
 """
 
 from collections.abc import Callable, Iterable
@@ -8,11 +10,12 @@ from collections.abc import Callable, Iterable
 import cv2
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.mapping.tsdf import Surface
-from slam.report import figure_style
+from slam.report import colours
 from slam.run_result import PointCloud
 from slam.viewer.viewer import FrameView
 
@@ -56,7 +59,7 @@ def line_drawer(colour: str) -> Callable[[Array], rr.LineStrips3D]:
     """Return a function that draws positions (N, 3), metres, as one line."""
 
     def draw(positions: Array) -> rr.LineStrips3D:
-        return rr.LineStrips3D([positions], colors=[figure_style.rgb(colour)], radii=rr.Radius.ui_points(1.4))
+        return rr.LineStrips3D([positions], colors=[colours.rgb(colour)], radii=rr.Radius.ui_points(1.4))
 
     return draw
 
@@ -70,14 +73,14 @@ def draw_dashed_line(positions: Array) -> rr.LineStrips3D:
     """Draw positions (N, 3), metres, as a dashed grey line: rerun has no dashes, so each dash is a line."""
     length = max(len(positions) // (2 * _NUM_DASHES), 1) + 1
     pieces = [positions[k : k + length] for k in range(0, len(positions), 2 * (length - 1))]
-    return rr.LineStrips3D(pieces, colors=[figure_style.rgb(figure_style.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
+    return rr.LineStrips3D(pieces, colors=[colours.rgb(colours.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
 
 
 def draw_tracks(view: FrameView) -> rr.Arrows2D:
     """Draw tracks as arrows from the previous to the current pixel: inliers green, the others red."""
     shown = slice(None, None, len(view.pixels_current) // _MAX_TRACKS + 1)
     start, end, agrees = view.pixels_previous[shown], view.pixels_current[shown], view.inliers[shown]
-    good, bad = figure_style.rgb(figure_style.ACCEPTED), figure_style.rgb(figure_style.REJECTED)
+    good, bad = colours.rgb(colours.ACCEPTED), colours.rgb(colours.REJECTED)
     return rr.Arrows2D(
         origins=start, vectors=end - start, colors=np.where(agrees[:, None], good, bad).astype(np.uint8),
         radii=rr.Radius.ui_points(1.0),
@@ -91,16 +94,16 @@ def draw_loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> t
     """
     known = np.array([pair for pair in pairs if max(pair) < len(poses)], dtype=np.int64).reshape(-1, 2)
     ends = poses[:, :3, 3][known]
-    look = {"colors": figure_style.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
+    look = {"colors": colours.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
     arrows = rr.Arrows3D(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], **look)
-    return arrows, rr.Points3D(ends[:, 0] - _LIFT_M, colors=figure_style.rgb(colour), radii=rr.Radius.ui_points(4.0))
+    return arrows, rr.Points3D(ends[:, 0] - _LIFT_M, colors=colours.rgb(colour), radii=rr.Radius.ui_points(4.0))
 
 
 def draw_cloud(points: PointCloud, colour: str) -> rr.Points3D:
     """Draw a map in one colour, as bright as its points are in the images."""
     shown = slice(None, None, len(points.points) // _MAX_MAP_POINTS + 1)
     brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0
-    tinted = (brightness * np.array(figure_style.rgb(colour))).astype(np.uint8)
+    tinted = (brightness * np.array(colours.rgb(colour))).astype(np.uint8)
     return rr.Points3D(points.points[shown], colors=tinted, radii=rr.Radius.ui_points(0.8))
 
 
@@ -174,3 +177,87 @@ class GrowingEntity:
             self._recording.log(f"{self._path}/part_{part:03d}", rr.Clear(recursive=False))
         self._recording.log(self._path, rr.Clear(recursive=False))
         self._parts, self._newest = 0, np.empty((0, 3))
+
+
+_LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
+_BEFORE = ["+ /world/odometry/**", "+ /world/map_before/**", "+ /world/ground_truth/**"]
+_AFTER = ["+ /world/corrected/**", "+ /world/map_after/**", "+ /world/ground_truth/**", "+ /world/loops/**"]
+_DENSE_BEFORE = ["+ /world/dense_before/**", "+ /world/ground_truth/**"]
+_DENSE_AFTER = ["+ /world/dense_after/**", "+ /world/ground_truth/**"]
+_DARK = [16, 18, 22]
+
+
+def blueprint(width: int, height: int, positions: Array | None, dense: bool = False) -> rrb.Blueprint:
+    """Lay out map, camera image (width x height), latest loop and curves; with `dense` also a tab of dense maps.
+
+    The 3D views look down on positions (N, 3), metres; without positions rerun chooses the viewpoint.
+    """
+    eye = None if positions is None or len(positions) < 2 else _overview(positions)
+    whole = _map("Drive", ["+ /world/**", *_LIVE_ONLY], eye)
+    pair = rrb.Horizontal(
+        _image("Latest loop: query", "loop/query", (width / 2, height / 2)),
+        _image("Latest loop: match", "loop/match", (width / 2, height / 2)),
+        rrb.Spatial2DView(origin="places", name="Votes: query down, match across", background=_DARK),
+        column_shares=[3, 3, 2],
+    )
+    right = rrb.Vertical(
+        _image("Camera and tracks", "world/camera/image", (width, height)),
+        pair,
+        _curves(),
+        row_shares=[3, 2, 5],
+        name="Now",
+    )
+    before_after = rrb.Horizontal(
+        _map("Before: odometry", _BEFORE, eye), _map("After: corrected", _AFTER, eye), name="Before and after"
+    )
+    drive = rrb.Horizontal(whole, right, column_shares=[5, 4], name="Drive")
+    return rrb.Blueprint(
+        rrb.Tabs(
+            *([_dense_maps(eye)] if dense else []),
+            drive,
+            before_after,
+            rrb.TextLogView(origin="loop/log", name="Loop log"),
+            active_tab=0,
+        ),
+        rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _dense_maps(eye: rrb.EyeControls3D | None) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        _map("Before: dense map by odometry", _DENSE_BEFORE, eye),
+        _map("After: dense map, corrected", _DENSE_AFTER, eye),
+        name="Dense map",
+    )
+
+
+def _map(name: str, contents: list[str], eye: rrb.EyeControls3D | None) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(origin="world", contents=contents, name=name, background=_DARK, eye_controls=eye)
+
+
+def _image(name: str, origin: str, size: tuple[float, float]) -> rrb.Spatial2DView:
+    bounds = rrb.VisualBounds2D(x_range=[0.0, size[0]], y_range=[0.0, size[1]])
+    return rrb.Spatial2DView(origin=origin, name=name, background=_DARK, visual_bounds=bounds)
+
+
+def _curves() -> rrb.Grid:
+    return rrb.Grid(
+        _curve("Inlier tracks", "plots/inliers"),
+        _curve("Loop score", "plots/score"),
+        _curve("Stages [ms]", "plots/stages"),
+        _curve("Position error [m], aligned", "plots/error"),
+        grid_columns=2,
+    )
+
+
+def _curve(name: str, origin: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.Corner2D.LeftTop)
+
+
+def _overview(positions: Array) -> rrb.EyeControls3D:
+    """Look from behind and above; up in the world is -y."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    centre, size = (low + high) / 2, max(float((high - low).max()), 10.0)
+    return rrb.EyeControls3D(position=centre + size * np.array([0.0, -1.2, -0.6]), look_target=centre)

@@ -18,14 +18,13 @@ from odometry.camera import StereoCamera
 from odometry.se3 import inverse
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.errors import OutputError
-from slam.report import figure_style
+from slam.report import colours
 from slam.report.formatting import is_scaled, kept, rejected
 from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import LoopRow, RunRecord
 from slam.viewer import rerun_archetypes
-from slam.viewer.blueprint import blueprint
 from slam.viewer.recording_file import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
-from slam.viewer.rerun_archetypes import GrowingEntity
+from slam.viewer.rerun_archetypes import GrowingEntity, blueprint
 from slam.viewer.viewer import FrameView, LoopView
 from slam.viewer.viewer_process import start_viewer
 
@@ -41,11 +40,11 @@ _IMAGE_DISTANCE_LIMITS_M = (0.5, 4.0)
 _VIEWER_FLUSH_S = 5.0  # a viewer that has not taken the rest by then is gone
 _FILE_FLUSH_S = 60.0  # a slow disk needs some time, a dead writer would keep us waiting for ever
 _CURVES = {
-    "plots/inliers": figure_style.CORRECTED,
-    "plots/score": figure_style.ONLINE,
-    "plots/error/odometry": figure_style.ODOMETRY,
-    "plots/error/online": figure_style.ONLINE,
-    "plots/error/corrected": figure_style.CORRECTED,
+    "plots/inliers": colours.CORRECTED,
+    "plots/score": colours.ONLINE,
+    "plots/error/odometry": colours.ODOMETRY,
+    "plots/error/online": colours.ONLINE,
+    "plots/error/corrected": colours.CORRECTED,
 }
 
 
@@ -85,11 +84,9 @@ class RerunViewer:
         self._send_blueprint(self._positions)
         self._log_scenery()
         self._first_time: float | None = None
-        self._odometry = self._growing(
-            "world/odometry", rerun_archetypes.line_drawer(figure_style.ODOMETRY), _MAX_LINE_ROWS
-        )
+        self._odometry = self._growing("world/odometry", rerun_archetypes.line_drawer(colours.ODOMETRY), _MAX_LINE_ROWS)
         self._corrected = self._growing(
-            "world/corrected", rerun_archetypes.line_drawer(figure_style.CORRECTED), _MAX_LINE_ROWS
+            "world/corrected", rerun_archetypes.line_drawer(colours.CORRECTED), _MAX_LINE_ROWS
         )
         self._landmarks = self._growing("world/landmarks", rerun_archetypes.draw_landmarks, _MAX_LANDMARK_ROWS)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
@@ -147,7 +144,7 @@ class RerunViewer:
         self._corrected.conclude(record.corrected[:, :3, 3])
         self._loops = {True: _pairs(kept(record)), False: _pairs(rejected(record))}
         self._log_loops(record.corrected)
-        self._recording.log("world/map_before", rerun_archetypes.draw_cloud(record.map_before, figure_style.ODOMETRY))
+        self._recording.log("world/map_before", rerun_archetypes.draw_cloud(record.map_before, colours.ODOMETRY))
         self._recording.log("world/map_after", rerun_archetypes.draw_cloud(record.map_after, "#ffffff"))
         self._log_errors(record)
         if self._viewer is None:  # whoever watches has chosen a viewpoint, which a new blueprint would reset
@@ -224,12 +221,10 @@ class RerunViewer:
         for path, colour in _CURVES.items():
             log(
                 path,
-                rr.SeriesLines(colors=figure_style.rgb(colour), widths=1.5, names=path.split("/")[-1]),
+                rr.SeriesLines(colors=colours.rgb(colour), widths=1.5, names=path.split("/")[-1]),
                 static=True,
             )
-        dots = rr.SeriesPoints(
-            colors=figure_style.rgb(figure_style.ACCEPTED), marker_sizes=4.0, names="accepted as a revisit"
-        )
+        dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="accepted as a revisit")
         log("plots/score/accepted", dots, static=True)
 
     def _image_distance_m(self) -> float:
@@ -256,8 +251,8 @@ class RerunViewer:
 
     def _log_loops(self, poses: Array) -> None:
         for accepted, name, colour in (
-            (True, "accepted", figure_style.ACCEPTED),
-            (False, "rejected", figure_style.REJECTED),
+            (True, "accepted", colours.ACCEPTED),
+            (False, "rejected", colours.REJECTED),
         ):
             arrows, ends = rerun_archetypes.draw_loops(self._loops[accepted], poses, colour)
             self._recording.log(f"world/loops/{name}", arrows)

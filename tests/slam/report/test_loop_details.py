@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.report.figure_style import inline_svg
 from slam.report.interactive_map import draw_interactive_map, map_data
 from slam.report.loop_details import describe_outcome, describe_stages, loop_details, make_album
+from slam.report.svg import inline_svg
 from slam.run_result import LoopRow
 
 from . import fabricate
