@@ -1,7 +1,7 @@
 """Bayes filter of two states, "revisit" and "new place", over the detections so far.
 
 Tsintotas, Bampis, Gasteratos, 'Modest-vocabulary loop-closure detection with incremental bag of tracked words', RAS
-141, 2021: the successor of the bag of tracked words. Equations: docs/math_place_recognition.md.
+141, 2021: the successor of the bag of tracked words. Equations: docs/math.md.
 
 For the chapter (section 4.2.3.4); no paradigm uses it.
 """

@@ -2,7 +2,7 @@
 
 A candidate is verified in three steps: its features are matched with the query's, one fundamental matrix is fitted to
 the matches, and the number of inliers becomes an evidence in powers of ten (Moisan and Stival, IJCV 2004). Derivation
-of the formula: docs/math_place_recognition.md. Reasons of the settings: docs/decisions/candidate_verification.md.
+of the formula: docs/math.md. Reasons of the settings: docs/decisions/candidate_verification.md.
 """
 
 import math

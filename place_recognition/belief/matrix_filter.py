@@ -2,7 +2,7 @@
 
 Bampis, Amanatiadis, Gasteratos, 'Encoding the Description of Image Sequences', IROS 2016, equation 6 (the chapter's
 4.8), and 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1) 2018 (4.12).
-Row = query sequence, column = earlier sequence. Equations and borders: docs/math_place_recognition.md.
+Row = query sequence, column = earlier sequence. Equations and borders: docs/math.md.
 """
 
 from dataclasses import dataclass

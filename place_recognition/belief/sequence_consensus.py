@@ -12,7 +12,7 @@ images before and after it is added to its own where their matches lie on a line
         +-------------------------> query location
 
 Chance matches lie on no line; matches of a street that is seen from afar lie on one, but before or after it only.
-How the support is computed step by step: docs/math_place_recognition.md. How the numbers were chosen, with figures:
+How the support is computed step by step: docs/math.md. How the numbers were chosen, with figures:
 docs/decisions/sequence_consensus.md.
 
 Delayed decision of every paradigm: candidate beliefs go in, final beliefs come out some images later, in order.

@@ -9,7 +9,7 @@ For the chapter; no paradigm uses it.
 Votes of an image's visual words for the locations of a map, and their probability by chance (tracked words).
 
 Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6. Derivation of the binomial model:
-docs/math_place_recognition.md.
+docs/math.md.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Relative pose of two stereo images from matched landmarks, with its covariance.
 
 Errors are in stereo pixels: (u, v) of the left image and the disparity d, each with its own noise, in both images.
-Residuals and Jacobians: docs/math_pose_graph.md.
+Residuals and Jacobians: docs/math.md.
 """
 
 from dataclasses import dataclass

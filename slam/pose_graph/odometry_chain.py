@@ -3,7 +3,7 @@
 Errors are moved to the world frame, where they add up: the covariance of the chain i..j is the difference of
 two prefix sums. Three parts are summed: the covariance that odometry states, a random walk, and a bias that lasts for
 the whole path. The last two are needed because frame-to-frame covariances do not contain errors that persist: on real
-drives the squared error after fifty frames is ten to a thousand times their sum. Derivation: docs/math_pose_graph.md;
+drives the squared error after fifty frames is ten to a thousand times their sum. Derivation: docs/math.md;
 figures: docs/decisions/odometry_covariance.md.
 """
 

@@ -1,6 +1,7 @@
 """The numbered examples run as they stand, on a tiny drive, and each leaves a picture."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]_*.py"))
+FEATURES = ROOT / "examples" / "own_features.py"
 TINY = ("--width", "256", "--speed", "40")
 
 
@@ -37,7 +39,14 @@ def test_an_example_runs_and_leaves_its_picture(example: Path, out: Path):
         assert_that_robust_optimisation_helps(result.stdout)
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_features_of_ones_own_recognise_places(out: Path):
+    result = run(FEATURES, "--out", str(out), *TINY)
+    assert result.returncode == 0, result.stderr
+    recalls = dict(re.findall(r"(\S+): R@P100 (\S+)", result.stdout))
+    assert float(recalls["patch-64"]) > 0.5
+
+
+@pytest.mark.parametrize("example", [*EXAMPLES, FEATURES], ids=lambda path: path.stem)
 def test_an_example_fits_on_a_screen_or_two(example: Path):
     assert len(example.read_text().splitlines()) <= 80
 

@@ -1,6 +1,6 @@
 """Edges of a pose graph as arrays: measured relative poses and their residuals.
 
-The residual of an edge is log(measured^-1 T_first_second), a right perturbation; docs/math_pose_graph.md derives it.
+The residual of an edge is log(measured^-1 T_first_second), a right perturbation; docs/math.md derives it.
 """
 
 from collections.abc import Sequence

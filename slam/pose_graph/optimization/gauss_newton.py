@@ -69,7 +69,7 @@ def _jacobian(poses: Array, edges: Edges, weight: Array) -> sparse.csr_array:
     """Jacobian (M dof, N dof) of errors times weights (M, dof, dof).
 
     With e = log(M^-1 T_i^-1 T_j): de/dxi_j = I and de/dxi_i = -Ad(T_j^-1 T_i), the inverse right Jacobian of the
-    logarithm taken for the identity (docs/math_pose_graph.md).
+    logarithm taken for the identity (docs/math.md).
     """
     dof, count = edges.group.dof, len(edges)
     relative = inverse(poses[edges.second]) @ poses[edges.first]

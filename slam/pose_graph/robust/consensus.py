@@ -1,6 +1,6 @@
 """Robust consensus: grow the set of accepted loops greedily by likelihood ratio, and test it for chance.
 
-Each loop is a CANDIDATE, KEPT or EXCLUDED. The algorithm, in pseudo-code (mathematics: docs/math_pose_graph.md):
+Each loop is a CANDIDATE, KEPT or EXCLUDED. The algorithm, in pseudo-code (mathematics: docs/math.md):
 
     kept = {}
     repeat:                                           # converge

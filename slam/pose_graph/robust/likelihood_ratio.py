@@ -3,7 +3,7 @@
 A true loop differs from the pose that the other edges predict by an error of Student's distribution, a Gaussian whose
 covariance is not quite known. A false loop measures any pose within the extent of the map. The logarithm of the ratio
 of the two densities, in nats, asks more than a gate does: where the prediction is uncertain, agreement proves little.
-Derivation: docs/math_pose_graph.md.
+Derivation: docs/math.md.
 """
 
 from dataclasses import dataclass
