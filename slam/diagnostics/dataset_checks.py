@@ -9,14 +9,6 @@ from numpy.typing import NDArray
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format
-from slam.diagnostics.camera_checks import (
-    ImageStatistics,
-    check_camera,
-    check_images,
-    check_rectification,
-    check_timestamps,
-    measure_image,
-)
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -26,6 +18,14 @@ from slam.diagnostics.findings import (
     report_fault,
     report_ok,
     report_warning,
+)
+from slam.diagnostics.sensor_checks import (
+    ImageStatistics,
+    check_camera,
+    check_images,
+    check_rectification,
+    check_timestamps,
+    measure_image,
 )
 from slam.errors import DataError
 from slam.evaluation.trajectory import path_length

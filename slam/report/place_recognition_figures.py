@@ -18,7 +18,7 @@ Ids = NDArray[np.int64]
 
 _PANEL_INCHES = 4.6  # side of a panel
 _MAX_CELLS = 600  # largest number of cells drawn along a side of a matrix: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.SCALE_END])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
 # Colour and dashes of the curves. The dashes tell them apart in print and for the colour-blind.
 _LINES = (
