@@ -6,7 +6,8 @@ real: odometry of KITTI by LIBVISO2 with the loops that a bag of words proposed,
 graphs), under default settings. In the files every false loop measures (0, 0, 0); here they stay so, become random
 small motions, or agree with one another within each run of false loops. All covariances are also multiplied by
 1/16 and by 16. few: the same with no true loop, with one, and with three. standard: minima of public graphs from
-odometry alone, and the time against plain Levenberg-Marquardt. online: simulated drives on real trajectories, one pose at a time.
+odometry alone, and the time against plain Levenberg-Marquardt. online: simulated drives on real trajectories, one
+pose at a time.
 """
 
 import argparse
@@ -125,11 +126,8 @@ def print_real(folder: Path, back_ends: list[str]) -> None:
         for variant, changed in VARIANTS.items():
             loops = changed(real)
             for factor in FACTORS:
-                problem = LoopProblem(
-                    scale_covariances(real.problem.trusted, factor),
-                    scale_covariances(loops, factor),
-                    real.problem.start,
-                )
+                trusted = scale_covariances(real.problem.trusted, factor)
+                problem = LoopProblem(trusted, scale_covariances(loops, factor), real.problem.start)
                 for back_end in back_ends:
                     print_case(real, f"{variant}, x {factor:g}", problem, back_end)
 

@@ -27,9 +27,8 @@ estimate, truth = np.array(poses), drive.ground_truth
 
 ate, end = absolute_trajectory_error(estimate, truth), end_error(estimate, truth)
 distance_m = distances_along(truth)
-print(
-    f"after {distance_m[-1]:.0f} m: ATE {ate:.2f} m after SE(3) alignment, end error {end:.2f} m ({end / distance_m[-1]:.2%})"
-)
+share = end / distance_m[-1]
+print(f"after {distance_m[-1]:.0f} m: ATE {ate:.2f} m after SE(3) alignment, end error {end:.2f} m ({share:.2%})")
 
 figure = new_figure(9.0, 4.2)
 plan, error = figure.subplots(1, 2)

@@ -1,4 +1,4 @@
-"""Intermediate results of the recognisers: the chapter's Figures 4.3, 4.4, 4.11, 4.13, 4.14 and 4.15, drawn from one drive.
+"""Intermediate results of the recognisers, drawn from one drive as in Figures 4.3, 4.4, 4.11 and 4.13 to 4.15.
 
     python examples/7_inside_the_paradigms.py [--out runs/examples]
 

@@ -1,4 +1,4 @@
-"""Tries inputs on a reader in a process of its own, which may die."""
+"""Trials of inputs on a reader in a process of its own, which may die."""
 
 import json
 import os
@@ -76,9 +76,9 @@ def _keep(tally: Tally, work: Path, out: Path) -> None:
 
 def _fuzz(name: str, engine: str, inputs: int, start: int, work: Path) -> None:
     os.chdir(work)
-    said = os.open("output", os.O_WRONLY | os.O_CREAT)
-    os.dup2(said, sys.stdout.fileno())
-    os.dup2(said, sys.stderr.fileno())
+    output = os.open("output", os.O_WRONLY | os.O_CREAT)
+    os.dup2(output, sys.stdout.fileno())
+    os.dup2(output, sys.stderr.fileno())
     warnings.simplefilter("ignore")
     trial = _Trial(name, work)
     for data in trial.reader.seeds():  # loads what is loaded late
@@ -99,7 +99,7 @@ def _limit_memory() -> None:
 
 
 class _Trial:
-    """Tries inputs and keeps count in `tally.json`; what fails is written to `failures/`."""
+    """Tries inputs and keeps count in `tally.json`; inputs that fail are written to `failures/`."""
 
     def __init__(self, name: str, work: Path) -> None:
         self.reader, self.work, self.root = READERS[name], work, work / "root"
@@ -111,7 +111,7 @@ class _Trial:
         """Try an input."""
         self.attempt(data)
         if self.tally.inputs % _REPORT_INTERVAL == 0:
-            self.tell()
+            self.write_tally()
 
     def attempt(self, data: bytes) -> None:
         self.tally.inputs += 1
@@ -146,20 +146,20 @@ class _Trial:
             (self.work / "failures" / file).write_bytes(data)
         self.tally.fail(kind, file)
 
-    def tell(self) -> None:
+    def write_tally(self) -> None:
         self.tally.peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         (self.work / "tally.json").write_text(json.dumps(asdict(self.tally)))
 
     def finish(self) -> None:
-        """Write down what came of them, and end the process."""
-        self.tell()
+        """Write the tally and end the process."""
+        self.write_tally()
         os._exit(0)
 
 
 def _kind(error: BaseException) -> str:
-    """What went wrong, and where: the same for all inputs that fail alike."""
+    """Describe an error and its place; inputs that fail alike have the same description."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if any(part in f.filename for part in _PROJECT)]
     where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "elsewhere"
-    said = " ".join(str(error).split())
-    said = said.split(":")[0] if isinstance(error, AssertionError) else said
-    return f"{type(error).__name__} at {where}: {said[:60]}"
+    text = " ".join(str(error).split())
+    text = text.split(":")[0] if isinstance(error, AssertionError) else text
+    return f"{type(error).__name__} at {where}: {text[:60]}"

@@ -208,7 +208,7 @@ FAULTS: dict[str, tuple[Callable[[Path], list[object]], int, str]] = {
     ),
     "no times for an exclusion": (lambda t: ["--exclude", 5], 2, "give --fps"),
     "an exclusion that is none": (lambda t: ["--exclude", -5], 2, "--exclude: expected seconds from 0, found -5"),
-    "a rate that is none": (lambda t: ["--fps", 0], 2, "--fps: expected images a second above 0"),
+    "a rate that is none": (lambda t: ["--fps", 0], 2, "--fps: expected images per second, above 0"),
 }  # fmt: skip
 
 
