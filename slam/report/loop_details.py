@@ -112,7 +112,8 @@ def _gate(stage: StageRow) -> str:
 def _back_end(row: LoopRow) -> str:
     if math.isnan(row.weight):
         return _NOT_REACHED
-    return f"{row.reason} (weight {row.weight:.2f}, residual {row.residual:.2f} sigma)"
+    # The reason counts sigmas on the scale that the back end has estimated, the residual on the stated one.
+    return f"{row.reason} (weight {row.weight:.2f}, residual {row.residual:.2f} sigma by the stated covariances)"
 
 
 def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE_CHARACTERS) -> dict[str, object]:
