@@ -1,9 +1,9 @@
-"""How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
+"""Errors of the dense map of a simulated drive against the true surfaces, before and after correction, and its cost.
 
 Run from the root, on a run of a drive that `revisit simulate` has rendered:
-`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at
-most 25 m, to the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is
-laid on the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. An error is the distance of a point of the map, seen
+from at most 25 m, to the nearest static surface of the town; points of moving cars count as errors. The map is aligned
+with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
 
 import json
@@ -36,7 +36,7 @@ HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is c
 
 
 def fused(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
-    """Fuse a run's drive; its submaps, and what that cost."""
+    """Fuse the recording of a run; return the submaps and a line about the cost."""
     store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
     done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
@@ -62,7 +62,7 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
 def agreement(
     grid: OccupancyGrid, fit: Similarity, spec: SimulationConfig, scene: open3d.t.geometry.RaycastingScene
 ) -> str:
-    """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
+    """Return the shares of occupied cells with a surface of the town within 0.3 m, and of free cells within 0.1 m."""
     T_town_world = plan_trajectory(spec).T_town_camera[0]
     shares = {}
     for value, near in ((OCCUPIED, 0.3), (FREE, 0.1)):
@@ -78,7 +78,7 @@ def agreement(
 
 
 def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
-    """Draw what crosses the street within half a metre of where the drive ends, on each trajectory."""
+    """Draw the points within half a metre of the plane across the street at the end of each trajectory."""
     T_camera_world = se3.inverse(trajectories["corrected"][-1])
     figure = Figure(figsize=(9, 2.4), layout="constrained")
     for axes, (name, poses) in zip(
@@ -93,7 +93,7 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
 
 
 def main() -> None:
-    """Print both maps' distances and the price."""
+    """Print the distances of both maps and the cost."""
     folder = Path(sys.argv[1])
     run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])

@@ -1,7 +1,7 @@
-"""What the recording costs: milliseconds a frame and megabytes a thousand frames, on fabricated steps.
+"""Cost of the recording: milliseconds for each frame and megabytes for 1,000 frames, on made-up frames.
 
 Run from the root: `PYTHONPATH=. python benchmarks/viewer.py [FOLDER_OF_IMAGES]`. The images decide the size of the
-file; without a folder they are smooth noise of the size that KITTI has.
+file; without a folder they are smooth noise of the size of KITTI's images.
 """
 
 import sys
