@@ -18,7 +18,7 @@ is the right one, and the median margin of the right place of a town over the be
                 10,000 .96 / .95 / .72 (.37)   20,000 .95 / .95 / .75 (.42), for twice the time and size
 """
 
-import sys
+import argparse
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,8 +65,13 @@ STEREO = ("image_0", "image_1")
 
 def main() -> None:
     """Gather descriptors, train, write."""
-    folder = Path(sys.argv[1])
-    out = Path(sys.argv[2] if len(sys.argv) > 2 else Path(vocabulary.__file__).with_name(vocabulary.DEFAULT_FILE))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument(
+        "out", type=Path, nargs="?", default=Path(vocabulary.__file__).with_name(vocabulary.DEFAULT_FILE)
+    )
+    arguments = parser.parse_args()
+    folder, out = arguments.folder, arguments.out
     materials = {
         "towns": _town_views(folder / "towns"),
         "photographs": _photograph_views(folder, PHOTOGRAPHS),

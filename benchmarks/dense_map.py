@@ -6,8 +6,8 @@ from at most 25 m, to the nearest static surface of the town; points of moving c
 with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
 
+import argparse
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -35,7 +35,7 @@ REACH_M = 25.0
 HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is compared
 
 
-def fused(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
+def fuse_run(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
     """Fuse the recording of a run; return the submaps and a line about the cost."""
     store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
@@ -94,7 +94,11 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
 
 def main() -> None:
     """Print the distances of both maps and the cost."""
-    folder = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="folder of the run")
+    parser.add_argument("picture", type=Path, nargs="?", help="picture of a cross-section at the end of the drive")
+    arguments = parser.parse_args()
+    folder = arguments.run
     run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
     spec = SimulationConfig(**json.loads((source / MANIFEST).read_text())["config"])
@@ -105,27 +109,29 @@ def main() -> None:
     truth = run.drive.ground_truth
     assert truth is not None
     trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
-    table = Table("map on", "laid on the truth by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
+    table = Table("map on", "aligned by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
     medians = {}
     with tempfile.TemporaryDirectory() as temporary:
-        store, cost = fused(run, Path(temporary))
+        store, cost = fuse_run(run, Path(temporary))
         for name, poses in trajectories.items():
             fit = umeyama(poses[:, :3, 3], truth[: len(poses), :3, 3])
-            for how, laid in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
-                found = distances(store, laid, scene)
+            for alignment, aligned in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
+                found = distances(store, aligned, scene)
                 quartiles = np.percentile(found, [50, 75, 90])
-                medians[name, how] = quartiles[0]
-                table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+                medians[name, alignment] = quartiles[0]
+                table.add_row(name, alignment, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
         fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
         cells = agreement(build_occupancy_grid(store, run.corrected), fit, spec, scene)
-        if len(sys.argv) > 2:
-            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
+        if arguments.picture:
+            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, arguments.picture)
     Console().print(table)
-    for how in ("first camera", "alignment"):
-        Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")
+    for alignment in ("first camera", "alignment"):
+        Console().print(
+            f"after / before, {alignment}: {medians['corrected', alignment] / medians['odometry', alignment]:.2f}"
+        )
     Console().print(cells)
     Console().print(cost)
-    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, of which the benchmark's own town is a part")
+    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, including the benchmark's own town")
 
 
 if __name__ == "__main__":

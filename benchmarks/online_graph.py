@@ -6,8 +6,8 @@ gate, alone and in runs that agree with one another: the error of the map at the
 moment. Times are given by the processor and by the clock, which includes the wait for other processes.
 """
 
+import argparse
 import os
-import sys
 import time
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -165,12 +165,15 @@ def print_safety(poses: Array) -> None:
             )
 
 
-def main(folder: Path) -> None:
+def main() -> None:
     """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("REVISIT_TEST_DATA"))
+    folder = Path(parser.parse_args().folder)
     poses = true_poses(folder, "00")
     print_times(poses)
     print_safety(poses)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else os.environ["REVISIT_TEST_DATA"]))
+    main()

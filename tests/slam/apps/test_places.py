@@ -261,11 +261,11 @@ def test_a_damaged_image_midway_is_named_and_nothing_is_left(
 
 ALL_PARADIGMS = """
 import sys, cv2
-from slam import cli
+from slam.cli import app
 cv2.setNumThreads(int(sys.argv[1]))
 for paradigm in sys.argv[4:]:
     arguments = ["places", sys.argv[2], "--paradigm", paradigm, "--out", f"{sys.argv[3]}/{paradigm}"]
-    if code := cli._exit_code(lambda: cli.app(arguments)):
+    if code := app._exit_code(lambda: app.app(arguments)):
         sys.exit(code)
 """
 

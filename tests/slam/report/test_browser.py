@@ -263,7 +263,7 @@ def test_a_phone_shows_everything_without_scrolling_aside(page):
         "return [...document.querySelectorAll('main > section')]"
         ".map((part) => { part.scrollIntoView(); return part.scrollWidth - part.clientWidth; })"
     )
-    assert wider == [0] * 6
+    assert wider == [0] * 7
     open_row(page, 110)
     left, right, inner, outer = page.run(
         "const box = document.querySelector('#pair'), { left, right } = box.getBoundingClientRect();"
