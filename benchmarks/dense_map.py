@@ -39,7 +39,7 @@ def fuse_run(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
     """Fuse the recording of a run; return the submaps and a line about the cost."""
     store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
-    done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
+    done = len(list(DenseMapper(run.calibration).fuse(run.dataset, run.odometry, groups, store)))
     wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
     held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
     cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"
@@ -106,7 +106,7 @@ def main() -> None:
     scene = open3d.t.geometry.RaycastingScene()
     rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
     scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
-    truth = run.drive.ground_truth
+    truth = run.dataset.ground_truth
     assert truth is not None
     trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
     table = Table("map on", "aligned by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)

@@ -108,7 +108,7 @@ def _in_place(done: OptimizedGraph) -> Array:
     poses = np.empty_like(done.result.poses)
     poses[done.edges.order] = done.result.poses
     known = np.flatnonzero(done.graph.ids == done.graph.fixed)
-    if known.size and done.graph.placed:
+    if known.size and done.graph.has_poses:
         T_file_ours = done.graph.poses[known[0]] @ inverse(poses[known[0]])
         poses = T_file_ours @ poses
     return poses

@@ -77,7 +77,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class _SweepFile:
-    """The tables of the file before they are checked."""
+    """The values of the file before they are checked."""
 
     sources: tuple[Any, ...] = ()
     paradigms: tuple[Any, ...] = (RunConfig.paradigm,)

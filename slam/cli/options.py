@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-# 130 is what shells report for a program that was ended by Ctrl-C.
+# Shells report 130 for a program that Ctrl-C has ended; typer reports 2 for an unknown option.
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 # Written out here because the registries are slow to import, and help must answer at once. A test compares these lists

@@ -110,6 +110,7 @@ def count_loops(
         rule: what counts as a true loop and as a revisit.
     """
     rows = tuple(rows)
+    # A loop is a result only if it is in the graph; the others count as steps towards it.
     kept = [row for row in rows if row.in_graph]
     proposed, verified = sum(row.accepted for row in rows), sum(row.verified for row in rows)
     if truth is None:

@@ -51,7 +51,7 @@ def read_landmark_observers(path: Path) -> LandmarkObservers:
     """Read landmarks.npz.
 
     Raises:
-        DataError: missing or damaged.
+        DataError: the file is missing or damaged.
     """
     try:
         arrays = {name: read_array(path, name) for name in _ARRAYS}
