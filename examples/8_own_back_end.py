@@ -20,13 +20,13 @@ from slam.report.trajectory_figure import save_png
 
 
 def trimmed(problem, screening):
-    """Least squares on the gated loops, of which the worst leave until all are within the chi-square limit."""
+    """Fit the gated loops, and drop the worst one again and again until all are within the chi-square limit."""
     kept = screening.passed.copy()
     poses = problem.start
     while kept.any():
         poses = least_squares(problem, kept, poses)
         chi2 = np.where(kept, problem.loops.chi2(poses), 0.0)
-        # Only the worst at once: true loops may seem wrong as long as false ones bend the map.
+        # Only the worst one at a time: true loops may look wrong as long as false ones bend the map.
         wrong = chi2 > max(screening.max_inlier_chi2, 0.5 * chi2.max())
         if not wrong.any():
             return BackEndResult(poses, kept.astype(float), ())
