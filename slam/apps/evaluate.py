@@ -51,7 +51,7 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
         json: whether to return JSON.
 
     Raises:
-        DataError: a file is missing or damaged, or the two are not of the same drive.
+        DataError: a file is missing or damaged, or the two are not of the same recording.
     """
     poses, reference = _read_pairs(estimate, truth)
     errors = trajectory_errors(poses, reference, "sim3" if mono else "se3")
@@ -76,13 +76,13 @@ def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
         if len(ours) < 2:
             raise DataError(
                 f"{estimate}: expected times within {MAX_TIME_DIFFERENCE_S} s of those in {truth},"
-                f" found {len(ours)} of {len(times)}; compare files of the same drive"
+                f" found {len(ours)} of {len(times)}; compare files of the same recording"
             )
         return poses[ours], reference[theirs]
     if len(poses) != len(reference):
         raise DataError(
             f"{estimate}: expected {len(reference)} poses as in {truth}, found {len(poses)};"
-            " compare files of the same drive, or give both as TUM"
+            " compare files of the same recording, or give both as TUM"
         )
     return poses, reference
 
@@ -134,7 +134,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
         json: whether to return JSON instead of text.
 
     Raises:
-        DataError: a file is missing or damaged, or the two are not of the same drive.
+        DataError: a file is missing or damaged, or the two are not of the same recording.
         ConfigError: an option has a value that cannot work.
         OutputError: the results cannot be written.
     """
@@ -183,7 +183,7 @@ def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth
     if last >= count:
         raise DataError(
             f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
-            " choose the truth of this drive"
+            " choose the truth of this recording"
         )
 
 

@@ -172,7 +172,7 @@ def read_similarities(path: Path) -> NDArray[np.float64]:
             f"{path}: expected an array named similarity, (N, N) numbers, found {found}; write it with: revisit places"
         )
     if step is not None and step.ravel().tolist() != [1]:
-        raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
+        raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter recording")
     return np.asarray(similarity, np.float64)
 
 

@@ -101,7 +101,7 @@ def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool
 def count_loops(
     rows: Iterable[LoopRow], queries: NDArray[np.int64], truth: Array | None, rule: LoopRule | None = None
 ) -> LoopCounts:
-    """Count the loops of a drive and compare them with ground truth.
+    """Count the loops of a recording and compare them with ground truth.
 
     Args:
         rows: rows of loops.csv; a row without `truth` is true if its two frames are at the same place.

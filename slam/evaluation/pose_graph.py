@@ -78,7 +78,7 @@ def _positions(file: Path, graph: Graph) -> Array:
     if ids[0] < 0 or ids[-1] >= len(poses):
         raise DataError(
             f"{file}: expected a pose for each id from {ids[0]} to {ids[-1]} of the graph, found {len(poses)} poses; "
-            "give the truth of the same drive"
+            "give the truth of the same recording"
         )
     positions = poses[ids, :3, 3]
     # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.

@@ -54,7 +54,7 @@ def read_calibration(path: Path) -> Calibration:
         )
         camera = StereoCamera(**values["camera"])
     except OSError as problem:
-        found = f"{problem.strerror}; {_REMEDY}, of a drive with two cameras"
+        found = f"{problem.strerror}; {_REMEDY}, of a recording with two cameras"
         raise DataError(f"{path}: expected the calibration that a run has estimated, found {found}") from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as problem:
         raise DataError(f"{path}: expected camera, error_px and sigma_px, found {problem!r}; {_REMEDY}") from None

@@ -72,7 +72,7 @@ def describe_stages(
     yield "drift gate", _gate(stage)
     decisions = [f"frame {event.frame}: {event.reason}" for event in events] or [_NOT_REACHED]
     for number, decision in enumerate(decisions):
-        yield "" if number else "while driving", decision
+        yield "" if number else "online graph", decision
     yield "final map", _back_end(row)
     if row.truth is not None:
         wrong = "not a revisit, or a wrong relative pose" if row.verified else "not a revisit"

@@ -280,7 +280,7 @@ def _draw_height(ax: Axes, panel: Panel) -> None:
         ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
     ax.plot(_distances(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
     low, high = ax.get_ylim()
-    if high - low < _MIN_SIDE_M:  # a flat drive is not magnified into mountains
+    if high - low < _MIN_SIDE_M:  # a flat path is not magnified into mountains
         ax.set_ylim((low + high - _MIN_SIDE_M) / 2, (low + high + _MIN_SIDE_M) / 2)
 
 

@@ -42,5 +42,5 @@ def test_too_few_coefficients_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_calibration_is_an_error_with_a_remedy(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="of a drive with two cameras"):
+    with pytest.raises(DataError, match="of a recording with two cameras"):
         read_calibration(tmp_path / "calibration.toml")

@@ -83,7 +83,7 @@ def test_only_installed_families_are_asked_for(font: str):
 
 def test_a_font_file_that_is_damaged_is_passed_over(font: str, tmp_path: Path):
     (tmp_path / "block.ttf").write_bytes(b"no font")
-    font_manager.get_font.cache_clear()
+    font_manager._get_font.cache_clear()
     assert (drawn(STREET, tmp_path / "x.png") < 0.9).any()
 
 
