@@ -97,7 +97,7 @@ class AuditedIndex(HybridWordIndex):
 
 
 def fill_route(route: ImageHistory, material: Material, size: int) -> int:
-    """Add real images up to `size`, without searching where their views begin; return the number before."""
+    """Add real images until the route has so many, without looking where their views begin; returns how many it had."""
     before = len(route)
     follow, route._follow_view = route._follow_view, lambda: None  # type: ignore[method-assign]
     for location in range(len(route), size):
@@ -111,15 +111,15 @@ class Filler(Protocol):
     """Fills the map of one paradigm.
 
     Attributes:
-        recognizer: recogniser whose map is filled.
-        route: image history of the recogniser.
+        recognizer: whose map it is.
+        route: its route.
     """
 
     recognizer: Any
     route: ImageHistory
 
     def fill(self, size: int) -> None:
-        """Fill the map up to a number of images."""
+        """Bring the map to so many images."""
         ...
 
     def recall(self) -> float:

@@ -14,7 +14,7 @@ from pathlib import Path
 from place_recognition.evaluation.memory import count_array_bytes, map_size
 from slam.system import Components
 
-UNKNOWN = {"memory_mb.pose graph": "it is held by GTSAM, which does not report it"}  # note for metrics.json
+UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json
 
 
 def held_mb(components: Components) -> dict[str, float | None]:
