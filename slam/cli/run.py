@@ -56,16 +56,10 @@ def simulate(
     from slam.pipeline.progress import progress_bar
     from slam.simulation import simulate as render
 
-    route = SimulationConfig(
-        shape, laps, length=length, speed=speed, lateral_offset=lateral_offset, reverse=reverse, max_frames=max_frames
-    )
-    scene = replace(
-        route,
-        seed=seed,
-        change_illumination=change_illumination,
-        perceptual_aliasing=perceptual_aliasing,
-        cars_per_360m=cars_per_360m,
-    )
+    route = SimulationConfig(shape, laps, length=length, speed=speed, max_frames=max_frames)
+    route = replace(route, lateral_offset=lateral_offset, reverse=reverse)
+    scene = replace(route, seed=seed, change_illumination=change_illumination, cars_per_360m=cars_per_360m)
+    scene = replace(scene, perceptual_aliasing=perceptual_aliasing)
     camera = replace(scene, frame_rate=frame_rate, width=width, height=height, ideal_sensor=ideal_sensor)
     errors = replace(camera, rectification_error=rectification_error, lens_error=lens_error)
     with progress_bar(Console(stderr=True), "Rendering") as progress:
