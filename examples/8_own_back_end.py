@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from false_loops import two_laps
-from slam.report.draw_pose_graph import graph_figure
 
 from slam.evaluation.outlier_injection import OutlierConfig, inject_outliers
 from slam.pose_graph.robust.backends import BACK_ENDS, BackEndResult, solve
 from slam.pose_graph.robust.gnc import least_squares
+from slam.report.pose_graph_figure import draw_pose_graph
 from slam.report.trajectory_figure import save_png
 
 
@@ -49,5 +49,5 @@ for name in ("none", "trimmed", "pcm+gnc"):
     print(f"{name}: keeps {true} of {mixed.true.sum()} true loops and {false} of {(~mixed.true).sum()} false ones")
 
 given.out.mkdir(parents=True, exist_ok=True)
-figure = graph_figure("trimmed", mixed.problem, solve(mixed.problem, "trimmed"), None)
+figure = draw_pose_graph("trimmed", mixed.problem, solve(mixed.problem, "trimmed"), None)
 save_png(figure, given.out / "8_own_back_end.png")
