@@ -1,4 +1,4 @@
-"""The whole chain on one drive: frames a second, where the time goes, and what the loops brought.
+"""The whole pipeline on one drive: frames per second, time of each stage, and errors before and after loop closing.
 
 python benchmarks/chain.py ~/.cache/revisit/demo-0
 python benchmarks/chain.py ~/kitti/dataset --sequence 05 --no-record
@@ -16,7 +16,7 @@ from slam.pipeline.pipeline import RunOptions, run_pipeline
 
 
 def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict[str, object]]:
-    """Metrics of one run into a folder that is thrown away."""
+    """Run once into a temporary folder and return the metrics."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         run_pipeline(
@@ -29,10 +29,10 @@ def run_once(source: Path, sequence: str | None, record: bool) -> dict[str, dict
 
 
 def stage_table(metrics: dict[str, dict[str, object]]) -> Table:
-    """Milliseconds by stage, and each stage's share of the median frame."""
+    """Make a table of the milliseconds of each stage and its share of the median frame."""
     timing = metrics["timing_ms"]
     total = timing["total"]["median"]
-    table = Table("stage", "median ms", "p99 ms", "share of the median", title="Where the time goes")
+    table = Table("stage", "median ms", "p99 ms", "share of the median", title="Time of each stage")
     for stage, spent in timing.items():
         share = spent["median"] / total
         table.add_row(stage, f"{spent['median']:.1f}", f"{spent['p99']:.1f}", f"{share:.0%}")
@@ -49,7 +49,7 @@ def main() -> None:
     metrics = run_once(arguments.source, arguments.sequence, not arguments.no_record)
     console = Console()
     console.print(stage_table(metrics))
-    console.print(f"{metrics['frames']} frames, {metrics['frames_per_second']:.1f} frames a second in all")
+    console.print(f"{metrics['frames']} frames, {metrics['frames_per_second']:.1f} frames per second in all")
     console.print(f"ATE {metrics['odometry']['ate_m']} m by odometry, {metrics['corrected']['ate_m']} m corrected")
     console.print(f"loops: {metrics['loops']}")
 

@@ -1,10 +1,10 @@
-"""Does what we build install into a clean environment of each Python, and does the demo give the same there?
+"""Installation into a clean environment of each Python, and equality of the demo's results there.
 
 Run from the root: `python benchmarks/clean_install.py python3.11 python3.12 python3.13 --out DIR [--install WHAT]`.
 For each interpreter it makes a virtual environment in DIR, installs WHAT into it (a wheel, an sdist, or by default this
-checkout, each with extras if named, `'.[ros]'`), and lets it render and run the demo with a cache of its own. Equal
-digests say that the interpreters rendered the same images, and drove the same way to the last bit. An interpreter that
-lives elsewhere, in a container say, is checked there: rows can be compared by their digests.
+checkout, each with extras if named, `'.[ros]'`), and renders and runs the demo there with a cache of its own. Equal
+digests mean that the interpreters have rendered the same images and estimated the same trajectory to the last bit. An
+interpreter in another place, such as a container, is checked there, and its row is compared by the digests.
 """
 
 import argparse
@@ -79,7 +79,7 @@ def _figures(metrics: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Check one interpreter after the other, and print a row for each."""
+    """Check each interpreter and print a row for it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("interpreters", nargs="+")
     parser.add_argument("--out", type=Path, required=True, help="a folder that does not exist yet")
@@ -90,7 +90,7 @@ def main() -> None:
     try:
         for number, interpreter in enumerate(arguments.interpreters):
             table.add_row(*install_and_drive(interpreter, arguments.install, arguments.out.resolve() / str(number)))
-    finally:  # the rows that there are, where a later interpreter fails
+    finally:  # also if a later interpreter fails
         Console(width=160).print(table)
 
 

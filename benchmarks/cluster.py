@@ -43,7 +43,7 @@ WORKERS = 3
 
 @dataclass(frozen=True)
 class Measured:
-    """A sweep that has been run.
+    """Times and results of one sweep.
 
     Attributes:
         wall, processor: wall-clock time and processor time of all processes, seconds.
@@ -56,7 +56,7 @@ class Measured:
 
 
 def measure(config: Path, out: Path, executor: Executor) -> Measured:
-    """Run a sweep, the start and the end of the processes included.
+    """Run a sweep; its times include the start and the end of the processes.
 
     Raises:
         SystemExit: a run failed.

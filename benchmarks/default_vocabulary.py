@@ -18,7 +18,7 @@ is the right one, and the median margin of the right place of a town over the be
                 10,000 .96 / .95 / .72 (.37)   20,000 .95 / .95 / .75 (.42), for twice the time and size
 """
 
-import sys
+import argparse
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,8 +55,8 @@ SURFACES = {
     "torcs-data": "Free Art License, GPL-2+",
 }
 SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp"))
-LEAST_BYTES = 30000  # of a file: icons and flat drawings stay below
-SKIPPED = ("html", "shadow", "/karts/", "/gui/", "screenshot", "flags")  # pages, drawings, and what is there twice
+MIN_FILE_BYTES = 30000  # icons and flat drawings stay below
+SKIPPED = ("html", "shadow", "/karts/", "/gui/", "screenshot", "flags")  # pages, drawings and duplicates
 
 SHAPES = ("blocks", "figure-eight", "circle")
 TOWNS = range(901, 913)  # seeds
@@ -65,8 +65,13 @@ STEREO = ("image_0", "image_1")
 
 def main() -> None:
     """Gather descriptors, train, write."""
-    folder = Path(sys.argv[1])
-    out = Path(sys.argv[2] if len(sys.argv) > 2 else Path(vocabulary.__file__).with_name(vocabulary.DEFAULT_FILE))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument(
+        "out", type=Path, nargs="?", default=Path(vocabulary.__file__).with_name(vocabulary.DEFAULT_FILE)
+    )
+    arguments = parser.parse_args()
+    folder, out = arguments.folder, arguments.out
     materials = {
         "towns": _town_views(folder / "towns"),
         "photographs": _photograph_views(folder, PHOTOGRAPHS),
@@ -113,7 +118,7 @@ def _photograph_views(folder: Path, packages: dict[str, str]) -> Iterator[Image]
 
 def _is_photograph(file: Path, name: str) -> bool:
     wanted = file.suffix.lower() in SUFFIXES and not any(part in name for part in SKIPPED)
-    return wanted and file.is_file() and not file.is_symlink() and file.stat().st_size >= LEAST_BYTES
+    return wanted and file.is_file() and not file.is_symlink() and file.stat().st_size >= MIN_FILE_BYTES
 
 
 def _grey(file: Path) -> Image:
@@ -128,7 +133,7 @@ def _views(photograph: Image, rng: np.random.Generator) -> Iterator[Image]:
     if min(height, width) < 128:
         return
     for _ in range(int(np.clip(height * width / 250000, 1, 10))):
-        yield _relit(_part(photograph, _scale(height * width, rng), rng), rng)
+        yield _change_light(_part(photograph, _scale(height * width, rng), rng), rng)
 
 
 def _scale(pixels: int, rng: np.random.Generator) -> float:
@@ -150,7 +155,7 @@ def _part(photograph: Image, scale: float, rng: np.random.Generator) -> Image:
     return cv2.warpPerspective(photograph, homography, size, borderMode=cv2.BORDER_REFLECT)
 
 
-def _relit(view: Image, rng: np.random.Generator) -> Image:
+def _change_light(view: Image, rng: np.random.Generator) -> Image:
     if rng.random() < 0.5:
         view = view[:, ::-1]
     light = 255 * np.clip(rng.uniform(0.7, 1.2) * (view / 255) ** rng.uniform(0.7, 1.4), 0, 1)

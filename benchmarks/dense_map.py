@@ -1,13 +1,13 @@
-"""How far the dense map of a simulated drive lies from the true surfaces, before and after correction, and its price.
+"""Errors of the dense map of a simulated drive against the true surfaces, before and after correction, and its cost.
 
 Run from the root, on a run of a drive that `revisit simulate` has rendered:
-`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. Distances are those of the map's points, seen from at
-most 25 m, to the nearest surface of the town that stands still; what moving cars leave counts as an error. The map is
-laid on the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. An error is the distance of a point of the map, seen
+from at most 25 m, to the nearest static surface of the town; points of moving cars count as errors. The map is aligned
+with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
 
+import argparse
 import json
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -35,11 +35,11 @@ REACH_M = 25.0
 HEIGHTS_M = (0.45, 0.8, 1.2, 1.6, 1.9)  # above the road, at which the grid is compared
 
 
-def fused(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
-    """Fuse a run's drive; its submaps, and what that cost."""
+def fuse_run(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
+    """Fuse the recording of a run; return the submaps and a line about the cost."""
     store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
-    done = len(list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, groups, store)))
+    done = len(list(DenseMapper(run.calibration).fuse(run.dataset, run.odometry, groups, store)))
     wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
     held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
     cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"
@@ -62,7 +62,7 @@ def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.Raycast
 def agreement(
     grid: OccupancyGrid, fit: Similarity, spec: SimulationConfig, scene: open3d.t.geometry.RaycastingScene
 ) -> str:
-    """How many occupied cells have something of the town within 0.3 m, and how many free ones within 0.1 m."""
+    """Return the shares of occupied cells with a surface of the town within 0.3 m, and of free cells within 0.1 m."""
     T_town_world = plan_trajectory(spec).T_town_camera[0]
     shares = {}
     for value, near in ((OCCUPIED, 0.3), (FREE, 0.1)):
@@ -78,7 +78,7 @@ def agreement(
 
 
 def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None:
-    """Draw what crosses the street within half a metre of where the drive ends, on each trajectory."""
+    """Draw the points within half a metre of the plane across the street at the end of each trajectory."""
     T_camera_world = se3.inverse(trajectories["corrected"][-1])
     figure = Figure(figsize=(9, 2.4), layout="constrained")
     for axes, (name, poses) in zip(
@@ -93,8 +93,12 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
 
 
 def main() -> None:
-    """Print both maps' distances and the price."""
-    folder = Path(sys.argv[1])
+    """Print the distances of both maps and the cost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="folder of the run")
+    parser.add_argument("picture", type=Path, nargs="?", help="picture of a cross-section at the end of the drive")
+    arguments = parser.parse_args()
+    folder = arguments.run
     run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
     spec = SimulationConfig(**json.loads((source / MANIFEST).read_text())["config"])
@@ -102,30 +106,32 @@ def main() -> None:
     scene = open3d.t.geometry.RaycastingScene()
     rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
     scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
-    truth = run.drive.ground_truth
+    truth = run.dataset.ground_truth
     assert truth is not None
     trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
-    table = Table("map on", "laid on the truth by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
+    table = Table("map on", "aligned by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
     medians = {}
     with tempfile.TemporaryDirectory() as temporary:
-        store, cost = fused(run, Path(temporary))
+        store, cost = fuse_run(run, Path(temporary))
         for name, poses in trajectories.items():
             fit = umeyama(poses[:, :3, 3], truth[: len(poses), :3, 3])
-            for how, laid in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
-                found = distances(store, laid, scene)
+            for alignment, aligned in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
+                found = distances(store, aligned, scene)
                 quartiles = np.percentile(found, [50, 75, 90])
-                medians[name, how] = quartiles[0]
-                table.add_row(name, how, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
+                medians[name, alignment] = quartiles[0]
+                table.add_row(name, alignment, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
         fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
         cells = agreement(build_occupancy_grid(store, run.corrected), fit, spec, scene)
-        if len(sys.argv) > 2:
-            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, Path(sys.argv[2]))
+        if arguments.picture:
+            draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, arguments.picture)
     Console().print(table)
-    for how in ("first camera", "alignment"):
-        Console().print(f"after / before, {how}: {medians['corrected', how] / medians['odometry', how]:.2f}")
+    for alignment in ("first camera", "alignment"):
+        Console().print(
+            f"after / before, {alignment}: {medians['corrected', alignment] / medians['odometry', alignment]:.2f}"
+        )
     Console().print(cells)
     Console().print(cost)
-    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, of which the benchmark's own town is a part")
+    Console().print(f"{peak_memory_mb():.0f} MB of memory at most, including the benchmark's own town")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Kill a run at random moments, go on with it, and compare every result with that of a run that nobody disturbed.
+"""Kill a run at random moments, resume it, and compare every result with that of an undisturbed run.
 
 python benchmarks/kill_and_resume.py ~/.cache/revisit/demo-0 --kills 20
 """
@@ -19,7 +19,7 @@ from slam.map_database.resume import find_resumable_run
 
 
 def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
-    """What runs the chain in a process of its own."""
+    """Return the command that runs the pipeline in a process of its own."""
     run = [
         sys.executable,
         "-c",
@@ -33,7 +33,7 @@ def command(arguments: argparse.Namespace, out: Path, *more: str) -> list[str]:
 
 
 def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple[int, float]:
-    """Kill a run after so many seconds and let another one end it; frames that were kept, seconds of the second."""
+    """Kill a run after some seconds and resume it; return the frames kept and the seconds of the second run."""
     process = subprocess.Popen(command(arguments, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     time.sleep(seconds)
     process.kill()
@@ -45,7 +45,7 @@ def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple
 
 
 def main() -> None:
-    """Run, kill, go on, compare, and print a line for each."""
+    """Run, kill, resume, compare, and print a line for each kill."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("source", type=Path)
     parser.add_argument("--paradigm", default="tracked-words")

@@ -1,4 +1,4 @@
-"""Maps of any size for benchmarks, made of what real images look like and put together by the parts' own methods."""
+"""Maps of any size for benchmarks, filled through the methods of the maps with features like those of real images."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -20,8 +20,8 @@ from place_recognition.vocabulary.word_tree import HybridWordIndex
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-BLOCK = 1000  # images filled in at a time
-AUDITED = 500  # descriptors whose nearest words are also sought exhaustively
+BLOCK = 1000  # images added at a time
+AUDITED = 500  # descriptors whose nearest words are also found exhaustively
 # As on the clips of KITTI: words an image that tracks leave, images they last; words of a place, images of a place.
 TRACKED_WORDS, TRACK_LENGTH, PLACE_WORDS, PLACE_LENGTH, SEQUENCE_LENGTH = 11, 8, 145, 12, 6
 
@@ -37,10 +37,10 @@ class Material:
         self.features = features
         self.rng = np.random.default_rng(0)
         self._real = np.concatenate([image.descriptors for image in features])
-        self._alike = np.concatenate([self._most_alike(block) for block in np.array_split(self._real, 100)])
+        self._alike = np.concatenate([self._nearest_descriptors(block) for block in np.array_split(self._real, 100)])
 
     def descriptors(self, count: int) -> Floats:
-        """So many new descriptors (count, 64), a little shorter than unit length, as means are."""
+        """Make new descriptors (count, 64), a little shorter than unit length, as means are."""
         which = self.rng.integers(0, len(self._real), count)
         partner = self._alike[which, self.rng.integers(0, self._alike.shape[1], count)]
         swapped = np.repeat(self.rng.random((count, 16)) < 0.3, 4, axis=1)
@@ -49,11 +49,11 @@ class Material:
         return np.float32(0.95) * crossed / np.linalg.norm(crossed, axis=1, keepdims=True)
 
     def queries(self, count: int) -> Floats:
-        """So many of the real descriptors."""
+        """Choose `count` of the real descriptors."""
         return self._real[np.random.default_rng(1).permutation(len(self._real))[:count]]
 
-    def _most_alike(self, block: Floats) -> Indices:
-        """For each descriptor (N, D) the 8 most alike of a random sample of all."""
+    def _nearest_descriptors(self, block: Floats) -> Indices:
+        """For each descriptor (N, D) the 8 nearest of a random sample of all."""
         sample = self.rng.permutation(len(self._real))[:1000]
         closeness = block @ self._real[sample].T
         return sample[np.argpartition(-closeness, 8, axis=1)[:, :8]]
@@ -136,7 +136,7 @@ class TrackedWordsFiller:
         self.route = self.recognizer._route
 
     def fill(self, size: int) -> None:
-        """Let tracks have ended at all images up to a size."""
+        """Add the words of tracks that end at each image up to a size."""
         words = self.recognizer._words
         words.activate_until(size)
         for begin in range(fill_route(self.route, self._material, size), size, BLOCK):
@@ -160,7 +160,7 @@ class PlacesFiller:
         self.route = self.recognizer._route
 
     def fill(self, size: int) -> None:
-        """Let places have ended up to a size; the open one is dropped."""
+        """Add places up to a size; the open place is dropped."""
         places = self.recognizer._places
         self.recognizer._open.flush()
         before = fill_route(self.route, self._material, size)
@@ -189,7 +189,7 @@ class SequencesFiller:
         self._images = [self._vocabulary.assign(image.descriptors[:shown]) for image in material.features]
 
     def fill(self, size: int) -> None:
-        """Let sequences have ended up to a size; the open ones are dropped."""
+        """Add sequences up to a size; the open ones are dropped."""
         matching = self.recognizer
         matching.finish()
         fill_route(self.route, self._material, size)
@@ -202,11 +202,11 @@ class SequencesFiller:
             matching._map.add(len(matching._words) - 1, vector)
 
     def recall(self) -> float:
-        """An inverted index leaves nothing out."""
+        """Return NaN: an inverted index searches exhaustively."""
         return float("nan")
 
     def _mixed(self) -> Indices:
-        """Words of an image that shares half with each of two real ones."""
+        """Return the words of an image that shares half with each of two real ones."""
         one, other = (self._images[k] for k in self._material.rng.integers(0, len(self._images), 2))
         return np.concatenate([one[::2], other[1::2]])
 

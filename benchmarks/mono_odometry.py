@@ -1,12 +1,13 @@
-"""Drift and time of the monocular odometry, stage by stage, on drives in KITTI's layout; left images alone.
+"""Drift and time of each stage of the monocular odometry on drives in KITTI's layout, with the left images alone.
 
     revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
     python benchmarks/mono_odometry.py blocks31 00
     python benchmarks/mono_odometry.py CLIPS 05 06 01 07
 
-ATE and the error of the last position after Sim(3) alignment of all poses, per cent of the distance. "unit" is how long
-a metre is in the odometry's unit, in each eighth of the drive: how far it drifts. Images are decoded before the
-clock starts; "cpu" is the processor time of all threads, which a busy machine disturbs less than the clock.
+ATE and end error are those after Sim(3) alignment of all poses, in per cent of the path length. "unit" is the length of
+a metre in the odometry's unit in each eighth of the drive: its change is the drift of the scale. Images are decoded
+before the clock starts; "cpu" is the processor time of all threads, which depends less on other work of the machine
+than wall-clock time.
 """
 
 import numpy as np
@@ -27,7 +28,7 @@ _PARTS = 8
 
 
 def track(drive: Drive, times: StageTimes) -> list[Motion]:
-    """Run the odometry over a drive, noting times."""
+    """Run the odometry on a drive and record its times."""
     odometry, motions = MonoOdometry(drive.camera()), []
     for image in drive.lefts():
         motions.append(times.frame(odometry.track, image))
@@ -35,7 +36,7 @@ def track(drive: Drive, times: StageTimes) -> list[Motion]:
 
 
 def unit(poses: Array, truth: Array) -> str:
-    """Length of a metre in each part of the drive."""
+    """Return the length of a metre, in the unit of the odometry, in each part of the drive."""
     lengths = [np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1) for each in (poses, truth)]
     parts = np.array_split(np.arange(len(lengths[0])), _PARTS)
     return " ".join(f"{lengths[0][part].sum() / lengths[1][part].sum():.3f}" for part in parts)

@@ -1,11 +1,11 @@
-"""Drift and time of the stereo odometry on drives in KITTI's layout, beside LIBVISO2's.
+"""Drift and time of the stereo odometry on drives in KITTI's layout, beside those of LIBVISO2.
 
     python benchmarks/odometry_drift.py ROOT 05 06 01 [--threads 2]
 
-ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and `poses/NN.txt`. Images are decoded before the clock
-starts. Drift is the error of the last position over the distance driven, unaligned. "cpu" is the processor time of
-all threads, which a busy machine disturbs less than the clock; LIBVISO2's times were measured on two cores of
-an idle one.
+ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and `poses/NN.txt`. Images are decoded before the clock starts.
+Drift is the error of the last position in per cent of the path length, without alignment. "cpu" is the processor time
+of all threads, which depends less on other work of the machine than wall-clock time; the times of LIBVISO2 were
+measured on two idle cores.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
 
 
 def track(drive: Drive, times: StageTimes) -> list[Motion]:
-    """Run the odometry over a drive, noting times."""
+    """Run the odometry on a drive and record its times."""
     odometry, motions = StereoOdometry(drive.camera()), []
     for left, right in drive.pairs():
         motions.append(times.frame(odometry.track, left, right))

@@ -1,4 +1,4 @@
-"""Reading drives in KITTI's layout for the benchmarks of the odometry, and running it over them."""
+"""Drives in KITTI's layout for the benchmarks of the odometry, and runs of the odometry on them."""
 
 import argparse
 import time
@@ -43,7 +43,7 @@ class Drive:
         return StereoCamera(P0[0, 0], P0[1, 1], P0[0, 2], P0[1, 2], -P1[0, 3] / P1[0, 0], width, height)
 
     def pairs(self) -> Iterator[Pair]:
-        """Decode the images."""
+        """Decode the images, pair by pair."""
         for file in self._files():
             left, right = (
                 cv2.imread(str(self._folder / side / file.name), cv2.IMREAD_GRAYSCALE)
@@ -64,10 +64,10 @@ class Drive:
 
 
 class StageTimes:
-    """Milliseconds of every frame: of all of it, by the clock and by the processor, and of each of its stages.
+    """Milliseconds of each frame: wall-clock time, processor time, and the time of each stage.
 
     Args of the constructor:
-        stages: functions that are watched from now on: their owner, their name there, and what to call the stage.
+        stages: functions that are timed from now on: owner, name of its attribute, and name of the stage.
     """
 
     def __init__(self, stages: tuple[tuple[Any, str, str], ...]) -> None:
@@ -81,7 +81,7 @@ class StageTimes:
         self._spent.clear()
 
     def frame(self, track: Callable[..., Motion], *images: Array) -> Motion:
-        """Have a frame tracked, noting its times."""
+        """Track a frame and record its times."""
         for label in self._labels:
             self._spent[label].append(0.0)
         cpu = time.process_time()
@@ -90,7 +90,7 @@ class StageTimes:
         return motion
 
     def print(self) -> None:
-        """Print a row a stage; the first frame, which only begins, does not count."""
+        """Print one row for each stage; the first frame, which has no motion, does not count."""
         for label, values in self._spent.items():
             spent = np.array(values[1:])
             print(
@@ -132,7 +132,7 @@ def path_length_m(poses: Array) -> float:
 
 
 def end_error(poses: Array, truth: Array) -> float:
-    """Error of the last position over the distance driven, per cent, unaligned; NaN for a drive of no length."""
+    """Error of the last position, per cent of the path length, without alignment; NaN for a drive of no length."""
     if len(truth) < 2:
         return float("nan")
     return 100 * float(np.linalg.norm(poses[-1, :3, 3] - truth[-1, :3, 3])) / path_length_m(truth)
@@ -148,9 +148,9 @@ def measure(
 
     Args:
         description: text of `--help`.
-        stages: of the odometry, for the clock.
-        track: runs it over a drive; called once before anything is measured, as that compiles.
-        report: runs it and prints what it was like.
+        stages: stages of the odometry that are timed.
+        track: function that runs the odometry on a drive; called once before the measurement, because this compiles.
+        report: function that runs the odometry on a drive and prints the results.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path)

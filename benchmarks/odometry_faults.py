@@ -1,12 +1,12 @@
-"""What faults of the recording do to the odometry: one finite pose each, flags, and the way kept.
+"""Faults of a recording and the odometry: is every pose finite, is the fault flagged, and how far off is the path?
 
     python benchmarks/odometry_faults.py ROOT 05 06 01 [--frames 60] [--mono]
 
-ROOT holds drives in KITTI's layout with `poses/NN.txt`. Each fault strikes after two fifths of the drive.
-"predicted" counts the frames that are flagged; "error" is that of the last position over the distance driven,
-unaligned; "after" counts only the path after the fault; the row "none" is the drive without fault. Images that were
-dropped in a bend show nothing of what came before: the path is extrapolated, flagged, and wrong.
-With `--mono` the left images are used alone, and their scale is that of the way before the fault.
+ROOT holds drives in KITTI's layout with `poses/NN.txt`. Each fault begins after two fifths of the drive. The column
+"predicted" counts the flagged frames, "error" is the error of the last position in per cent of the path length, without
+alignment, "after" is the same for the path after the fault alone, and the row "none" is the drive without fault. Images
+after a gap in a bend have nothing in common with those before it: the path is extrapolated, flagged, and wrong. With
+`--mono` the left images are used alone, and the path before the fault gives the scale.
 """
 
 import argparse
@@ -21,21 +21,23 @@ from odometry_drives import Array, Drive, Pair, chain_poses, end_error, path_len
 from odometry import MonoOdometry, StereoCamera, StereoOdometry, se3
 
 Frames = list[tuple[float, Pair, Array]]  # time in seconds, images, true pose
-_SECONDS = 0.1  # between images
+_PERIOD_S = 0.1  # between images
 
 
 def read(drive: Drive) -> Frames:
     """Read a drive's images with their true poses."""
-    return [(_SECONDS * k, pair, pose) for k, (pair, pose) in enumerate(zip(drive.pairs(), drive.truth(), strict=True))]
+    return [
+        (_PERIOD_S * k, pair, pose) for k, (pair, pose) in enumerate(zip(drive.pairs(), drive.truth(), strict=True))
+    ]
 
 
-def dropped(count: int) -> Callable[[Frames, int], Frames]:
-    """Leave out images; the time stamps show it."""
+def drop_images(count: int) -> Callable[[Frames, int], Frames]:
+    """Return a fault that leaves out images; the timestamps show the gap."""
     return lambda frames, at: frames[:at] + frames[at + count :]
 
 
-def replaced(count: int, change: Callable[[Pair, int], Pair]) -> Callable[[Frames, int], Frames]:
-    """Change the images of some frames."""
+def change_images(count: int, change: Callable[[Pair, int], Pair]) -> Callable[[Frames, int], Frames]:
+    """Return a fault that changes the images of some frames."""
 
     def strike(frames: Frames, at: int) -> Frames:
         return [
@@ -46,29 +48,29 @@ def replaced(count: int, change: Callable[[Pair, int], Pair]) -> Callable[[Frame
     return strike
 
 
-def filled(value: int) -> Callable[[Pair, int], Pair]:
-    """Images of one grey value."""
+def fill(value: int) -> Callable[[Pair, int], Pair]:
+    """Return a change to images of one grey value."""
     return lambda pair, k: (np.full_like(pair[0], value), np.full_like(pair[1], value))
 
 
-def noise(pair: Pair, k: int) -> Pair:
-    """Images of noise."""
+def replace_by_noise(pair: Pair, k: int) -> Pair:
+    """Replace a pair by noise."""
     rng = np.random.default_rng(k)
     return tuple(rng.integers(0, 256, image.shape, dtype=np.uint8) for image in pair)  # type: ignore[return-value]
 
 
-def blurred(pair: Pair, k: int) -> Pair:
-    """Images without detail."""
+def blur(pair: Pair, k: int) -> Pair:
+    """Remove the detail of a pair."""
     return tuple(cv2.GaussianBlur(image, (0, 0), 8.0) for image in pair)  # type: ignore[return-value]
 
 
-def dark(pair: Pair, k: int) -> Pair:
-    """Images at an eighth of the light."""
+def darken(pair: Pair, k: int) -> Pair:
+    """Reduce the brightness of a pair to an eighth."""
     return tuple(image // 8 for image in pair)  # type: ignore[return-value]
 
 
-def occluded(pair: Pair, k: int) -> Pair:
-    """A textured truck, ten pixels of disparity away, that keeps its distance and fills 60 % of the view."""
+def occlude(pair: Pair, k: int) -> Pair:
+    """Put a textured truck before a pair; it keeps its distance, 10 px of disparity, and fills 60 % of the view."""
     height, width = pair[0].shape
     truck = np.random.default_rng(0).integers(0, 256, (height, width), dtype=np.uint8)
     truck = cv2.GaussianBlur(truck, (0, 0), 2.0)
@@ -82,43 +84,43 @@ def occluded(pair: Pair, k: int) -> Pair:
 
 FAULTS: dict[str, Callable[[Frames, int], Frames]] = {
     "none": lambda frames, at: frames,
-    "1 dropped": dropped(1),
-    "5 dropped": dropped(5),
-    "30 dropped": dropped(30),
-    "1 black": replaced(1, filled(0)),
-    "5 black": replaced(5, filled(0)),
-    "5 white": replaced(5, filled(255)),
-    "5 noise": replaced(5, noise),
-    "5 blurred": replaced(5, blurred),
-    "5 dark": replaced(5, dark),
+    "1 dropped": drop_images(1),
+    "5 dropped": drop_images(5),
+    "30 dropped": drop_images(30),
+    "1 black": change_images(1, fill(0)),
+    "5 black": change_images(5, fill(0)),
+    "5 white": change_images(5, fill(255)),
+    "5 noise": change_images(5, replace_by_noise),
+    "5 blurred": change_images(5, blur),
+    "5 dark": change_images(5, darken),
     "5 repeated": lambda frames, at: frames[:at] + [frames[at]] * 5 + frames[at:],
-    "8 swapped": replaced(8, lambda pair, k: (pair[1], pair[0])),
-    "10 occluded": replaced(10, occluded),
+    "8 swapped": change_images(8, lambda pair, k: (pair[1], pair[0])),
+    "10 occluded": change_images(10, occlude),
 }
-_LONGEST = 11  # frames until every fault but missing images is over, which are over at once
+_MAX_FAULT_FRAMES = 11  # until every fault is over; a gap of missing images is over with the next frame
 
 
 def run(camera: StereoCamera, frames: Frames) -> list[Any]:
-    """Run the stereo odometry: one motion a frame."""
+    """Run the stereo odometry and return the motion of each frame."""
     odometry = StereoOdometry(camera)
     return [odometry.track(*pair, time) for time, pair, _ in frames]
 
 
 def run_mono(camera: StereoCamera, frames: Frames) -> list[Any]:
-    """Run the monocular odometry: one motion a frame."""
+    """Run the monocular odometry and return the motion of each frame."""
     odometry = MonoOdometry(camera)
     return [odometry.track(left, time) for time, (left, _), _ in frames]
 
 
 def errors(poses: Array, frames: Frames, recovered: int) -> tuple[float, float]:
-    """Error at the end, per cent of the distance: from the start, and from the frame where the fault was over."""
+    """Return the end error, per cent of the path length: from the start, and from the frame where the fault is over."""
     truth = np.array([pose for _, _, pose in frames])
     rest, rest_truth = (se3.inverse(each[recovered]) @ each[recovered:] for each in (poses, truth))
     return end_error(poses, truth), end_error(rest, rest_truth)
 
 
-def in_metres(poses: Array, frames: Frames, at: int) -> Array:
-    """Poses (N, 4, 4) with the scale of the way before a frame."""
+def scale_to_metres(poses: Array, frames: Frames, at: int) -> Array:
+    """Scale poses (N, 4, 4) so that the path before a frame has its true length."""
     truth = np.array([pose for _, _, pose in frames])
     poses = poses.copy()
     poses[:, :3, 3] *= path_length_m(truth[:at]) / path_length_m(poses[:at])
@@ -135,8 +137,8 @@ def report(drive: Drive, mono: bool) -> None:
         motions = (run_mono if mono else run)(camera, struck)
         finite = np.isfinite(chain_poses(motions)).all() and len(motions) == len(struck)
         flagged, reasons = sum(m.predicted for m in motions), "; ".join(sorted({m.reason for m in motions} - {""}))
-        poses = in_metres(chain_poses(motions), struck, at) if mono else chain_poses(motions)
-        total, after = errors(poses, struck, max(at, min(at + _LONGEST, len(struck) - 5)))
+        poses = scale_to_metres(chain_poses(motions), struck, at) if mono else chain_poses(motions)
+        total, after = errors(poses, struck, max(at, min(at + _MAX_FAULT_FRAMES, len(struck) - 5)))
         print(f"    {fault:<12} {flagged:9d}  {finite!s:>6}  {total:7.2f}  {after:7.2f}  {reasons}", flush=True)
 
 

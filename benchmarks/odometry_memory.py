@@ -1,10 +1,10 @@
-"""Memory of the stereo odometry over a long drive: what it holds is bounded by its window.
+"""Memory of the stereo odometry over a long drive, which its window bounds.
 
     python benchmarks/odometry_memory.py ROOT 05 [--frames 10000] [--shrink 3]
 
-The drive is driven forth and back until so many frames have been seen, with a fault now and then. "state" is
-the size of everything the odometry holds, pickled; "process" the resident memory of the whole process. Smaller
-images are tracked faster: `--shrink 3` takes a few minutes.
+The images are shown forwards and backwards until the number of frames is reached, with a black image now and then.
+"state" is the pickled size of everything that the odometry holds, "process" the resident memory of the whole process.
+Smaller images are tracked faster: `--shrink 3` takes a few minutes.
 """
 
 import argparse
@@ -27,7 +27,7 @@ def resident_mb() -> float:
 
 
 def frame(pairs: list[Pair], k: int) -> Pair:
-    """Choose the k-th pair of a drive forth and back."""
+    """Return the k-th pair of a drive that runs forwards and backwards."""
     if k % _FAULT_EVERY == _FAULT_EVERY - 1:
         return np.zeros_like(pairs[0][0]), np.zeros_like(pairs[0][1])
     turn = 2 * len(pairs) - 2
@@ -41,7 +41,7 @@ def smaller(image: Array, factor: int) -> Array:
 
 
 def camera_of(drive: Drive, factor: int) -> StereoCamera:
-    """Intrinsics of the smaller images."""
+    """Return the camera of images shrunk by a factor."""
     c = drive.camera()
     centre = ((c.cx + 0.5) / factor - 0.5, (c.cy + 0.5) / factor - 0.5)
     return StereoCamera(c.fx / factor, c.fy / factor, *centre, c.baseline, c.width // factor, c.height // factor)

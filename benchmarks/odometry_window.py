@@ -1,10 +1,11 @@
-"""What the window brings and how honest the covariances are, on simulated drives with exact truth.
+"""Accuracy with and without the sliding window, and consistency of the covariances, on simulated drives.
 
     revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
     python benchmarks/odometry_window.py blocks31 blocks32 blocks33 [--frames 400]
 
-t_rel and r_rel by the KITTI rule. NEES is the normalised error squared of motions composed over so many images,
-their stated covariances composed as if independent: 6 is honest on average, below is timid, above is bold.
+t_rel and r_rel follow the KITTI rule. NEES is the normalised error squared of motions composed over some images, whose
+covariances are composed as if the motions were independent: its mean is 6 if the covariances are consistent, less if
+they are too large, more if they are too small.
 """
 
 import argparse
@@ -18,13 +19,13 @@ from odometry import Motion, StereoOdometryConfig, se3
 from slam.evaluation.trajectory import trajectory_errors
 
 STRETCHES = (1, 5, 20, 50, 100)  # images
-_LEARNING = 30  # images at the start that do not count: the calibration is being learned
+_LEARNING_FRAMES = 30  # at the start, that do not count: the calibration is still being estimated
 
 
 def nees(motions: list[Motion], truth: Array, stretch: int) -> float:
-    """Mean normalised error squared over stretches of so many images, which overlap by half."""
+    """Return the mean normalised error squared of stretches of `stretch` images, which overlap by half."""
     values = []
-    for start in range(_LEARNING, len(motions) - stretch, max(stretch // 2, 1)):
+    for start in range(_LEARNING_FRAMES, len(motions) - stretch, max(stretch // 2, 1)):
         T, covariance = np.eye(4), np.zeros((6, 6))
         for motion in motions[start + 1 : start + stretch + 1]:
             T = T @ motion.T_previous_current

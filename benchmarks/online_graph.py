@@ -1,13 +1,13 @@
-"""How fast and how safe the graph is while driving: `python benchmarks/online_graph.py [FOLDER OF TEST DATA]`.
+"""Speed and robustness of the online pose graph: `python benchmarks/online_graph.py [FOLDER OF TEST DATA]`.
 
 A drive of the shape of KITTI 00 (4,541 poses) with noisy, biased odometry and loops at its revisits. First its
-times: of adding a frame, its loop and asking for its pose. Then the same drive with false loops that pass the
-gate, alone and in runs that agree with one another: what the map is worth at the end, and what was known at
-each moment. Times are of the processor (what the work takes) and of the clock (what other work adds).
+times: adding a frame and its loop, and asking for its pose. Then the same drive with false loops that pass the
+gate, alone and in runs that agree with one another: the error of the map at the end, and of the poses known at each
+moment. Times are given by the processor and by the clock, which includes the wait for other processes.
 """
 
+import argparse
 import os
-import sys
 import time
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -25,8 +25,8 @@ from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 Array = NDArray[np.float64]
 
-STEP_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m a frame
-STEP_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])  # what KITTI odometry was seen to have
+STEP_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m for each frame
+STEP_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])  # as measured of odometry on KITTI
 LOOP_SIGMAS = np.repeat([2e-3, 0.03], 3)
 MIN_GAP_FRAMES, MAX_DISTANCE_M = 100, 4.0  # between the two frames of a revisit
 
@@ -43,7 +43,7 @@ class SyntheticDrive:
 
 @dataclass(frozen=True)
 class OnlineRun:
-    """The graph at the end, what it knew at each moment (N, 4, 4), and milliseconds a frame by both clocks."""
+    """The final graph, the pose known at each moment (N, 4, 4), and the milliseconds of each frame by both clocks."""
 
     graph: PoseGraph
     known: Array
@@ -53,7 +53,7 @@ class OnlineRun:
 
 
 def true_poses(folder: Path, sequence: str) -> Array:
-    """KITTI's poses, with rotations that are ones to all digits."""
+    """KITTI's poses, with rotations that are orthogonal to all digits."""
     rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = rows
@@ -62,7 +62,7 @@ def true_poses(folder: Path, sequence: str) -> Array:
 
 
 def make_drive(poses: Array, every: int, seed: int = 0) -> SyntheticDrive:
-    """Drive with odometry of honest noise and drift, and a loop at every `every`-th frame of each revisit."""
+    """Make a drive with noisy, biased odometry, and a loop at every `every`-th frame of each revisit."""
     rng = np.random.default_rng(seed)
     steps = se3.inverse(poses[:-1]) @ poses[1:]
     motions = tuple(T @ se3.exp(STEP_BIAS + rng.normal(0.0, STEP_SIGMAS)) for T in steps)
@@ -99,7 +99,7 @@ def with_false_runs(drive: SyntheticDrive, runs: int, length: int, sigmas: float
 
 
 def run_online(drive: SyntheticDrive) -> OnlineRun:
-    """Drive, asking for the pose of each frame."""
+    """Add all frames and loops, asking for the pose of each frame."""
     graph, loops = PoseGraph(), {}
     for loop in drive.loops:
         loops.setdefault(loop.query, []).append(loop)
@@ -129,7 +129,7 @@ def summarize(times: Array) -> str:
 
 
 def print_times(poses: Array) -> None:
-    """Print milliseconds a pose with few and with many loops."""
+    """Print the milliseconds for each pose with few and with many loops."""
     print("times in ms: median, 99th percentile, worst\n")
     print("loops  poses   all poses, processor   all poses, clock       at a loop, processor   map ATE (odometry) m")
     for every in (5, 3, 1):
@@ -146,7 +146,7 @@ def print_times(poses: Array) -> None:
 
 
 def print_safety(poses: Array) -> None:
-    """Print what false loops that pass the gate do to the map."""
+    """Print the errors of maps with false loops that pass the gate."""
     print("\nfalse loops that pass the gate, 3.5 sigma of drift from odometry, among 264 true ones\n")
     print("runs  of  seed   used at the end: true  false   map ATE m   known at each moment: ATE m   worst ms")
     drive = make_drive(poses, 3)
@@ -165,12 +165,15 @@ def print_safety(poses: Array) -> None:
             )
 
 
-def main(folder: Path) -> None:
+def main() -> None:
     """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("REVISIT_TEST_DATA"))
+    folder = Path(parser.parse_args().folder)
     poses = true_poses(folder, "00")
     print_times(poses)
     print_safety(poses)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else os.environ["REVISIT_TEST_DATA"]))
+    main()

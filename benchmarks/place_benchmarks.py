@@ -1,4 +1,4 @@
-"""What the benchmarks of place recognition share."""
+"""Image files and a stopwatch for the benchmarks of place recognition."""
 
 import re
 import time
@@ -9,17 +9,17 @@ from typing import Any
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Images of a folder, or of the image_0 in it, in the natural order of their names."""
+    """List the images of a folder, or of the image_0 in it, in the natural order of their names."""
     folder = folder / "image_0" if (folder / "image_0").is_dir() else folder
     files = [f for f in folder.iterdir() if f.suffix.lower() in {".png", ".jpg", ".jpeg"}]
     return sorted(files, key=lambda f: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", f.name)])
 
 
 class Stopwatch:
-    """Measures how long functions take, per call, by standing in for them.
+    """Measures the time of each call of functions, which it replaces by timed ones.
 
     Args of the constructor:
-        clock: seconds; `time.process_time` on a machine that others use too.
+        clock: function that returns seconds; `time.process_time` on a machine with other work.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -35,12 +35,12 @@ class Stopwatch:
         setattr(owner, name, self.timed(stage, original))
 
     def stop(self) -> None:
-        """Put all functions back."""
+        """Restore all functions."""
         for owner, name, original in self._watched:
             setattr(owner, name, original)
 
     def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, measured while the watch runs."""
+        """Wrap a function so that its calls are timed while the watch runs."""
 
         def measured(*arguments: Any) -> Any:
             begin = self._clock()

@@ -1,12 +1,12 @@
-"""How well and how fast places are recognised: one line for each paradigm over one folder of images.
+"""Accuracy and speed of place recognition: one line for each paradigm over one folder of images.
 
     python benchmarks/places.py SOURCE [TRUTH] [--paradigms NAME ...] [--repeat N]
 
-SOURCE is a KITTI root or a folder of images; TRUTH a .mat, a .npz with `truth`, or poses. Milliseconds an image, median
-(99th percentile): of features, of all the rest, and of both; and the mean of both, which alone is fair to paradigms
-that answer for many images at once. The least of N repetitions each, since other work on the machine only ever adds
-time. Reading images is not counted. With --growth also the medians over each fifth of the drive: what a query costs as
-the map grows.
+SOURCE is a KITTI root or a folder of images; TRUTH a .mat, a .npz with `truth`, or poses. Times are milliseconds for
+an image, median (99th percentile): of the features, of all the rest, and of both; and the mean of both, which alone is
+fair to paradigms that answer for many images at once. Each time is the minimum of N repetitions, because other work of
+the machine can only add time. Reading images is not counted. With --growth also the medians over each fifth of the
+images: the cost of a query as the map grows.
 """
 
 import argparse
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """What the command line takes."""
+    """Parse the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("source", type=Path)
     made.add_argument("truth", type=Path, nargs="?")
@@ -57,13 +57,13 @@ def parser() -> argparse.ArgumentParser:
 
 
 def drive(images: ImageSequence, paradigm: str, vocabulary: str) -> PlaceRecognitionRun:
-    """One drive through all images."""
+    """Recognise places in all images once."""
     factory = RecognizerFactory(paradigm, ParadigmsConfig(vocabulary=vocabulary))
     return run_recognizer(images, factory, lambda done, total: None, lambda: False)
 
 
 def line(paradigm: str, runs: list[PlaceRecognitionRun], truth: RevisitTruth) -> str:
-    """The figures of one paradigm."""
+    """Format the figures of one paradigm."""
     section = evaluate_places(paradigm, runs[0].beliefs, truth.matrix, runs[0].size).section
     names = ("recall_at_100_precision", "average_precision")
     ratios = " ".join(f"{'-' if section[name] is None else f'{section[name]:.4f}':>7}" for name in names)
@@ -75,7 +75,7 @@ def line(paradigm: str, runs: list[PlaceRecognitionRun], truth: RevisitTruth) ->
 
 
 def growth(runs: list[PlaceRecognitionRun]) -> str:
-    """Medians of the recognition alone over each part of the drive."""
+    """Format the median times of recognition alone over each part of the images."""
     parts = [np.array_split(_total(run, STAGES[1:]), PARTS) for run in runs]
     medians = [min(float(np.median(run[part])) for run in parts) for part in range(PARTS)]
     return "  recognition over the drive, ms: " + " ".join(f"{median:.1f}" for median in medians)

@@ -1,12 +1,12 @@
-"""How query time, recall and memory grow with the map, up to a million images: a table and a log-log plot.
+"""Growth of query time, recall and memory with the map, up to a million images: a table and a log-log plot.
 
     python benchmarks/places_at_scale.py IMAGES... --out DIR [--sizes 10000 100000 1000000] [--queries 100]
 
-IMAGES are folders of images in the natural order of their names, or KITTI sequence folders; they are the queries, as
-they would be driven, and all descriptors and words of the maps are drawn from them. Maps are filled through the parts'
-own methods, not by recognising a million images. Query time is that of a whole image, but without its local features:
-they do not depend on the map. Each paradigm runs in a process of its own, whose peak of resident memory is reported.
-The features of older images go to a temporary file (TMPDIR) of up to 35 kB an image.
+IMAGES are folders of images in the natural order of their names, or KITTI sequence folders; they are the queries, in
+their order, and all descriptors and words of the maps are drawn from them. Maps are filled through their own methods,
+not by recognising a million images. Query time is the time of a whole image without its local features, which do not
+depend on the map. Each paradigm runs in a process of its own, whose peak of resident memory is reported.
+The features of older images go to a temporary file (TMPDIR) of up to 35 kB for each image.
 """
 
 import argparse
@@ -31,17 +31,17 @@ WARM = 15  # images before the measured ones: tracks and sequences must have beg
 
 @dataclass(frozen=True)
 class Row:
-    """What one paradigm does at one size.
+    """Measurements of one paradigm at one size of the map.
 
     Attributes:
-        paradigm: its name.
-        images: in the map.
-        words: in the map, or in the vocabulary.
-        median, mean: of the query times, ms.
+        paradigm: name of the paradigm.
+        images: number of images in the map.
+        words: number of words in the map, or in the vocabulary.
+        median, mean: median and mean of the query times, ms.
         recall: share of nearest words that are those of an exhaustive search; NaN where the search is exhaustive.
         memory: peak of resident memory, GB.
         disk: size of the temporary file, GB.
-        filling: seconds that it took to fill the map so far.
+        filling: seconds spent on filling the map so far.
     """
 
     paradigm: str
@@ -84,7 +84,7 @@ def ask(recognizer: Any, images: list[NDArray[np.uint8]], size: int) -> NDArray[
 
 
 def report(name: str, filler: Any, fill: tuple[int, float], times: NDArray[np.float64]) -> Row:
-    """The row of a size; printed at once, as the next one may take minutes."""
+    """Measure and print the row of a size at once: the next one may take minutes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     words, disk = filler.recognizer.word_count, filler.route.images.disk_bytes / 1e9
     row = Row(name, fill[0], words, float(np.median(times)), float(times.mean()), filler.recall(), peak, disk, fill[1])
@@ -119,7 +119,7 @@ def plot(rows: list[Row], path: Path) -> None:
 
 
 def show_ratios(rows: list[Row]) -> None:
-    """Print how much longer a query takes in the largest map than in the smallest."""
+    """Print the ratio of the query times in the largest and the smallest map."""
     for name in dict.fromkeys(row.paradigm for row in rows):
         mine = [row for row in rows if row.paradigm == name]
         small, large = mine[0], mine[-1]

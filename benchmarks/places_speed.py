@@ -1,10 +1,10 @@
-"""How long an image takes each paradigm once the map is large: a table of medians and 99th percentiles.
+"""Time of each paradigm for an image once the map is large: a table of medians and 99th percentiles.
 
     python benchmarks/places_speed.py IMAGES... [--map 4500] [--measured 200] [--paradigms NAME...]
 
-IMAGES are folders of images in the natural order of their names, or KITTI sequence folders. The map is grown by driving
+IMAGES are folders of images in the natural order of their names, or KITTI sequence folders. The map is grown by showing
 them again and again, each time as another camera on another day would see them: mirrored or not, zoomed, turned a
-little, brighter or darker, so that the features differ. Then the first day is driven once more and measured.
+little, brighter or darker, so that the features differ. Then the first day is shown once more and measured.
 """
 
 import argparse
@@ -54,9 +54,9 @@ class Day:
     """How one camera sees the world on one day.
 
     Attributes:
-        matrix: (2, 3) from its pixels to the original ones.
+        matrix: affine transformation (2, 3) from its pixels to the original ones.
         exposure: factor of the grey levels.
-        mirrored: left and right exchanged: another town.
+        mirrored: whether left and right are exchanged, which makes another town.
     """
 
     matrix: NDArray[np.float64]
@@ -65,14 +65,14 @@ class Day:
 
     @classmethod
     def random(cls, number: int) -> "Day":
-        """The same for the same number; mild enough for tracks to go on as they would."""
+        """Return the day of a number; its changes are small enough for tracks to continue."""
         rng = np.random.default_rng(number)
         centre = (SIZE[0] / 2 + rng.uniform(-60, 60), SIZE[1] / 2 + rng.uniform(-15, 15))
         matrix = cv2.getRotationMatrix2D(centre, rng.uniform(-3, 3), rng.uniform(1.0, 1.35))
         return cls(matrix, float(rng.uniform(0.7, 1.25)), bool(number % 2))
 
     def later(self) -> "Day":
-        """The same way again: the camera a little aside, other light."""
+        """Return the same route at a later time: the camera a little aside, other light."""
         shifted = self.matrix + np.array([[0.01, 0.0, 9.0], [0.0, 0.01, 4.0]])
         return replace(self, matrix=shifted, exposure=0.85 * self.exposure)
 
@@ -84,8 +84,8 @@ class Day:
         return np.ascontiguousarray(seen[:, ::-1]) if self.mirrored else seen
 
 
-class RememberedFeatures:
-    """Extracts features (a FeatureExtractor) and keeps those of the drive that fills the map, for all paradigms."""
+class CachedFeatures:
+    """Extracts features (a FeatureExtractor) and keeps those of the images that fill the map, for all paradigms."""
 
     def __init__(self) -> None:
         self._surf = Surf()
@@ -98,11 +98,11 @@ class RememberedFeatures:
         return self._surf.kind
 
     def begin(self) -> None:
-        """The drive begins again: its images come in the same order."""
+        """Begin again with the first image; the images come in the same order as before."""
         self._next = 0
 
     def measure(self) -> None:
-        """From now on features are really extracted."""
+        """Extract features instead of taking them from the cache from now on."""
         self._next = None
 
     def extract(self, image: Image) -> LocalFeatures:
@@ -116,14 +116,12 @@ class RememberedFeatures:
 
 
 def drive(images: list[Image], count: int) -> Iterator[Image]:
-    """So many images: all of them as seen on one day, then on another."""
+    """Yield `count` images: all of them as seen on one day, then all on another day, and so on."""
     for k in range(count):
         yield Day.random(k // len(images)).see(images[k % len(images)])
 
 
-def measure(
-    name: str, images: list[Image], sizes: tuple[int, int], features: RememberedFeatures, watch: Stopwatch
-) -> None:
+def measure(name: str, images: list[Image], sizes: tuple[int, int], features: CachedFeatures, watch: Stopwatch) -> None:
     """Fill a map of sizes[0] images, then measure sizes[1] more."""
     watch.running = False
     for stage, (owner, function) in STAGES.items():
@@ -163,9 +161,9 @@ def main() -> None:
     files = [file for folder in arguments.images for file in image_files(folder)]
     images = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files]
     measured = min(arguments.measured, len(images))
-    features = RememberedFeatures()
+    features = CachedFeatures()
     for name in arguments.paradigms:
-        measure(name, images, (60, 20), RememberedFeatures(), Stopwatch())  # compile, or load what was compiled
+        measure(name, images, (60, 20), CachedFeatures(), Stopwatch())  # compile, or load what was compiled
         watch = Stopwatch(time.process_time if arguments.cpu else time.perf_counter)
         measure(name, images, (arguments.map, measured), features, watch)
         show(name, watch, measured)

@@ -1,4 +1,4 @@
-"""How fast and how right the pose graph is.
+"""Speed and accuracy of the pose graph and its back ends.
 
     python benchmarks/pose_graph.py [FOLDER OF TEST DATA] [--parts real few standard online] [--back-ends NAME...]
 
@@ -6,7 +6,8 @@ real: odometry of KITTI by LIBVISO2 with the loops that a bag of words proposed,
 graphs), under default settings. In the files every false loop measures (0, 0, 0); here they stay so, become random
 small motions, or agree with one another within each run of false loops. All covariances are also multiplied by
 1/16 and by 16. few: the same with no true loop, with one, and with three. standard: minima of public graphs from
-odometry alone, and the time against plain Levenberg-Marquardt. online: drives of true shape, a pose at a time.
+odometry alone, and the time against plain Levenberg-Marquardt. online: simulated drives on real trajectories, one
+pose at a time.
 """
 
 import argparse
@@ -36,14 +37,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FALSE_SIGMAS = (2.0, 0.5, 0.1)  # m, m, rad: standard deviations of the motions that false loops are given
-MAX_RUN_GAP = 15  # poses between loops of one run, at most
+MAX_RUN_GAP = 15  # poses between the loops of one run
 FACTORS = (1.0, 1 / 16, 16.0)
 STANDARD = ("smallGrid3D", "CSAIL", "intel", "manhattan", "parking-garage", "sphere2500", "torus3D", "city10000")
 
 
 @dataclass(frozen=True)
 class RealGraph:
-    """A real graph in the plane, with the truth about it."""
+    """A real graph in the plane, with the true positions and which loops are true."""
 
     name: str
     problem: LoopProblem
@@ -97,8 +98,8 @@ def _with_false(real: RealGraph, agreeing: bool) -> Edges:
 VARIANTS = {"as in the file": zero, "random": random, "agreeing runs": agreeing}
 
 
-def scaled(edges: Edges, factor: float) -> Edges:
-    """Multiply all covariances."""
+def scale_covariances(edges: Edges, factor: float) -> Edges:
+    """Multiply all covariances by a factor."""
     return replace(edges, information=edges.information / factor)
 
 
@@ -125,7 +126,8 @@ def print_real(folder: Path, back_ends: list[str]) -> None:
         for variant, changed in VARIANTS.items():
             loops = changed(real)
             for factor in FACTORS:
-                problem = LoopProblem(scaled(real.problem.trusted, factor), scaled(loops, factor), real.problem.start)
+                trusted = scale_covariances(real.problem.trusted, factor)
+                problem = LoopProblem(trusted, scale_covariances(loops, factor), real.problem.start)
                 for back_end in back_ends:
                     print_case(real, f"{variant}, x {factor:g}", problem, back_end)
 
@@ -148,13 +150,13 @@ def print_few(folder: Path, back_ends: list[str], trials: int = 6) -> None:
 
 
 def print_standard(folder: Path, back_ends: list[str]) -> None:
-    """Print minima and times of public graphs from odometry alone, and what the back ends make of true loops."""
+    """Print minima and times of public graphs from odometry alone, and the loops that the back ends keep."""
     for name in STANDARD:
         problem = classify_edges(read_g2o(folder / "pose_graphs" / f"{name}.g2o"), name).problem
         edges = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
-        poses, seconds = timed(lambda edges=edges, problem=problem: optimize(edges, problem.start))
-        start, first = timed(lambda edges=edges, problem=problem: chordal_initialization(edges, problem.start))
-        _, plain = timed(lambda edges=edges, start=start: refine(edges, start))
+        poses, seconds = time_work(lambda edges=edges, problem=problem: optimize(edges, problem.start))
+        start, first = time_work(lambda edges=edges, problem=problem: chordal_initialization(edges, problem.start))
+        _, plain = time_work(lambda edges=edges, start=start: refine(edges, start))
         print(
             f"{name:14} minimum {0.5 * edges.chi2(poses).sum():12.6g} in {seconds:5.2f} s from odometry; chordal start "
             f"{first:5.2f} s, plain Levenberg-Marquardt from it {plain:5.2f} s: {seconds / (first + plain):.2f} times "
@@ -162,12 +164,12 @@ def print_standard(folder: Path, back_ends: list[str]) -> None:
             flush=True,
         )
         for back_end in back_ends:
-            outcome, seconds = timed(lambda problem=problem, back_end=back_end: solve(problem, back_end))
+            outcome, seconds = time_work(lambda problem=problem, back_end=back_end: solve(problem, back_end))
             print(f"  {back_end:10} kept {outcome.kept.sum()} of {len(problem.loops)} in {seconds:.2f} s", flush=True)
 
 
-def timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    """Do some work and give what came of it, and the seconds that it took."""
+def time_work(work: Callable[[], Any]) -> tuple[Any, float]:
+    """Do some work and return its result and its seconds."""
     start = time.perf_counter()
     result = work()
     return result, time.perf_counter() - start
@@ -184,7 +186,7 @@ class SyntheticDrive:
 
 
 def synthetic_drive(folder: Path, sequence: str, every: int) -> SyntheticDrive:
-    """Make a drive of true shape with biased, noisy odometry and all revisits within 4 m, measured well."""
+    """Make a drive on a real trajectory with biased, noisy odometry and all revisits within 4 m, measured well."""
     rng = np.random.default_rng(0)
     rows = np.loadtxt(folder / "kitti_poses" / f"{sequence}.txt").reshape(-1, 3, 4)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))

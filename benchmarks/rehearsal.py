@@ -1,9 +1,9 @@
-"""The full rehearsal: a simulated town along the way of KITTI 00 with each of the four paradigms, and its report.
+"""The full rehearsal: a simulated town along the path of KITTI 00 with each of the four paradigms, and the report.
 
     python benchmarks/rehearsal.py KITTI/poses/00.txt --out DIR [--drive FOLDER]
 
 Renders the drive first (half an hour on two cores; into DIR/drive, or FOLDER, where it is kept), then runs the whole
-chain with recording and map, one run after the other, by `revisit benchmark`, whose report is DIR/runs/report.html.
+pipeline with recording and map, one run after the other, by `revisit benchmark`, whose report is DIR/runs/report.html.
 """
 
 import argparse
@@ -20,18 +20,18 @@ from rich.table import Table
 from slam.simulation import SimulationConfig, simulate
 
 PARADIGMS = ("sequence-histograms", "dynamic-sequences", "hierarchical-places", "tracked-words")
-SPEED = 8.2  # m/s: as many frames on the way as KITTI has
+SPEED_M_PER_S = 8.2  # gives as many frames on the path as KITTI has
 _TIMES = 500  # frames at the beginning and at the end, whose times are compared
 
 
 def render(poses: Path, folder: Path) -> None:
     """Render the drive, unless it is there."""
     if not (folder / "poses").is_dir():
-        simulate(SimulationConfig(shape=str(poses.resolve()), speed=SPEED), folder)
+        simulate(SimulationConfig(shape=str(poses.resolve()), speed=SPEED_M_PER_S), folder)
 
 
 def run_all(drive: Path, out: Path) -> None:
-    """Run the chain with each paradigm, in one process."""
+    """Run the pipeline with each paradigm, in one process."""
     out.mkdir(parents=True, exist_ok=True)
     names = ", ".join(f'"{name}"' for name in PARADIGMS)
     config = out / "rehearsal.toml"

@@ -1,15 +1,15 @@
-"""What of a run's results must not depend on when, where and how often it was begun."""
+"""Results of a run that must be the same whenever, wherever and however often it was interrupted."""
 
 import json
 from pathlib import Path
 
-# What holds times differs from run to run; of the metrics the rest is compared.
+# Files and metrics that hold times differ from run to run; all others are compared.
 _TIMED = {"frames.csv", "report.html", "run.log", "recording.rrd", "map.db", "metrics.json"}
 _TIMES = {"command", "timing_ms", "frames_per_second", "wall_seconds", "peak_memory_mb", "memory_mb"}
 
 
 def lasting_results(folder: Path) -> dict[str, object]:
-    """Content of the files in a run's folder, and the metrics, by name; nothing that holds times."""
+    """Return the content of the files of a run, and its metrics, by name, without those that hold times."""
     metrics = json.loads((folder / "metrics.json").read_text())
     metrics["graph"].pop("seconds")
     kept = {f"metrics.json: {name}": value for name, value in metrics.items() if name not in _TIMES}
@@ -17,5 +17,5 @@ def lasting_results(folder: Path) -> dict[str, object]:
 
 
 def differing(expected: dict[str, object], found: dict[str, object]) -> list[str]:
-    """Names of what is not the same in both, or is missing in one."""
+    """Return the names of results that differ, or are missing in one of the two."""
     return sorted(name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name))

@@ -1,11 +1,11 @@
-"""A second drive through the streets of a first one: are they joined, and where does the first map place images of it?
+"""A second drive through the streets of a first one: merging of both into one map, and localisation in the first map.
 
     revisit simulate blocks --laps 2 --length 800 --lateral-offset 1.5 --change-illumination --perceptual-aliasing \
         --cars-per-360m 8 --seed 7 --out data/blocks7
     python benchmarks/second_drive.py data/blocks7 --out DIR
 
-Cuts a drive of two laps, in KITTI layout, in the middle; drives the first half, then the second through its map, and
-places images of the second in the map of the first alone.
+A drive of two laps, in KITTI layout, is cut in the middle. The first half is run, then the second half with the map of
+the first, and images of the second half are localised in the map of the first alone.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def revisit(*words: object) -> None:
 
 
 def cut(drive: Path, frames: range, out: Path) -> Path:
-    """Make a drive of some frames of another one, with links to its images."""
+    """Make a drive from some frames of another one, with links to its images."""
     for camera in ("image_0", "image_1"):
         (out / SEQUENCE / camera).mkdir(parents=True)
         for number, frame in enumerate(frames):
@@ -59,7 +59,7 @@ def link_images(drive: Path, frames: Array, out: Path) -> Path:
 
 
 def errors(answers: Iterable[QueryResult], mapped: Array, truth: Array) -> tuple[Array, Array]:
-    """Errors of the localised images, metres and degrees, after alignment of the map poses (M, 4, 4) with the truth."""
+    """Return errors of the localised images, metres and degrees, after alignment of map poses (M, 4, 4) and truth."""
     alignment = umeyama(mapped[:, :3, 3], truth[: len(mapped), :3, 3])
     found = [
         (answer.found, truth[int(Path(answer.name).stem)])

@@ -1,10 +1,10 @@
-"""What the recording costs: milliseconds a frame and megabytes a thousand frames, on fabricated steps.
+"""Cost of the recording: milliseconds for each frame and megabytes for 1,000 frames, on made-up frames.
 
 Run from the root: `PYTHONPATH=. python benchmarks/viewer.py [FOLDER_OF_IMAGES]`. The images decide the size of the
-file; without a folder they are smooth noise of the size that KITTI has.
+file; without a folder they are smooth noise of the size of KITTI's images.
 """
 
-import sys
+import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -21,10 +21,10 @@ from slam.viewer.viewer import FrameView, LoopView
 FRAMES, TRACKS, LANDMARKS, IMAGES = 1000, 1200, 400, 40
 
 
-def images(folder: str | None, rng: np.random.Generator) -> list[np.ndarray]:
-    """Read the first images of a folder, or make some."""
+def images(folder: Path | None, rng: np.random.Generator) -> list[np.ndarray]:
+    """Read the first images of a folder, or make smooth noise."""
     if folder:
-        return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(Path(folder).iterdir())[:IMAGES]]
+        return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(folder.iterdir())[:IMAGES]]
     noise = rng.integers(0, 255, (IMAGES, 376, 1241)).astype(np.uint8)
     return [cv2.normalize(cv2.GaussianBlur(n, None, 2.0), None, 0, 255, cv2.NORM_MINMAX) for n in noise]
 
@@ -41,9 +41,12 @@ def step(index: int, image: np.ndarray, rng: np.random.Generator) -> FrameView:
 
 
 def main() -> None:
-    """Record and print."""
+    """Record the frames and print the cost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", help="folder of images")
+    arguments = parser.parse_args()
     rng = np.random.default_rng(0)
-    shown = images(sys.argv[1] if len(sys.argv) > 1 else None, rng)
+    shown = images(arguments.folder, rng)
     height, width = shown[0].shape
     camera = StereoCamera(718.0, 718.0, width / 2, height / 2, 0.54, width, height)
     spent, spent_loops = [], []

@@ -1,4 +1,4 @@
-"""The word tree beside FAISS's approximate indices, on word maps of the size that many images give: a table.
+"""The word tree beside FAISS's approximate indices, on maps of many words: a table of times, recall and memory.
 
     python benchmarks/word_index.py IMAGES... [--images 10000 1000000] [--indices WordTree HNSW IVF]
 
@@ -6,8 +6,8 @@ IMAGES are folders of images, or KITTI sequence folders: words are crossed from 
 image of the map, as tracked-words makes them on the clips of KITTI (see `map_fillers.py`). Queries are real
 descriptors. All words are added in batches, as a map gets them while it grows; IVF learns its cells from the words of
 the first 10,000 images, since at that time no others are known. Each index is built twice, in processes of their own,
-with one thread and with two; times are processor times of the one with one thread, so that other work on the machine
-does not count.
+with one thread and with two; times are processor times of the one with one thread, which do not depend on other work of
+the machine.
 
 * build: seconds to add all words (for IVF with the training);
 * last: milliseconds to add the last batch of 1,100 words (100 images);
@@ -45,7 +45,7 @@ Indices = NDArray[np.int64]
 BATCH = 100 * TRACKED_WORDS  # words added at a time
 DIMENSION = 64
 QUERY = 200  # descriptors of an image that tracked-words looks up
-LEARNT = 10_000 * TRACKED_WORDS  # words from which IVF learns its cells
+TRAINED = 10_000 * TRACKED_WORDS  # words from which IVF learns its cells
 MAX_SOURCE_IMAGES = 115
 
 
@@ -59,7 +59,7 @@ class Index(Protocol):
     efforts: tuple[int, ...]
 
     def set_effort(self, effort: int) -> None:
-        """Choose how thoroughly to search."""
+        """Set how thoroughly to search."""
         ...
 
     def add(self, words: Floats) -> None:
@@ -81,7 +81,7 @@ class Tree:
         self.add, self.nearest = self._tree.add, self._tree.nearest
 
     def set_effort(self, effort: int) -> None:
-        """Leave it to the tree."""
+        """Do nothing: the tree has no such setting."""
 
 
 class Hnsw:
@@ -95,7 +95,7 @@ class Hnsw:
         self._index = faiss.IndexHNSWFlat(DIMENSION, 32)
 
     def set_effort(self, effort: int) -> None:
-        """Keep so many candidates while searching (efSearch)."""
+        """Set the number of candidates that a search keeps (efSearch)."""
         self._index.hnsw.efSearch = effort
 
     def add(self, words: Floats) -> None:
@@ -119,7 +119,7 @@ class Ivf:
         self._index = faiss.IndexIVFFlat(self._cells, DIMENSION, 4096)
 
     def set_effort(self, effort: int) -> None:
-        """Compare the words of so many cells (nprobe)."""
+        """Set the number of cells whose words a search compares (nprobe)."""
         self._index.nprobe = effort
 
     def add(self, words: Floats) -> None:
@@ -139,7 +139,7 @@ INDICES: dict[str, Callable[[], Index]] = {"WordTree": Tree, "HNSW": Hnsw, "IVF"
 def word_batches(material: Material, count: int) -> Iterator[Floats]:
     """Make words, first as many as IVF learns from, then batch by batch; the same ones each time."""
     material.rng = np.random.default_rng(2)
-    done = min(LEARNT, count)
+    done = min(TRAINED, count)
     yield np.concatenate([material.descriptors(min(BATCH, done - begin)) for begin in range(0, done, BATCH)])
     while done < count:
         yield material.descriptors(min(BATCH, count - done))
@@ -160,7 +160,7 @@ def find_exactly(material: Material, count: int, queries: Floats) -> Indices:
 
 
 def measure(name: str, material: Material, count: int, queries: Floats) -> dict[str, Any]:
-    """Build one index and ask it; runs in a process of its own."""
+    """Build one index and query it; runs in a process of its own."""
     index, process = INDICES[name](), psutil.Process()
     before, build, last = process.memory_info().rss, 0.0, 0.0
     for words in word_batches(material, count):
@@ -203,7 +203,7 @@ def make_material(descriptors: Floats) -> Material:
 
 
 def run_apart(name: str, threads: int, file: Path, count: int, queries: int) -> dict[str, Any]:
-    """Measure an index in a process with so many threads."""
+    """Measure an index in a process with a number of threads."""
     environment = os.environ | {"OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
     command = [sys.executable, __file__, str(file), "--queries", str(queries), "--one", name, "--images", str(count)]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

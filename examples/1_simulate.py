@@ -2,7 +2,7 @@
 
     python examples/1_simulate.py [--out runs/examples]
 
-Leaves 1_simulate.png (the first stereo pair, and the way in plan view) and the drive itself, in KITTI's layout, so
+Leaves 1_simulate.png (the first stereo pair, and the path in plan view) and the drive itself, in KITTI's layout, so
 that every other example and `revisit run` can read it.
 """
 

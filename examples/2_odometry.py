@@ -26,8 +26,9 @@ for frame in drive:
 estimate, truth = np.array(poses), drive.ground_truth
 
 ate, end = absolute_trajectory_error(estimate, truth), end_error(estimate, truth)
-way = distances_along(truth)
-print(f"after {way[-1]:.0f} m: ATE {ate:.2f} m after SE(3) alignment, end error {end:.2f} m ({end / way[-1]:.2%})")
+distance_m = distances_along(truth)
+share = end / distance_m[-1]
+print(f"after {distance_m[-1]:.0f} m: ATE {ate:.2f} m after SE(3) alignment, end error {end:.2f} m ({share:.2%})")
 
 figure = new_figure(9.0, 4.2)
 plan, error = figure.subplots(1, 2)
@@ -35,8 +36,8 @@ plan.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", l
 plan.plot(estimate[:, 0, 3], estimate[:, 2, 3], color=colours.ODOMETRY, label="odometry")
 plan.set(xlabel="x [m]", ylabel="z [m]", aspect="equal", title=f"ATE {ate:.2f} m, SE(3) alignment")
 plan.legend(frameon=False)
-error.plot(way, np.linalg.norm(estimate[:, :3, 3] - truth[:, :3, 3], axis=1), color=colours.ODOMETRY)
-error.set(xlabel="way driven [m]", ylabel="position error, starts made equal [m]", title="the error grows")
+error.plot(distance_m, np.linalg.norm(estimate[:, :3, 3] - truth[:, :3, 3], axis=1), color=colours.ODOMETRY)
+error.set(xlabel="distance travelled [m]", ylabel="position error, starts made equal [m]", title="the error grows")
 for ax in (plan, error):
     style_axes(ax)
 save_png(figure, given.out / "2_odometry.png")

@@ -24,11 +24,11 @@ parser.add_argument("--paradigm", choices=PARADIGMS, default="tracked-words", he
 given = parser.parse_args()
 drive = open_dataset(street(given))
 
-rows = MatrixRecorder()  # keeps what the recogniser compared, for the picture only
+rows = MatrixRecorder()  # keeps the similarities, for the picture only
 recogniser = make_recognizer(given.paradigm, FeatureCache(Surf()), rows=rows)
 beliefs = []
 for frame in drive:
-    # An answer may come late: a recogniser of sequences waits until the sequence ends. NaN: nobody measures the way.
+    # A sequence paradigm returns beliefs late, when a sequence ends. NaN: the distance is not measured here.
     beliefs += recogniser.observe(frame.index, frame.left, distance_travelled_m=float("nan"))
 beliefs += recogniser.finish()
 

@@ -1,4 +1,4 @@
-"""The whole chain, frame by frame: odometry drifts, places are recognised, geometry proves them, the graph corrects.
+"""The whole pipeline, frame by frame: odometry drifts, places are recognised and verified, the graph is corrected.
 
     python examples/4_close_loops.py [--out runs/examples]
 
@@ -41,7 +41,7 @@ axes = figure.subplots(1, 2, sharex=True, sharey=True)
 for ax, (name, estimate, colour) in zip(axes, panels, strict=True):
     ate = absolute_trajectory_error(estimate, truth)
     print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
-    cloud = slam.components.landmarks.cloud(estimate)  # points are kept in the frame that saw them: they move with it
+    cloud = slam.components.landmarks.cloud(estimate)  # points are kept in the frame of their camera: they move with it
     style_axes(ax)
     ax.plot(cloud.points[::5, 0], cloud.points[::5, 2], ".", color="black", ms=0.8, alpha=0.3, rasterized=True)
     ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")

@@ -26,14 +26,14 @@ given = parser.parse_args()
 
 rng, lap = np.random.default_rng(given.seed), 160
 turn, straight = se3.exp(np.array([0, np.pi / 8, 0, 0, 0, 1.0])), se3.exp(np.array([0, 0, 0, 0, 0, 1.0]))
-motions = [turn if k % 40 >= 36 else straight for k in range(2 * lap)]  # a metre a step; four steps turn a corner
+motions = [turn if k % 40 >= 36 else straight for k in range(2 * lap)]  # 1 m for each step; four steps turn a corner
 truth = [np.eye(4)]
 for motion in motions:
     truth.append(truth[-1] @ motion)
 
 step = np.diag(np.square([1e-3] * 3 + [0.01] * 3))  # covariances, rotation first: rad^2, m^2
 loop = np.diag(np.square([2e-3] * 3 + [0.03] * 3))
-drift = np.array([0, 6e-4, 0, 0, 0, 0])  # a turn that odometry sees at every step
+drift = np.array([0, 6e-4, 0, 0, 0, 0])  # a false turn that odometry measures in every step
 
 
 def noise(covariance):
@@ -44,7 +44,7 @@ def noise(covariance):
 graph = PoseGraph()
 for motion in motions:
     graph.add_odometry(motion @ se3.exp(drift) @ noise(step), step)
-for query in range(lap + 4, 2 * lap, 8):  # the same place a lap ago
+for query in range(lap + 4, 2 * lap, 8):  # the same place one lap before
     T_match_query = se3.inverse(truth[query - lap]) @ truth[query] @ noise(loop)
     graph.add_loop(LoopClosure(query, query - lap, T_match_query, loop, inliers=50))
 for _ in range(given.false_loops):  # two places that only look alike

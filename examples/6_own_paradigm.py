@@ -21,14 +21,14 @@ from slam.simulation import loop_truth
 
 
 class BrightnessPattern:
-    """Recognises a place by how light and shade lie in the image (a PlaceRecognizer)."""
+    """Recognises a place by the light and dark areas of its image (a PlaceRecognizer)."""
 
     def __init__(self, threshold=0.9, exclusion=30):
         """Accept a cosine of `threshold`; compare with no image among the latest `exclusion`."""
         self.threshold, self.exclusion, self._vectors = threshold, exclusion, []
 
     def observe(self, image_id, image, distance_travelled_m):
-        """Answer for an image (H, W) uint8, then remember it."""
+        """Return the belief of an image (H, W) uint8, then add the image to the map."""
         cells = cv2.resize(image, (32, 8), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
         vector = (cells - cells.mean()) / (np.linalg.norm(cells - cells.mean()) + 1e-9)
         belief = self._believe(image_id, np.array([v @ vector for v in self._vectors[: -self.exclusion]]))
@@ -36,11 +36,11 @@ class BrightnessPattern:
         return [belief]
 
     def finish(self):
-        """Nothing is left unanswered."""
+        """Return no further beliefs."""
         return []
 
     def state(self):
-        """Everything that changes from image to image, for a checkpoint."""
+        """Return everything that changes from image to image, for a checkpoint."""
         return {"vectors": list(self._vectors)}
 
     def restore(self, state):

@@ -1,4 +1,4 @@
-"""What a recogniser sees: the chapter's Figures 4.3, 4.4, 4.11, 4.13, 4.14 and 4.15, drawn from one drive.
+"""Intermediate results of the recognisers, drawn from one drive as in Figures 4.3, 4.4, 4.11 and 4.13 to 4.15.
 
     python examples/7_inside_the_paradigms.py [--out runs/examples]
 
@@ -49,11 +49,11 @@ axes[0, 1].bar(range(80), counts[0, common], color=colours.CORRECTED, label="the
 axes[0, 1].set(title=f"80 of {len(vocabulary)} words, the most frequent (Figures 4.4, 4.11)", ylabel="times seen")
 axes[0, 1].legend(frameon=False)
 
-# 4.13: sequences of 5 m, and such as end where the view changes
-way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+# 4.13: sequences of 5 m, and sequences that end where the view changes
+distance_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
 segmentations = {"after 5 m": FixedDistanceSegmentation(), "where the words change": WordVariance(len(vocabulary))}
 for ax, (name, segmentation) in zip(axes[1], segmentations.items(), strict=True):
-    begins = [segmentation.starts_sequence(np.flatnonzero(seen), w) for seen, w in zip(counts, way, strict=True)]
+    begins = [segmentation.starts_sequence(np.flatnonzero(n), d) for n, d in zip(counts, distance_m, strict=True)]
     plan = poses[:, [0, 2], 3] - poses[:, [0, 2], 3].mean(axis=0)
     plan[len(images) // 2 :] *= 0.9  # the second lap is drawn inside the first
     ax.scatter(*plan.T, c=np.cumsum(begins) % 10, cmap="tab10", s=9)
@@ -65,7 +65,7 @@ for ax, (paradigm, number) in zip(axes[2], numbers.items(), strict=True):
     rows = MatrixRecorder()
     recogniser = make_recognizer(paradigm, features, rows=rows)
     for k in range(query + 1):
-        recogniser.observe(k, images[k], way[k])
+        recogniser.observe(k, images[k], distance_m[k])
     votes, truth = np.nan_to_num(rows.matrix(query + 1).values[query]), np.flatnonzero(loop_truth(poses)[query])
     ax.fill_between(range(query + 1), votes, step="mid", color=colours.CORRECTED)
     ax.axvspan(truth.min(), truth.max(), color=colours.ACCEPTED, alpha=0.3, label="where the camera had been")

@@ -11,22 +11,22 @@ from pathlib import Path
 
 import numpy as np
 from false_loops import two_laps
-from slam.report.draw_pose_graph import graph_figure
 
 from slam.evaluation.outlier_injection import OutlierConfig, inject_outliers
 from slam.pose_graph.robust.backends import BACK_ENDS, BackEndResult, solve
 from slam.pose_graph.robust.gnc import least_squares
+from slam.report.pose_graph_figure import draw_pose_graph
 from slam.report.trajectory_figure import save_png
 
 
 def trimmed(problem, screening):
-    """Least squares on the gated loops, of which the worst leave until all are within the chi-square limit."""
+    """Fit the gated loops, and drop the worst one again and again until all are within the chi-square limit."""
     kept = screening.passed.copy()
     poses = problem.start
     while kept.any():
         poses = least_squares(problem, kept, poses)
         chi2 = np.where(kept, problem.loops.chi2(poses), 0.0)
-        # Only the worst at once: true loops may seem wrong as long as false ones bend the map.
+        # Only the worst one at a time: true loops may look wrong as long as false ones bend the map.
         wrong = chi2 > max(screening.max_inlier_chi2, 0.5 * chi2.max())
         if not wrong.any():
             return BackEndResult(poses, kept.astype(float), ())
@@ -49,5 +49,5 @@ for name in ("none", "trimmed", "pcm+gnc"):
     print(f"{name}: keeps {true} of {mixed.true.sum()} true loops and {false} of {(~mixed.true).sum()} false ones")
 
 given.out.mkdir(parents=True, exist_ok=True)
-figure = graph_figure("trimmed", mixed.problem, solve(mixed.problem, "trimmed"), None)
+figure = draw_pose_graph("trimmed", mixed.problem, solve(mixed.problem, "trimmed"), None)
 save_png(figure, given.out / "8_own_back_end.png")

@@ -30,7 +30,7 @@ BASELINE_M = 0.2
 
 
 def is_own_format(folder: Path) -> bool:
-    """Whether a folder is a dataset in this format: what `FORMATS` asks."""
+    """Return whether a folder is a dataset in this format."""
     return (folder / "left.list").is_file() and (folder / "right.list").is_file()
 
 

@@ -1,4 +1,4 @@
-"""Where does each robust back end break? False loops are put into a graph, more and more of them.
+"""Breakdown of each robust back end: more and more false loops are put into a graph.
 
     python examples/false_loops.py [GRAPH.g2o ...] --out DIR [--kinds random grouped] [--shares 0 0.5 0.9]
 
@@ -35,7 +35,7 @@ SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table; `error_ratio` is one where the false loops did no harm."""
+    """One line of the table; an `error_ratio` of one means that the false loops did no harm."""
 
     graph: str
     kind: str
@@ -50,7 +50,7 @@ class Row:
 
 
 def main() -> None:
-    """Read the arguments, fill the table, draw it."""
+    """Read the arguments, fill the table and draw it."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("graphs", nargs="*", type=Path)
     parser.add_argument("--out", type=Path, required=True)
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def evaluate(name: str, problem: LoopProblem, arguments: argparse.Namespace) -> Iterator[Row]:
-    """Rows of one graph."""
+    """Return the rows of one graph."""
     clean = problem.edges_with(np.ones(len(problem.loops), dtype=bool))
     poses = optimize(clean, problem.start)
     minimum = float(clean.chi2(poses).sum())
@@ -93,7 +93,7 @@ class Trial:
 
 
 def run_trial(trial: Trial, mixed: ContaminatedProblem, clean: Edges, minimum: float) -> Row:
-    """Optimise under one back end and measure against the clean graph (its edges, its minimum chi-square)."""
+    """Optimise with one back end and compare with the graph without false loops (edges, minimum chi-square)."""
     start = time.perf_counter()
     result = solve(mixed.problem, trial.back_end)
     seconds = time.perf_counter() - start
@@ -104,7 +104,7 @@ def run_trial(trial: Trial, mixed: ContaminatedProblem, clean: Edges, minimum: f
 
 
 def two_laps(seed: int, side: int = 100) -> LoopProblem:
-    """Drive twice round a block, a metre a step, with honest noise; every second step of lap two closes a loop."""
+    """Drive twice round a block in steps of 1 m, with noise; every second step of the second lap closes a loop."""
     rng, group = np.random.default_rng(seed), SE2()
     step_sigma, loop_sigma = np.array([0.03, 0.02, 0.003]), np.array([0.05, 0.05, 0.005])
     count = 8 * side
@@ -124,7 +124,7 @@ def two_laps(seed: int, side: int = 100) -> LoopProblem:
 
 
 def format_row(row: Row) -> str:
-    """One line for the terminal."""
+    """Format a row for the terminal."""
     return (
         f"{row.graph:16} {row.kind:9} {row.share:4.0%}  {row.back_end:10} error x {row.error_ratio:<9.4g} "
         f"true {row.true_kept:5d} of {row.true:5d}  false {row.false_kept:5d} of {row.false:5d}  {row.seconds:6.2f} s"
@@ -132,7 +132,7 @@ def format_row(row: Row) -> str:
 
 
 def draw(rows: list[Row]) -> Figure:
-    """Error and time over the share of false loops: a column for each graph and kind."""
+    """Plot error and time over the share of false loops, a column for each graph and kind."""
     panels = list(dict.fromkeys((row.graph, row.kind) for row in rows))
     figure = new_figure(3.6 * len(panels) + 1.5, 6.5)
     axes = figure.subplots(2, len(panels), squeeze=False, sharex=True)

@@ -10,7 +10,7 @@ from slam.simulation import SimulationConfig, simulate
 
 
 def arguments(doc: str | None) -> argparse.ArgumentParser:
-    """The options of an example on the street, with its docstring as help."""
+    """Make the parser of an example, whose docstring is the help."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
     parser.add_argument("--width", type=int, default=620, help="of the images, pixels")
@@ -19,7 +19,7 @@ def arguments(doc: str | None) -> argparse.ArgumentParser:
 
 
 def street(given: argparse.Namespace) -> Path:
-    """Root of the drive, KITTI's layout, in the folder of the results."""
+    """Render the drive into the folder of the results and return its root, in KITTI's layout."""
     width, height = given.width, given.width * 376 // 1241
     spec = SimulationConfig("circle", laps=2, length=200.0, speed=given.speed, width=width, height=height)
     return simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}")

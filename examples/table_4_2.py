@@ -28,7 +28,7 @@ from slam.io.metrics import read_metrics
 from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
 from slam.report.trajectory_figure import save_png
 
-EXCLUDE_S = 40.0  # the papers' rule: nothing younger is a revisit
+EXCLUDE_S = 40.0  # the papers' rule: an image less old is no revisit
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """What the command line takes."""
+    """Parse the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--data", type=Path, default=Path("data"))
     made.add_argument("--truth", type=Path, required=True)
@@ -93,7 +93,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence, RevisitTruth]:
-    """Images and truth of one recording.
+    """Open the images and the ground truth of one recording.
 
     Raises:
         DataError: either is missing or damaged, or they do not belong together.
@@ -107,7 +107,7 @@ def opened(recording: Recording, data: Path, truth: Path) -> tuple[ImageSequence
 
 
 def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, messages: Console) -> float:
-    """R@P100 of one paradigm on one recording, kept from an earlier time or computed now."""
+    """Return R@P100 of one paradigm on one recording, read from an earlier run or computed now."""
     kept = options.out / "metrics.json"
     if not kept.is_file():
         messages.print(f"{images.name}: {options.paradigm}")
@@ -120,7 +120,7 @@ def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, mes
 
 
 def write(table: RecallTable, out: Path) -> None:
-    """Print the table, and keep it as text, LaTeX and picture."""
+    """Print the table, and write it as text, LaTeX and picture."""
     out.mkdir(parents=True, exist_ok=True)
     for name, text in (("table_4_2.txt", format_text(table) + "\n"), ("table_4_2.tex", format_latex(table))):
         with atomic_writer(out / name) as file:

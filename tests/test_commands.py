@@ -74,13 +74,13 @@ def test_the_help_of_every_number_names_its_unit(names: tuple[str, ...], command
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)
 def test_a_help_in_a_pipe_is_plain_text_with_every_default(names: tuple[str, ...], command: Any):
-    said = CliRunner().invoke(app.app, [*names, "--help"], env=WIDE).output
-    assert "\x1b" not in said
+    text = CliRunner().invoke(app.app, [*names, "--help"], env=WIDE).output
+    assert "\x1b" not in text
     valued = [one for one in command.params if not one.required and not getattr(one, "is_flag", False)]
     for one in valued:
         default = f"({one.show_default})" if isinstance(one.show_default, str) else one.default
         assert default is not None, f"{one.name}: the help does not say what happens without it"
-        assert f"[default: {default}" in said, one.name
+        assert f"[default: {default}" in text, one.name
 
 
 @pytest.mark.parametrize(("names", "command"), COMMANDS)

@@ -36,11 +36,13 @@ RETIRED = {
     "remembered": "replayed",
     "eavesdrop": "listen",
 }
+# Terms of the field that have one of these words in them.
+COMPOUNDS = re.compile(r"birds?_?eye", re.IGNORECASE)
 # Bounds are min_ and max_.
 BOUNDS = re.compile(r"(^|_)(least|most|fewest|longest|shortest)(_|$)")
 UNITS = {
-    "m", "px", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent", "sigma",
-    "per_m", "deg_per_m", "m_per_s", "per_360m",
+    "m", "px", "voxels", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent",
+    "sigma", "per_m", "deg_per_m", "m_per_s", "per_360m",
 }  # fmt: skip
 
 
@@ -50,6 +52,7 @@ def sources(*folders: str) -> list[Path]:
 
 def words(name: str) -> set[str]:
     """Words of snake_case and CamelCase, lower case, without plural."""
+    name = COMPOUNDS.sub("", name)
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
     return {re.sub(r"(ies|s|d|ing)$", "", part.lower()) for part in parts} | {part.lower() for part in parts}
 

@@ -49,7 +49,7 @@ class DenseOptions:
 
     Attributes:
         run: folder of a run, to which the results are written.
-        source: new place of its recording, or None if that has not moved.
+        source: new path of its recording; None if that has not moved.
         voxel_m: edge of a voxel, about the distance between points, metres.
         max_depth_m: maximum depth of fused pixels, metres.
         overwrite: whether an existing dense map is replaced.
@@ -79,14 +79,14 @@ class MappedRun:
     """The parts of a run that a dense map needs.
 
     Attributes:
-        drive: the recording.
+        dataset: recording of the run.
         calibration: calibration that the run has estimated.
         odometry: trajectory within a submap.
         corrected: corrected trajectory, (F, 4, 4), metres, which moves the submaps.
         key_frames: rule for the choice of key frames.
     """
 
-    drive: Dataset
+    dataset: Dataset
     calibration: Calibration
     odometry: OdometryTrajectory
     corrected: Array
@@ -105,20 +105,20 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
         DataError: a file is missing or damaged, or files do not belong to one run.
     """
     calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
-    drive = open_dataset(recording)
-    if not drive.has_right or drive.camera != calibration.camera:
+    dataset = open_dataset(recording)
+    if not dataset.has_right or dataset.camera != calibration.camera:
         raise DataError(
             f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
         )
     odometry, corrected = (read_tum(run / f"trajectory_{name}.tum")[1] for name in ("odometry", "corrected"))
     predicted = read_frames(run / "frames.csv").predicted
-    if not len(odometry) == len(corrected) == len(predicted) <= len(drive):
+    if not len(odometry) == len(corrected) == len(predicted) <= len(dataset):
         raise DataError(
             f"{run}: expected one pose in both trajectories for each line of frames.csv, and an image for each, found"
-            f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(drive)}; run again"
+            f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(dataset)}; run again"
         )
     key_frames = read_config(run / "config.toml").key_frames
-    return MappedRun(drive, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
+    return MappedRun(dataset, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
 
 
 def _recording(run: Path, source: Path | None) -> DatasetSpec:
@@ -144,18 +144,18 @@ def build_dense_map(options: DenseOptions, messages: Console) -> str:
     present = [name for name in RESULTS if (run / name).exists()]
     if present and not options.overwrite:
         raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
-    driven = read_run(run, options.source)
-    groups = group_key_frames(driven.odometry, driven.key_frames, config.submap_frames)
+    mapped = read_run(run, options.source)
+    groups = group_key_frames(mapped.odometry, mapped.key_frames, config.submap_frames)
     total = sum(map(len, groups))
     with _folder_in(run) as folder:
-        store, mapper = SubmapStore(folder), DenseMapper(driven.calibration, config)
+        store, mapper = SubmapStore(folder), DenseMapper(mapped.calibration, config)
         with progress_bar(messages, "Fusing") as progress:
-            for done in mapper.fuse(driven.drive, driven.odometry, groups, store):
+            for done in mapper.fuse(mapped.dataset, mapped.odometry, groups, store):
                 progress(done, total)
-        grid = build_occupancy_grid(store, driven.corrected)
-        _write(run, store, driven, grid)
-        _write_page(run / DENSE_PAGE, store, driven, grid, config.fusion)
-        _record(run, store, driven, messages)
+        grid = build_occupancy_grid(store, mapped.corrected)
+        _write(run, store, mapped, grid)
+        _write_page(run / DENSE_PAGE, store, mapped, grid, config.fusion)
+        _record(run, store, mapped, messages)
     written = [name for name in RESULTS if (run / name).exists()]
     return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(written)}"
 
@@ -171,31 +171,31 @@ def _folder_in(run: Path) -> Iterator[Path]:
         yield Path(name)
 
 
-def _write(run: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid) -> None:
-    for state, poses in driven.states.items():
+def _write(run: Path, store: SubmapStore, mapped: MappedRun, grid: OccupancyGrid) -> None:
+    for state, poses in mapped.states.items():
         surfaces = partial(store.surfaces_in_world, poses)
         write_mesh(run / f"dense_{state}.ply", surfaces, with_triangles=False)
         write_mesh(run / f"mesh_{state}.ply", surfaces, with_triangles=True)
     write_occupancy_grid(run / "occupancy.yaml", grid)
 
 
-def _write_page(page: Path, store: SubmapStore, driven: MappedRun, grid: OccupancyGrid, config: FusionConfig) -> None:
-    positions = np.concatenate([poses[:, :3, 3] for poses in driven.states.values()])
+def _write_page(page: Path, store: SubmapStore, mapped: MappedRun, grid: OccupancyGrid, config: FusionConfig) -> None:
+    positions = np.concatenate([poses[:, :3, 3] for poses in mapped.states.values()])
     window = PlaneWindow.around(positions, config.max_depth_m, _PIXEL_VOXELS * config.voxel_m)
     maps = [
         DenseOverview(state, render_birds_eye_view(store.surfaces_in_world(poses), window), poses[:, :3, 3])
-        for state, poses in driven.states.items()
+        for state, poses in mapped.states.items()
     ]
     write_dense_page(page, maps, window, grid)
 
 
-def _record(run: Path, store: SubmapStore, driven: MappedRun, messages: Console) -> None:
+def _record(run: Path, store: SubmapStore, mapped: MappedRun, messages: Console) -> None:
     """Write the maps as a recording beside the run's own, if it has one; a damaged one costs a line, not the maps."""
     recording = run / RECORDING
     if not recording.exists():
         return
-    maps = (PlacedMap(state, store.surfaces_in_world(poses), poses[:, :3, 3]) for state, poses in driven.states.items())
+    maps = (PlacedMap(state, store.surfaces_in_world(poses), poses[:, :3, 3]) for state, poses in mapped.states.items())
     try:
-        record_dense_map(run / DENSE_RECORDING, recording, driven.drive.camera, maps)
+        record_dense_map(run / DENSE_RECORDING, recording, mapped.dataset.camera, maps)
     except DataError as error:
         messages.print(f"no {DENSE_RECORDING}: {error}", markup=False, highlight=False, soft_wrap=True)

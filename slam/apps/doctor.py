@@ -1,10 +1,8 @@
-"""Check of the installation: Python, the installed packages and the system libraries, each with its remedy.
+"""`revisit doctor`: check of Python, packages and system libraries with remedies, and the licences of all packages.
 
 Uses the standard library only, so that it also runs in a broken installation. `python -m slam.apps.doctor --install`
 installs missing system libraries if it has the rights, and `--install-browser` the browser that the tests of the report
 need.
-
-Licences of all installed packages that Revisit depends on, as the packages declare them.
 """
 
 import ctypes
@@ -17,7 +15,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 
-MINIMUM_PYTHON = (3, 11)
+DISTRIBUTION = "revisit-slam"
+MIN_PYTHON = (3, 11)
 
 # System libraries that Open3D's shared object needs (`ldd libOpen3D.so`), and the Debian packages that contain them.
 SYSTEM_LIBRARIES = {
@@ -51,6 +50,23 @@ class Check:
     remedy: str = ""
 
 
+@dataclass(frozen=True)
+class Licence:
+    """Licence of one installed package.
+
+    Attributes:
+        package: name of the package.
+        version: installed version.
+        licence: SPDX expression if the package gives one, else the name that it uses; "unknown" without either.
+        direct: whether Revisit itself requires the package.
+    """
+
+    package: str
+    version: str
+    licence: str
+    direct: bool
+
+
 def check_machine() -> list[Check]:
     """Check everything that the product needs, in the order in which problems should be solved."""
     return [_check_python(), *_check_wheels(), *_check_libraries()]
@@ -58,16 +74,16 @@ def check_machine() -> list[Check]:
 
 def _check_python() -> Check:
     found = ".".join(map(str, sys.version_info[:3]))
-    if sys.version_info >= MINIMUM_PYTHON:
+    if sys.version_info >= MIN_PYTHON:
         return Check("python", found)
     return Check("python", found, "older than 3.11", "make PYTHON=python3.11")
 
 
 def _check_wheels() -> Iterator[Check]:
     try:
-        requirements = metadata.requires("revisit-slam") or []
+        requirements = metadata.requires(DISTRIBUTION) or []
     except metadata.PackageNotFoundError:
-        yield Check("revisit-slam", "", "not installed", "python -m pip install revisit-slam")
+        yield Check(DISTRIBUTION, "", "not installed", f"python -m pip install {DISTRIBUTION}")
         return
     for requirement in (line for line in requirements if "extra ==" not in line):
         name = requirement.split(">")[0].split("=")[0].strip()
@@ -125,33 +141,6 @@ def _install(missing: Callable[[], list[str]], message: str) -> int:
     return 1 if done.returncode or missing() else 0
 
 
-_TASKS = {"--install": install_libraries, "--install-browser": install_browser}
-
-if __name__ == "__main__":
-    task = next((_TASKS[word] for word in sys.argv if word in _TASKS), None)
-    sys.exit(task() if task else any(check.problem for check in check_machine()))
-
-
-DISTRIBUTION = "revisit-slam"
-
-
-@dataclass(frozen=True)
-class Licence:
-    """Licence of one installed package.
-
-    Attributes:
-        package: name of the package.
-        version: installed version.
-        licence: SPDX expression if the package gives one, else the name that it uses; "unknown" without either.
-        direct: whether Revisit itself requires the package.
-    """
-
-    package: str
-    version: str
-    licence: str
-    direct: bool
-
-
 def licences(distribution: str = DISTRIBUTION) -> list[Licence]:
     """List the packages that a distribution requires, directly or indirectly, by name; without extras.
 
@@ -193,3 +182,10 @@ def _is_installed(name: str) -> bool:
     except metadata.PackageNotFoundError:  # required only on another system or Python version
         return False
     return True
+
+
+_TASKS = {"--install": install_libraries, "--install-browser": install_browser}
+
+if __name__ == "__main__":
+    task = next((_TASKS[word] for word in sys.argv if word in _TASKS), None)
+    sys.exit(task() if task else any(check.problem for check in check_machine()))

@@ -1,7 +1,4 @@
-"""`revisit evaluate trajectory`: errors of an estimated trajectory file against a true one.
-
-`revisit evaluate loops`: precision, recall and R@P100 of a table of matches against ground truth.
-"""
+"""`revisit evaluate`: a trajectory against the true one, and a table of matches against the true revisits."""
 
 import json as json_format
 from collections.abc import Sequence
@@ -25,14 +22,21 @@ from slam.io.trajectory import read_trajectory
 
 Array = NDArray[np.float64]
 
-MAX_TIME_DIFFERENCE_S = 0.01  # largest difference of the timestamps of two poses that are compared
+MAX_TIME_DIFFERENCE_S = 0.01  # between the timestamps of two poses that are compared
 
-_LINES = {
+_ERROR_TITLES = {
     "ate_m": "ATE, metres",
     "t_rel_percent": "t_rel, per cent",
     "r_rel_deg_per_100m": "r_rel, degrees per 100 m",
     "end_error_m": "end error, metres",
     "end_error_percent": "end error, % of the path length",
+}
+_SCORE_TITLES = {
+    "recall_at_100_precision": "R@P100",
+    "average_precision": "average precision",
+    "threshold_at_100_precision": "threshold at R@P100",
+    "true_positives": "accepted, true",
+    "false_positives": "accepted, false",
 }
 _ALIGNMENTS = {"se3": "after SE(3) alignment of all poses", "sim3": "after Sim(3) alignment of all poses"}
 
@@ -47,7 +51,7 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
         json: whether to return JSON.
 
     Raises:
-        DataError: a file is missing or damaged, or the two are not of the same drive.
+        DataError: a file is missing or damaged, or the two are not of the same recording.
     """
     poses, reference = _read_pairs(estimate, truth)
     errors = trajectory_errors(poses, reference, "sim3" if mono else "se3")
@@ -59,9 +63,9 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
 
 def _format_lines(errors: TrajectoryErrors) -> list[str]:
     values = errors.as_metrics()
-    shown = {name: errors.reasons.get(name) or f"{values[name]:.4g}" for name in _LINES}
+    shown = {name: errors.reasons.get(name) or f"{values[name]:.4g}" for name in _ERROR_TITLES}
     shown["ate_m"] += f"  {_ALIGNMENTS[str(errors.ate_alignment)]}"
-    return [f"{title:<31} {shown[name]}" for name, title in _LINES.items()]
+    return [f"{title:<31} {shown[name]}" for name, title in _ERROR_TITLES.items()]
 
 
 def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
@@ -72,20 +76,20 @@ def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
         if len(ours) < 2:
             raise DataError(
                 f"{estimate}: expected times within {MAX_TIME_DIFFERENCE_S} s of those in {truth},"
-                f" found {len(ours)} of {len(times)}; compare files of the same drive"
+                f" found {len(ours)} of {len(times)}; compare files of the same recording"
             )
         return poses[ours], reference[theirs]
     if len(poses) != len(reference):
         raise DataError(
             f"{estimate}: expected {len(reference)} poses as in {truth}, found {len(poses)};"
-            " compare files of the same drive, or give both as TUM"
+            " compare files of the same recording, or give both as TUM"
         )
     return poses, reference
 
 
 def _associate(times: Array, reference: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     # Each pose is paired with the reference nearest in time; of several poses with one reference the nearest stays.
-    # `order` because a reference need not be sorted by time.
+    # A reference need not be sorted by time: `order` sorts it.
     order = np.argsort(reference, kind="stable")
     after = np.clip(np.searchsorted(reference[order], times), 1, max(len(reference) - 1, 1))
     candidates = order[np.clip(np.stack([after - 1, after]), 0, len(reference) - 1)]
@@ -96,15 +100,6 @@ def _associate(times: Array, reference: Array) -> tuple[NDArray[np.intp], NDArra
     ours = np.sort(order_by_difference[first])
     ours = ours[difference[ours] <= MAX_TIME_DIFFERENCE_S]
     return ours, nearest[ours]
-
-
-_LINES_LOOPS_COMMAND = {
-    "recall_at_100_precision": "R@P100",
-    "average_precision": "average precision",
-    "threshold_at_100_precision": "threshold at R@P100",
-    "true_positives": "accepted, true",
-    "false_positives": "accepted, false",
-}
 
 
 @dataclass(frozen=True)
@@ -139,7 +134,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
         json: whether to return JSON instead of text.
 
     Raises:
-        DataError: a file is missing or damaged, or the two are not of the same drive.
+        DataError: a file is missing or damaged, or the two are not of the same recording.
         ConfigError: an option has a value that cannot work.
         OutputError: the results cannot be written.
     """
@@ -188,7 +183,7 @@ def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth
     if last >= count:
         raise DataError(
             f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
-            " choose the truth of this drive"
+            " choose the truth of this recording"
         )
 
 
@@ -197,7 +192,7 @@ def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, di
     lines = [f"{len(beliefs)} queries; {revisits} revisits by {truth.origin}"]
     for tolerance, section in results.items():
         lines.append(f"\n{_title(tolerance)}")
-        lines += [f"  {title:<24} {_text(section[name])}" for name, title in _LINES_LOOPS_COMMAND.items()]
+        lines += [f"  {title:<24} {_text(section[name])}" for name, title in _SCORE_TITLES.items()]
     return lines
 
 

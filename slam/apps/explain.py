@@ -87,7 +87,7 @@ def _check(run: _LoopLog, query: int, match: int | None) -> None:
 def _explain_no_match(run: _LoopLog, query: int) -> str:
     answer = f"Frame {query}: the recogniser ({run.paradigm}) found no earlier frame that could match it."
     if not run.rows:
-        return f"{answer}\nNo frame of this run has a match: the drive may be too short, or visit no place twice."
+        return f"{answer}\nNo frame of this run has a match: the recording may be too short, or visit no place twice."
     nearest = sorted(run.rows, key=lambda row: (abs(row.query - query), row.query))[:_MAX_NAMED_FRAMES]
     named = ", ".join(f"{row.query} ({_outcome(row)})" for row in sorted(nearest, key=lambda row: row.query))
     return f"{answer}\nNearest frames with a match: {named}."

@@ -1,7 +1,4 @@
-"""`revisit locate`: a saved map and images in, their poses out.
-
-The images to be localized: one, a folder, a video, or the left images of a dataset.
-"""
+"""`revisit locate`: the poses of images in a saved map of the same camera."""
 
 import json
 import tomllib
@@ -33,15 +30,21 @@ from slam.pipeline.progress import progress_bar
 
 Image = NDArray[np.uint8]
 
-_CAMERA_TOLERANCE = 0.01  # share of the image's width by which two calibrations of one camera may differ
+# Share of the image's width by which two calibrations of one camera may differ.
+_CAMERA_TOLERANCE = 0.01
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
+_COLUMNS = (
+    "image", "localized", *_POSE, "inliers", "position_sigma_m", "rotation_sigma_deg", "matched_image", "map_id",
+    "reason",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Queries:
-    """Images of the camera of a map.
+    """The images to be localized: one, those of a folder or video, or the left images of a dataset.
 
     Attributes:
-        images: the images; their order is not used.
+        images: images of the map's camera; their order is not used.
         camera: camera of the map.
     """
 
@@ -52,10 +55,10 @@ class Queries:
         return len(self.images)
 
     def __iter__(self) -> Iterator[tuple[str, Image]]:
-        """Name and content of each image.
+        """Yield the name and the content of each image.
 
         Raises:
-            DataError: one cannot be read, or has another size than those of the map.
+            DataError: an image cannot be read, or its size is not that of the map's images.
         """
         for index in range(len(self)):
             name, image = self._name(index), self.images[index]
@@ -78,7 +81,7 @@ def open_queries(source: DatasetSpec, camera: StereoCamera) -> Queries:
     """Open images that the camera of a map has taken.
 
     Raises:
-        DataError: there are none, or they are said to come from another camera.
+        DataError: there are no images, or their calibration is that of another camera.
     """
     if source.path.is_file() and source.path.suffix.lower() in IMAGE_SUFFIXES:
         return Queries(ImageSequence(source.path.stem, (source.path,), None), camera)
@@ -96,13 +99,6 @@ def _compare(path: Path, found: StereoCamera, expected: StereoCamera) -> None:
             f"{path}: expected the camera of the map, fx, fy, cx, cy = {shown[1]}, found {shown[0]};"
             " give images of the camera that made the map"
         )
-
-
-_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")  # metres, and the quaternion of T_world_camera
-_COLUMNS = (
-    "image", "localized", *_POSE, "inliers", "position_sigma_m", "rotation_sigma_deg", "matched_image", "map_id",
-    "reason",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,7 @@ class QueryResult:
     found: LocalizationResult | NotLocalized
 
     def cells(self) -> dict[str, object]:
-        """The result by its columns; None where it has no value."""
+        """Return the value of each column; None where there is none."""
         found = self.found
         values: dict[str, object] = dict.fromkeys(_COLUMNS)
         values |= {"image": self.name, "inliers": found.inliers, "matched_image": found.image}
@@ -146,43 +142,43 @@ class QueryResult:
 
 
 def locate(options: LocateOptions, messages: Console) -> tuple[QueryResult, ...]:
-    """Localize images in a saved map, and write the table if that was asked for.
+    """Localize images in a saved map, and write the table of their poses if the options name a file.
 
     Raises:
-        DataError: no map, no images, or they do not belong together.
+        DataError: there is no map, there are no images, or they are of different cameras.
         OutputError: the table cannot be written.
     """
-    with MapDatabase.open(map_file(options.map)) as store:
-        saved = SavedMap.open(store)
+    with MapDatabase.open(map_file(options.map)) as database:
+        saved = SavedMap.open(database)
         queries = open_queries(options.images, saved.camera)
-        locator = Localizer(saved, _extractor(store))
-        answers = []
+        localizer = Localizer(saved, _extractor(database))
+        results = []
         with progress_bar(messages, "Locating") as progress:
             for name, image in queries:
-                answers.append(QueryResult(name, locator.locate(image)))
-                progress(len(answers), len(queries))
+                results.append(QueryResult(name, localizer.locate(image)))
+                progress(len(results), len(queries))
     if options.out is not None:
-        write_table(options.out, _COLUMNS, (answer.cells().values() for answer in answers))
-    return tuple(answers)
+        write_table(options.out, _COLUMNS, (result.cells().values() for result in results))
+    return tuple(results)
 
 
-def _extractor(store: MapDatabase) -> FeatureExtractor:
-    """Of the features that the map is made of."""
+def _extractor(database: MapDatabase) -> FeatureExtractor:
+    """Return the extractor of the features that the map is made of."""
     try:
-        config = from_values(RunConfig, tomllib.loads(store.sessions()[0].config), "settings")
+        config = from_values(RunConfig, tomllib.loads(database.sessions()[0].config), "settings")
         return make_feature_extractor(config.place_recognition)
     except (ConfigError, ValueError) as error:
         raise DataError(
-            f"{store.path}: expected the settings of its drive, found others ({error}); run again"
+            f"{database.path}: expected settings that this version reads, found others ({error}); make the map again"
         ) from error
 
 
-def as_table(answers: Sequence[QueryResult]) -> Group:
-    """Poses for people, one image a line."""
+def as_table(results: Sequence[QueryResult]) -> Group:
+    """Format the results for people, one line for each image."""
     table = Table("image", "x m", "y m", "z m", "sigma m", "inliers", "matched image", "", box=None)
-    for answer in answers:
-        table.add_row(*_row(answer.cells()))
-    return Group(table, count_line(answers))
+    for result in results:
+        table.add_row(*_row(result.cells()))
+    return Group(table, count_line(results))
 
 
 def _row(cells: dict[str, object]) -> Iterable[str]:
@@ -194,11 +190,11 @@ def _row(cells: dict[str, object]) -> Iterable[str]:
     yield escape(f"not found: {cells['reason']}") if cells["reason"] else ""
 
 
-def count_line(answers: Sequence[QueryResult]) -> str:
-    """How many images were localized."""
-    return f"{sum(isinstance(answer.found, LocalizationResult) for answer in answers)} of {len(answers)} images found"
+def count_line(results: Sequence[QueryResult]) -> str:
+    """Return in words how many images were localized."""
+    return f"{sum(isinstance(result.found, LocalizationResult) for result in results)} of {len(results)} images found"
 
 
-def as_json(answers: Sequence[QueryResult]) -> str:
-    """The same for scripts."""
-    return json.dumps([answer.cells() for answer in answers], indent=2)
+def as_json(results: Sequence[QueryResult]) -> str:
+    """Format the results as JSON, for scripts."""
+    return json.dumps([result.cells() for result in results], indent=2)

@@ -103,12 +103,12 @@ def _optimize(path: Path, options: OptimizeOptions) -> OptimizedGraph:
 
 
 def _in_place(done: OptimizedGraph) -> Array:
-    """Optimised poses (N, n, n) in the file's order, the fixed pose (else the first by id) where the file has it."""
+    """Return the optimised poses (N, n, n) in the file's order and frame."""
     # The back ends hold the first pose by id; a file may fix another one, whose place must stay.
     poses = np.empty_like(done.result.poses)
     poses[done.edges.order] = done.result.poses
     known = np.flatnonzero(done.graph.ids == done.graph.fixed)
-    if known.size and done.graph.placed:
+    if known.size and done.graph.has_poses:
         T_file_ours = done.graph.poses[known[0]] @ inverse(poses[known[0]])
         poses = T_file_ours @ poses
     return poses
@@ -137,14 +137,14 @@ def _write(folder: Path, done: OptimizedGraph, metrics: dict[str, object]) -> No
 
 
 def _kept_edges(done: OptimizedGraph) -> Mask:
-    """(M,) bool, edges of the file that the poses are fitted to."""
+    """Return which edges of the file the poses are fitted to, (M,) bool."""
     kept = done.edges.trusted.copy()
     kept[~done.edges.trusted] = done.result.kept
     return kept
 
 
 def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
-    """One row for each edge, in the file's order; the columns are `EDGE_COLUMNS`."""
+    """Return one row for each edge, in the file's order; the columns are `EDGE_COLUMNS`."""
     graph, problem, result = done.graph, done.edges.problem, done.result
     trusted, count = done.edges.trusted, len(done.edges.trusted)
     weight, residual = np.ones(count), np.empty(count)
@@ -162,7 +162,7 @@ def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
 
 
 def _section(done: OptimizedGraph, options: OptimizeOptions) -> dict[str, object]:
-    """Section `graph` of metrics.json."""
+    """Return the section `graph` of metrics.json."""
     problem, result = done.edges.problem, done.result
     ate = [absolute_error(poses, done.truth.positions) for poses in (problem.start, result.poses)]
     true = done.truth.loops
@@ -184,7 +184,7 @@ def _section(done: OptimizedGraph, options: OptimizeOptions) -> dict[str, object
 
 
 def _metrics(done: OptimizedGraph, section: dict[str, object]) -> dict[str, object]:
-    notes = {f"graph.{name}": done.truth.why(name) for name, value in section.items() if value is None}
+    notes = {f"graph.{name}": done.truth.missing_reason(name) for name, value in section.items() if value is None}
     warnings = list(done.graph.warnings + done.edges.warnings)
     rest: dict[str, object] = {"peak_memory_mb": peak_memory_mb(), "warnings": warnings, "notes": notes}
     return provenance(done.path, done.path.stem) | {"graph": section} | rest

@@ -1,7 +1,4 @@
-"""`revisit places`: reads images and writes matches, precision-recall curves, matrices and their pictures.
-
-Options of `revisit places`.
-"""
+"""`revisit places`: recognise places in a recording, and write matches, precision-recall curves and matrices."""
 
 import math
 from collections.abc import Sequence
@@ -39,7 +36,7 @@ class PlacesOptions:
     """Input, output and settings of `revisit places`; the names are those of the command line.
 
     Attributes:
-        source: recording of any supported kind.
+        source: recording of any supported format.
         paradigm: name of the recogniser.
         out: folder for the results.
         sequence: name of the sequence; None where the source has only one.
@@ -47,11 +44,11 @@ class PlacesOptions:
         features: name of the local features.
         vocabulary: vocabulary file; None for the general vocabulary.
         descriptor: descriptor of `global-descriptor`.
-        exclude: images less than this number of seconds old are no match; None to leave it to the recogniser.
+        exclude: minimum age of a match, seconds; None to leave it to the recogniser.
         fps: images per second, where the source has no timestamps.
         seed: seed of every random generator.
         overwrite: whether to replace earlier results.
-        kind: kind of the source; None to detect it.
+        format: format of the source; None to detect it.
         topics: topics of the left camera in a bag; empty to detect them.
     """
 
@@ -85,7 +82,7 @@ def check_options(options: PlacesOptions) -> None:
 
 
 def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
-    """Recognise the places of a drive and write every result into `options.out`.
+    """Recognise the places of a recording and write every result into `options.out`.
 
     Args:
         options: input, output and settings.
@@ -163,7 +160,7 @@ def _run(
 
 
 def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
-    """The settings of the paradigm: the defaults, changed by the options.
+    """Return the settings of the paradigm: the defaults, changed by the options.
 
     Raises:
         ConfigError: `--exclude` is given for images without timestamps.

@@ -1,7 +1,4 @@
-"""`revisit vocabulary train`: train visual words on folders of images, and write them to a file.
-
-`revisit filter train`: trains the 3x3 matrix filter on a matrix and its ground truth, and writes it as settings.
-"""
+"""Training: `revisit vocabulary train` for visual words, and `revisit filter train` for the 3x3 matrix filter."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,6 +24,8 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.io.files import atomic_writer
 
 Progress = Callable[[int, int], None]
+
+FILTER_PARADIGMS = ("sequence-histograms", "dynamic-sequences")  # that filter their similarity matrix
 
 
 @dataclass(frozen=True)
@@ -122,11 +121,8 @@ def _save(out: Path, vocabulary: Vocabulary) -> None:
         raise OutputError(f"{out}: cannot be written, {reason}; choose another folder or make room") from error
 
 
-PARADIGMS = ("sequence-histograms", "dynamic-sequences")
-
-
 def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> str:
-    """Train the filter of a paradigm of sequences, write it as settings, and return a summary.
+    """Train the filter of a sequence paradigm, write it as settings, and return a summary.
 
     Args:
         matrix: the matrix.npz that `revisit places` wrote for that paradigm.
@@ -139,8 +135,8 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
         DataError: a file is missing or damaged, or the two do not belong together.
         OutputError: the file cannot be written.
     """
-    if paradigm not in PARADIGMS:
-        raise ConfigError(f"paradigm {paradigm!r}: expected one with a filter, {' or '.join(PARADIGMS)}")
+    if paradigm not in FILTER_PARADIGMS:
+        raise ConfigError(f"paradigm {paradigm!r}: expected one with a filter, {' or '.join(FILTER_PARADIGMS)}")
     samples = _load_samples(matrix, truth)
     try:
         learned = train_filter(samples)
@@ -176,7 +172,7 @@ def read_similarities(path: Path) -> NDArray[np.float64]:
             f"{path}: expected an array named similarity, (N, N) numbers, found {found}; write it with: revisit places"
         )
     if step is not None and step.ravel().tolist() != [1]:
-        raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter drive")
+        raise DataError(f"{path}: expected a matrix of single images, found it shrunk; use a shorter recording")
     return np.asarray(similarity, np.float64)
 
 

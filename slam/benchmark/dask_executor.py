@@ -1,6 +1,4 @@
-"""The executor that the user asked for.
-
-Run jobs on processes of dask.distributed (the extra `cluster`): on this machine, or those of a scheduler.
+"""Executor on processes of dask.distributed (the extra `cluster`), on this machine or those of a scheduler.
 
 Why dask, and what it costs: docs/decisions/cluster.md.
 """
@@ -38,9 +36,9 @@ _DASK_SETTINGS = {
 
 
 class DaskExecutor:
-    """Does each item in the next free process (an Executor).
+    """Runs each item in the next free process (an Executor).
 
-    An item whose process dies is given to another process; after some deaths the item is taken for their cause, and
+    An item whose process dies is given to another process. After three deaths the item counts as their cause, and
     fails. Processes that the executor starts itself listen on the loopback device only.
     """
 

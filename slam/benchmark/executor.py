@@ -28,8 +28,8 @@ class Failed(Generic[Item]):
 class Executor(Protocol):
     """Runs work on items; a context manager that stops at its end whatever it has started.
 
-    Work is repeated where its process dies, so doing it twice must have the same effect as doing it once. The work, the
-    items and the results are sent between processes.
+    Work is repeated if its process dies, so doing it twice must have the same effect as doing it once. Functions, items
+    and results are sent between processes and must be picklable.
     """
 
     def run(
@@ -47,7 +47,7 @@ class Executor(Protocol):
 
 
 class SerialExecutor:
-    """Does one item after the other in this process (an Executor)."""
+    """Runs one item after the other in this process (an Executor)."""
 
     def run(
         self, work: Callable[[Item], Result], items: Sequence[Item]

@@ -1,7 +1,4 @@
-"""Results of the runs of a benchmark: rows, files, medians over the seeds, and the table for the terminal.
-
-`tables.tex`: the results of a benchmark as a LaTeX table for a paper (package booktabs).
-"""
+"""Results of the runs of a benchmark: rows, medians over the seeds, and their files (CSV, JSON, LaTeX) and tables."""
 
 import shlex
 import statistics
@@ -89,6 +86,14 @@ DISPLAYED = (
 
 _NOT_IN_TERMINAL = ("t_rel_percent", "frames_per_second")  # left out there, because the names need the space
 
+# Characters that LaTeX would not print as they are. A missing value is a dash of the text, not of mathematics.
+_LATEX_ESCAPES = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    MISSING: "--",
+} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+
 
 def make_row(job: Job, result: JobResult) -> ResultRow:
     """Make the row of a job from its metrics."""
@@ -164,16 +169,8 @@ def format_values(row: ResultRow) -> list[str]:
     return [format_value(getattr(row, name), digits) for name, _, digits in DISPLAYED]
 
 
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    MISSING: "--",
-} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
-
-
 def write_latex(folder: Path, rows: Sequence[ResultRow]) -> None:
-    """Write tables.tex: one table, a line for each source, paradigm and back end, median_rows over the seeds.
+    """Write tables.tex: one table, a line for each source, paradigm and back end, with medians over the seeds.
 
     Raises:
         OutputError: the file cannot be written.
@@ -186,7 +183,7 @@ def latex_table(rows: Sequence[ResultRow]) -> str:
     """Format the table as text; failed runs are left out."""
     headings = ("source", "paradigm", "back end", "runs", *(heading for _, heading, _ in DISPLAYED))
     lines = [
-        "% needs \\usepackage{booktabs}; median_rows over the seeds; ATE after alignment of all poses",
+        "% needs \\usepackage{booktabs}; medians over the seeds; ATE after alignment of all poses",
         f"\\begin{{tabular}}{{lll{'r' * (len(headings) - 3)}}}",
         "\\toprule",
         _line(headings),
@@ -207,4 +204,4 @@ def _line(cells: Sequence[str]) -> str:
 
 def escape_latex(text: str) -> str:
     """Escape a text so that LaTeX prints every character of it."""
-    return "".join(_SPECIAL.get(sign, sign) for sign in text)
+    return "".join(_LATEX_ESCAPES.get(sign, sign) for sign in text)

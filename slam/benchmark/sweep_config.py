@@ -77,7 +77,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class _SweepFile:
-    """The tables of the file before they are checked."""
+    """The values of the file before they are checked."""
 
     sources: tuple[Any, ...] = ()
     paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
@@ -124,10 +124,17 @@ def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:
     wanted = f"{where}: expected one or more different {'numbers from 0 on' if kind is int else 'names'}"
     if not values:
         raise ConfigError(f"{wanted}, found none")
-    wrong = [value for value in values if type(value) is not kind or (isinstance(value, int) and value < 0)]
+    wrong = [value for value in values if not _is_valid(value, kind)]
+    if wrong:
+        raise ConfigError(f"{wanted}, found {wrong[0]!r}")
     twice = [value for n, value in enumerate(values) if value in values[:n]]
-    if wrong or twice:
-        raise ConfigError(f"{wanted}, found {(wrong or twice)[0]!r}{'' if wrong else ' twice'}")
+    if twice:
+        raise ConfigError(f"{wanted}, found {twice[0]!r} twice")
+
+
+def _is_valid(value: object, kind: type) -> bool:
+    # Not isinstance: True is an int of Python, and no seed.
+    return type(value) is kind and not (isinstance(value, int) and value < 0)
 
 
 def _source(entry: object, where: str, folder: Path) -> RecordedSource | SimulatedSource:

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from slam.cli import options as option
 from slam.cli.options import BACK_END_NAMES, DEFAULT_BACK_END, EXIT_FAILED, Json, Out, Overwrite
-
-_RULE = "Rule of a revisit, for ground truth given as poses"
 
 
 def optimize(
@@ -85,49 +84,18 @@ def evaluate_trajectory(
 
 
 def evaluate_loops(
-    matches: Annotated[
-        Path, typer.Argument(help="Table of matches: a matches.csv, or any CSV with query, match, score.")
-    ],
-    truth: Annotated[
-        Path,
-        typer.Argument(help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM)."),
-    ],
-    frame_tolerance: Annotated[
-        int | None,
-        typer.Option(
-            help="Maximum distance of a match from the nearest true one, images, counted besides 0 and 10.",
-            show_default="0 and 10 alone",
-        ),
-    ] = None,
-    max_distance: Annotated[
-        float, typer.Option(help="Maximum distance of the two cameras, metres.", rich_help_panel=_RULE)
-    ] = 10.0,
-    max_angle: Annotated[
-        float, typer.Option(help="Maximum angle between the two viewing directions, degrees.", rich_help_panel=_RULE)
-    ] = 45.0,
-    min_time_gap: Annotated[
-        float, typer.Option(help="Minimum time between the two images, seconds.", rich_help_panel=_RULE)
-    ] = 0.0,
-    min_distance: Annotated[
-        float, typer.Option(help="Minimum path length between the two images, metres.", rich_help_panel=_RULE)
-    ] = 20.0,
-    one_to_one: Annotated[
-        bool,
-        typer.Option("--one-to-one", help="Accept only the nearest image as a true match.", rich_help_panel=_RULE),
-    ] = False,
-    fps: Annotated[
-        float | None,
-        typer.Option(
-            help="Poses per second, which --min-time-gap needs.",
-            show_default="by the times of the poses",
-            rich_help_panel=_RULE,
-        ),
-    ] = None,
-    json: Json = False,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for metrics.json and the curve.", show_default="none is written")
-    ] = None,
-    overwrite: Overwrite = False,
+    matches: option.Matches,
+    truth: option.LoopTruth,
+    frame_tolerance: option.FrameTolerance = None,
+    max_distance: option.MaxDistance = 10.0,
+    max_angle: option.MaxAngle = 45.0,
+    min_time_gap: option.MinTimeGap = 0.0,
+    min_distance: option.MinDistance = 20.0,
+    one_to_one: option.OneToOne = False,
+    fps: option.PoseRate = None,
+    json: option.Json = False,
+    out: option.MetricsFolder = None,
+    overwrite: option.Overwrite = False,
 ) -> None:
     """Print precision, recall and R@P100 of matches by two rules in use: exact truth, and a tolerance of 10 images.
 
@@ -137,21 +105,8 @@ def evaluate_loops(
     from slam.apps.evaluate import LoopsOptions
     from slam.apps.evaluate import evaluate_loops as evaluate
 
-    options = LoopsOptions(
-        matches=matches,
-        truth=truth,
-        frame_tolerance=frame_tolerance,
-        rule=RevisitRule(
-            max_distance_m=max_distance,
-            max_angle_deg=max_angle,
-            min_time_gap_s=min_time_gap,
-            min_path_length_m=min_distance,
-            is_one_to_one=one_to_one,
-        ),
-        fps=fps,
-        out=out,
-        overwrite=overwrite,
-    )
+    rule = RevisitRule(max_distance, max_angle, min_time_gap, min_distance, one_to_one)
+    options = LoopsOptions(matches, truth, frame_tolerance, rule, fps, out, overwrite)
     Console().print(evaluate(options, json), markup=False, highlight=False, soft_wrap=True)
 
 

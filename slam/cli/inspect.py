@@ -1,7 +1,4 @@
-"""Commands that inspect recordings, runs and saved maps.
-
-The command that checks the installation.
-"""
+"""Commands that inspect recordings, runs, saved maps and the installation."""
 
 from dataclasses import asdict
 from json import dumps

@@ -1,11 +1,15 @@
-"""Exit codes, and the options and names that several commands share."""
+"""The options of the commands, one named type each, with exit codes and the names that options accept.
+
+A type carries the help of its option, so that the signature of a command is a list of names. Options that several
+commands share stand first, then those of one command, in the order of its help.
+"""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-# 130 is what shells report for a program that was ended by Ctrl-C.
+# Shells report 130 for a program that Ctrl-C has ended; typer reports 2 for an unknown option.
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 # Written out here because the registries are slow to import, and help must answer at once. A test compares these lists
@@ -19,22 +23,24 @@ FORMAT_NAMES = "kitti, euroc, tum-rgbd, own-camera, bag, malaga, new-college, ci
 
 # Groups of options in the help of commands that have many.
 INPUT, RECOGNITION, BACK_END, OUTPUT = "Input", "Place recognition", "Odometry and back end", "Output"
+_ROUTE, _SCENE, _CAMERA = "Route", "Scene", "Camera"
+_RULE = "Rule of a revisit, for ground truth given as poses"
 
 # The defaults of RunConfig, for help: without an option its value comes from --config, and without that from here.
 DEFAULT_PARADIGM, DEFAULT_FEATURES, DEFAULT_BACK_END = "tracked-words", "surf", "pcm+gnc"
 
+# Options of several commands.
+
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.", show_default=True, rich_help_panel=OUTPUT)]
 Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace earlier results in the output folder.", rich_help_panel=OUTPUT),
+    bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.", rich_help_panel=OUTPUT)
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.", rich_help_panel=OUTPUT)]
+NoRecord = Annotated[bool, typer.Option("--no-record", help="Do not write recording.rrd.", rich_help_panel=OUTPUT)]
 Sequence = Annotated[
     str | None,
     typer.Option(
-        help="Name of the sequence, for example 00.",
-        show_default="the only one of the source",
-        rich_help_panel=INPUT,
+        help="Name of the sequence, for example 00.", show_default="the only one of the source", rich_help_panel=INPUT
     ),
 ]
 Format = Annotated[
@@ -48,12 +54,7 @@ Format = Annotated[
 ]
 FrameRate = Annotated[
     float | None,
-    typer.Option(
-        "--fps",
-        help="Images per second.",
-        show_default="by the times of the source",
-        rich_help_panel=INPUT,
-    ),
+    typer.Option("--fps", help="Images per second.", show_default="by the times of the source", rich_help_panel=INPUT),
 ]
 ImageTopic = Annotated[
     list[str] | None,
@@ -72,4 +73,209 @@ Settings = Annotated[
         show_default="built-in settings",
         rich_help_panel=INPUT,
     ),
+]
+Vocabulary = Annotated[
+    Path | None,
+    typer.Option(
+        help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
+    ),
+]
+
+# simulate
+
+Shape = Annotated[
+    str, typer.Argument(help="Shape of the route: circle, figure-eight, blocks, or the path of a KITTI pose file.")
+]
+Laps = Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)]
+LapLength = Annotated[float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)]
+Speed = Annotated[float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)]
+LateralOffset = Annotated[
+    float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
+]
+Reverse = Annotated[
+    bool, typer.Option("--reverse", help="Drive every second lap in the opposite direction.", rich_help_panel=_ROUTE)
+]
+MaxFrames = Annotated[
+    int, typer.Option(help="Maximum number of frames; 0 renders the whole route.", rich_help_panel=_ROUTE)
+]
+TownSeed = Annotated[int, typer.Option(help="Random seed of the town and of the camera noise.", rich_help_panel=_SCENE)]
+ChangeIllumination = Annotated[
+    bool, typer.Option("--change-illumination", help="Give later laps another sun and sky.", rich_help_panel=_SCENE)
+]
+PerceptualAliasing = Annotated[
+    bool,
+    typer.Option("--perceptual-aliasing", help="Make two different streets look alike.", rich_help_panel=_SCENE),
+]
+CarsPer360m = Annotated[
+    int, typer.Option("--cars-per-360m", help="Number of moving cars met on 360 metres.", rich_help_panel=_SCENE)
+]
+StereoFrameRate = Annotated[float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)]
+Width = Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)]
+Height = Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)]
+RectificationError = Annotated[
+    float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
+]
+LensError = Annotated[
+    float,
+    typer.Option(
+        help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
+        rich_help_panel=_CAMERA,
+    ),
+]
+IdealSensor = Annotated[
+    bool,
+    typer.Option(
+        "--ideal-sensor",
+        help="Leave out noise, blur, vignetting, exposure changes, calibration errors and wind.",
+        rich_help_panel=_CAMERA,
+    ),
+]
+SaveDepth = Annotated[
+    bool,
+    typer.Option("--save-depth", help="Also write the true depth map of each left image.", rich_help_panel=OUTPUT),
+]
+
+# run
+
+EarlierMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        help="Saved map of an earlier drive, a map.db or a run folder, whose places are recognised too.",
+        show_default="an empty map",
+        rich_help_panel=INPUT,
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue an interrupted run in the output folder.", rich_help_panel=INPUT)
+]
+RunParadigm = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Place-recognition paradigm: {PARADIGM_NAMES}.",
+        show_default=DEFAULT_PARADIGM,
+        rich_help_panel=RECOGNITION,
+    ),
+]
+RunFeatures = Annotated[
+    str | None,
+    typer.Option(help=f"Local features: {FEATURE_NAMES}.", show_default=DEFAULT_FEATURES, rich_help_panel=RECOGNITION),
+]
+RunDescriptor = Annotated[
+    str | None,
+    typer.Option(
+        help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.",
+        show_default="hog",
+        rich_help_panel=RECOGNITION,
+    ),
+]
+RunRobust = Annotated[
+    str | None,
+    typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=DEFAULT_BACK_END, rich_help_panel=BACK_END),
+]
+Mono = Annotated[bool, typer.Option("--mono", help="Use the left camera alone.", rich_help_panel=BACK_END)]
+CameraHeight = Annotated[
+    float | None,
+    typer.Option(
+        help="Height of the camera above the road, metres, which gives the scale with --mono; 1.65 for KITTI.",
+        show_default="unknown: no scale",
+        rich_help_panel=BACK_END,
+    ),
+]
+RunSeed = Annotated[
+    int | None, typer.Option(help="Seed of every random generator.", show_default="0", rich_help_panel=BACK_END)
+]
+View = Annotated[str, typer.Option(help="Live view during the run: none, native or web.", rich_help_panel=OUTPUT)]
+NoMap = Annotated[
+    bool,
+    typer.Option(
+        "--no-map",
+        help="Do not write map.db; the run can then neither be resumed nor used by revisit locate.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+
+# reprocess
+
+_FROM_MAP = "as in the map"
+MapToReprocess = Annotated[
+    Path, typer.Argument(metavar="MAP", help="Saved map of one drive: a map.db, or a run folder that has one.")
+]
+NewParadigm = Annotated[
+    str | None, typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", show_default=_FROM_MAP)
+]
+NewRobust = Annotated[str | None, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=_FROM_MAP)]
+NewSettings = Annotated[
+    Path | None,
+    typer.Option(help="TOML file with settings, such as the config.toml of a run.", show_default=_FROM_MAP),
+]
+MovedSource = Annotated[
+    Path | None, typer.Option(help="Recording of the drive, if it has been moved.", show_default=_FROM_MAP)
+]
+
+# places
+
+PlacesParadigm = Annotated[
+    str, typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", rich_help_panel=RECOGNITION)
+]
+PlacesTruth = Annotated[
+    Path | None,
+    typer.Option(
+        help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM).",
+        show_default="poses of the source",
+        rich_help_panel=INPUT,
+    ),
+]
+PlacesFeatures = Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)]
+PlacesDescriptor = Annotated[
+    str,
+    typer.Option(
+        help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.", rich_help_panel=RECOGNITION
+    ),
+]
+Exclude = Annotated[
+    float | None,
+    typer.Option(
+        help="Minimum age of a match, seconds.",
+        show_default="the exclusion window of the paradigm alone",
+        rich_help_panel=RECOGNITION,
+    ),
+]
+PlacesSeed = Annotated[int, typer.Option(help="Seed of every random generator.", rich_help_panel=RECOGNITION)]
+
+# evaluate loops
+
+Matches = Annotated[Path, typer.Argument(help="Table of matches: a matches.csv, or any CSV with query, match, score.")]
+LoopTruth = Annotated[
+    Path,
+    typer.Argument(help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM)."),
+]
+FrameTolerance = Annotated[
+    int | None,
+    typer.Option(
+        help="Maximum distance of a match from the nearest true one, images, counted besides 0 and 10.",
+        show_default="0 and 10 alone",
+    ),
+]
+MaxDistance = Annotated[float, typer.Option(help="Maximum distance of the two cameras, metres.", rich_help_panel=_RULE)]
+MaxAngle = Annotated[
+    float, typer.Option(help="Maximum angle between the two viewing directions, degrees.", rich_help_panel=_RULE)
+]
+MinTimeGap = Annotated[float, typer.Option(help="Minimum time between the two images, seconds.", rich_help_panel=_RULE)]
+MinDistance = Annotated[
+    float, typer.Option(help="Minimum path length between the two images, metres.", rich_help_panel=_RULE)
+]
+OneToOne = Annotated[
+    bool, typer.Option("--one-to-one", help="Accept only the nearest image as a true match.", rich_help_panel=_RULE)
+]
+PoseRate = Annotated[
+    float | None,
+    typer.Option(
+        help="Poses per second, which --min-time-gap needs.",
+        show_default="by the times of the poses",
+        rich_help_panel=_RULE,
+    ),
+]
+MetricsFolder = Annotated[
+    Path | None, typer.Option(help="Folder for metrics.json and the curve.", show_default="none is written")
 ]

@@ -6,67 +6,26 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from slam.cli.options import (
-    EXIT_INTERRUPTED,
-    FEATURE_NAMES,
-    INPUT,
-    PARADIGM_NAMES,
-    RECOGNITION,
-    Format,
-    FrameRate,
-    ImageTopic,
-    Json,
-    Out,
-    Overwrite,
-    Sequence,
-)
+from slam.cli import options as option
+from slam.cli.options import EXIT_INTERRUPTED, FEATURE_NAMES
 
 
 def places(
     source: Annotated[Path, typer.Argument(help="Recording: a drive, a folder of images, a video or a bag.")],
-    paradigm: Annotated[
-        str,
-        typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", rich_help_panel=RECOGNITION),
-    ],
-    out: Out,
-    sequence: Sequence = None,
-    dataset_format: Format = None,
-    fps: FrameRate = None,
-    image_topic: ImageTopic = None,
-    ground_truth: Annotated[
-        Path | None,
-        typer.Option(
-            help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM).",
-            show_default="poses of the source",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    features: Annotated[
-        str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)
-    ] = "surf",
-    vocabulary: Annotated[
-        Path | None,
-        typer.Option(
-            help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
-        ),
-    ] = None,
-    descriptor: Annotated[
-        str,
-        typer.Option(
-            help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.", rich_help_panel=RECOGNITION
-        ),
-    ] = "hog",
-    exclude: Annotated[
-        float | None,
-        typer.Option(
-            help="Minimum age of a match, seconds.",
-            show_default="the exclusion window of the paradigm alone",
-            rich_help_panel=RECOGNITION,
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of every random generator.", rich_help_panel=RECOGNITION)] = 0,
-    json: Json = False,
-    overwrite: Overwrite = False,
+    paradigm: option.PlacesParadigm,
+    out: option.Out,
+    sequence: option.Sequence = None,
+    dataset_format: option.Format = None,
+    fps: option.FrameRate = None,
+    image_topic: option.ImageTopic = None,
+    ground_truth: option.PlacesTruth = None,
+    features: option.PlacesFeatures = "surf",
+    vocabulary: option.Vocabulary = None,
+    descriptor: option.PlacesDescriptor = "hog",
+    exclude: option.Exclude = None,
+    seed: option.PlacesSeed = 0,
+    json: option.Json = False,
+    overwrite: option.Overwrite = False,
 ) -> None:
     """Recognise places with one camera, without odometry or mapping: which images show a place seen before?
 

@@ -1,39 +1,19 @@
 """Commands that run the pipeline: on a simulated drive, a recorded one, a saved map, or densely on a finished run."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from slam.cli.options import (
-    BACK_END,
-    BACK_END_NAMES,
-    DEFAULT_BACK_END,
-    DEFAULT_FEATURES,
-    DEFAULT_PARADIGM,
-    EXIT_INTERRUPTED,
-    FEATURE_NAMES,
-    INPUT,
-    OUTPUT,
-    PARADIGM_NAMES,
-    RECOGNITION,
-    Format,
-    FrameRate,
-    ImageTopic,
-    Out,
-    Overwrite,
-    Sequence,
-    Settings,
-)
+from slam.cli import options as option
+from slam.cli.options import EXIT_INTERRUPTED
 from slam.simulation.scenario.config import SimulationConfig
-
-_ROUTE, _SCENE, _CAMERA = "Route", "Scene", "Camera"
-_FROM_MAP = "as in the map"
 
 
 def demo(
-    out: Out = Path("runs/demo"),
+    out: option.Out = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Random seed of the town and of the camera noise.")] = 0,
 ) -> None:
     """Simulate a drive of three laps, run the whole pipeline on it and write a report. Needs no download.
@@ -49,71 +29,25 @@ def demo(
 
 
 def simulate(
-    shape: Annotated[
-        str, typer.Argument(help="Shape of the route: circle, figure-eight, blocks, or the path of a KITTI pose file.")
-    ],
-    out: Out,
-    laps: Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)] = SimulationConfig.laps,
-    length: Annotated[
-        float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)
-    ] = SimulationConfig.length,
-    speed: Annotated[
-        float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)
-    ] = SimulationConfig.speed,
-    lateral_offset: Annotated[
-        float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
-    ] = 0.0,
-    reverse: Annotated[
-        bool,
-        typer.Option("--reverse", help="Drive every second lap in the opposite direction.", rich_help_panel=_ROUTE),
-    ] = False,
-    max_frames: Annotated[
-        int, typer.Option(help="Maximum number of frames; 0 renders the whole route.", rich_help_panel=_ROUTE)
-    ] = 0,
-    seed: Annotated[
-        int, typer.Option(help="Random seed of the town and of the camera noise.", rich_help_panel=_SCENE)
-    ] = SimulationConfig.seed,
-    change_illumination: Annotated[
-        bool,
-        typer.Option("--change-illumination", help="Give later laps another sun and sky.", rich_help_panel=_SCENE),
-    ] = False,
-    perceptual_aliasing: Annotated[
-        bool,
-        typer.Option("--perceptual-aliasing", help="Make two different streets look alike.", rich_help_panel=_SCENE),
-    ] = False,
-    cars_per_360m: Annotated[
-        int,
-        typer.Option("--cars-per-360m", help="Number of moving cars met on 360 metres.", rich_help_panel=_SCENE),
-    ] = SimulationConfig.cars_per_360m,
-    frame_rate: Annotated[
-        float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)
-    ] = SimulationConfig.frame_rate,
-    width: Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)] = SimulationConfig.width,
-    height: Annotated[
-        int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)
-    ] = SimulationConfig.height,
-    rectification_error: Annotated[
-        float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
-    ] = SimulationConfig.rectification_error,
-    lens_error: Annotated[
-        float,
-        typer.Option(
-            help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
-            rich_help_panel=_CAMERA,
-        ),
-    ] = SimulationConfig.lens_error,
-    ideal_sensor: Annotated[
-        bool,
-        typer.Option(
-            "--ideal-sensor",
-            help="Leave out noise, blur, vignetting, exposure changes, calibration errors and wind.",
-            rich_help_panel=_CAMERA,
-        ),
-    ] = False,
-    save_depth: Annotated[
-        bool,
-        typer.Option("--save-depth", help="Also write the true depth map of each left image.", rich_help_panel=OUTPUT),
-    ] = False,
+    shape: option.Shape,
+    out: option.Out,
+    laps: option.Laps = SimulationConfig.laps,
+    length: option.LapLength = SimulationConfig.length,
+    speed: option.Speed = SimulationConfig.speed,
+    lateral_offset: option.LateralOffset = SimulationConfig.lateral_offset,
+    reverse: option.Reverse = False,
+    max_frames: option.MaxFrames = SimulationConfig.max_frames,
+    seed: option.TownSeed = SimulationConfig.seed,
+    change_illumination: option.ChangeIllumination = False,
+    perceptual_aliasing: option.PerceptualAliasing = False,
+    cars_per_360m: option.CarsPer360m = SimulationConfig.cars_per_360m,
+    frame_rate: option.StereoFrameRate = SimulationConfig.frame_rate,
+    width: option.Width = SimulationConfig.width,
+    height: option.Height = SimulationConfig.height,
+    rectification_error: option.RectificationError = SimulationConfig.rectification_error,
+    lens_error: option.LensError = SimulationConfig.lens_error,
+    ideal_sensor: option.IdealSensor = False,
+    save_depth: option.SaveDepth = False,
 ) -> None:
     """Render a stereo drive through a procedural town, with exact ground truth, in the layout of KITTI.
 
@@ -122,115 +56,40 @@ def simulate(
     from slam.pipeline.progress import progress_bar
     from slam.simulation import simulate as render
 
-    spec = SimulationConfig(
-        shape=shape,
-        laps=laps,
-        length=length,
-        seed=seed,
-        speed=speed,
-        frame_rate=frame_rate,
-        width=width,
-        height=height,
-        lateral_offset=lateral_offset,
-        reverse=reverse,
-        change_illumination=change_illumination,
-        perceptual_aliasing=perceptual_aliasing,
-        cars_per_360m=cars_per_360m,
-        rectification_error=rectification_error,
-        lens_error=lens_error,
-        max_frames=max_frames,
-        ideal_sensor=ideal_sensor,
-        depth=save_depth,
-    )
+    route = SimulationConfig(shape, laps, length=length, speed=speed, max_frames=max_frames)
+    route = replace(route, lateral_offset=lateral_offset, reverse=reverse)
+    scene = replace(route, seed=seed, change_illumination=change_illumination, cars_per_360m=cars_per_360m)
+    scene = replace(scene, perceptual_aliasing=perceptual_aliasing)
+    camera = replace(scene, frame_rate=frame_rate, width=width, height=height, ideal_sensor=ideal_sensor)
+    errors = replace(camera, rectification_error=rectification_error, lens_error=lens_error)
     with progress_bar(Console(stderr=True), "Rendering") as progress:
-        folder = render(spec, out, progress)
+        folder = render(replace(errors, depth=save_depth), out, progress)
     message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"
     Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 def run(
     source: Annotated[Path, typer.Argument(help="Recording: a folder, a video or a bag.")],
-    out: Out,
-    sequence: Sequence = None,
-    dataset_format: Format = None,
-    fps: FrameRate = None,
-    image_topic: ImageTopic = None,
-    config: Settings = None,
-    map_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            help="Saved map of an earlier drive, a map.db or a run folder, whose places are recognised too.",
-            show_default="an empty map",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Continue an interrupted run in the output folder.", rich_help_panel=INPUT),
-    ] = False,
-    paradigm: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Place-recognition paradigm: {PARADIGM_NAMES}.",
-            show_default=DEFAULT_PARADIGM,
-            rich_help_panel=RECOGNITION,
-        ),
-    ] = None,
-    features: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Local features: {FEATURE_NAMES}.", show_default=DEFAULT_FEATURES, rich_help_panel=RECOGNITION
-        ),
-    ] = None,
-    vocabulary: Annotated[
-        Path | None,
-        typer.Option(
-            help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
-        ),
-    ] = None,
-    descriptor: Annotated[
-        str | None,
-        typer.Option(
-            help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.",
-            show_default="hog",
-            rich_help_panel=RECOGNITION,
-        ),
-    ] = None,
-    robust: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Robust back end: {BACK_END_NAMES}.", show_default=DEFAULT_BACK_END, rich_help_panel=BACK_END
-        ),
-    ] = None,
-    mono: Annotated[bool, typer.Option("--mono", help="Use the left camera alone.", rich_help_panel=BACK_END)] = False,
-    camera_height: Annotated[
-        float | None,
-        typer.Option(
-            help="Height of the camera above the road, metres, which gives the scale with --mono; 1.65 for KITTI.",
-            show_default="unknown: no scale",
-            rich_help_panel=BACK_END,
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(help="Seed of every random generator.", show_default="0", rich_help_panel=BACK_END),
-    ] = None,
-    view: Annotated[
-        str, typer.Option(help="Live view during the run: none, native or web.", rich_help_panel=OUTPUT)
-    ] = "none",
-    no_record: Annotated[
-        bool, typer.Option("--no-record", help="Do not write recording.rrd.", rich_help_panel=OUTPUT)
-    ] = False,
-    no_map: Annotated[
-        bool,
-        typer.Option(
-            "--no-map",
-            help="Do not write map.db; the run can then neither be resumed nor used by revisit locate.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
-    overwrite: Overwrite = False,
+    out: option.Out,
+    sequence: option.Sequence = None,
+    dataset_format: option.Format = None,
+    fps: option.FrameRate = None,
+    image_topic: option.ImageTopic = None,
+    config: option.Settings = None,
+    map_file: option.EarlierMap = None,
+    resume: option.Resume = False,
+    paradigm: option.RunParadigm = None,
+    features: option.RunFeatures = None,
+    vocabulary: option.Vocabulary = None,
+    descriptor: option.RunDescriptor = None,
+    robust: option.RunRobust = None,
+    mono: option.Mono = False,
+    camera_height: option.CameraHeight = None,
+    seed: option.RunSeed = None,
+    view: option.View = "none",
+    no_record: option.NoRecord = False,
+    no_map: option.NoMap = False,
+    overwrite: option.Overwrite = False,
 ) -> None:
     """Run the whole pipeline on a recording: odometry, place recognition, loop closing, pose graph, map, report.
 
@@ -241,59 +100,31 @@ def run(
     """
     from slam.pipeline.pipeline import RunOptions, run_pipeline
 
-    options = RunOptions(
-        source=source,
-        sequence=sequence,
-        out=out,
-        view=view,
-        overwrite=overwrite,
-        resume=resume,
-        map_file=map_file,
-        config=config,
-        format=dataset_format,
-        fps=fps,
-        topics=tuple(image_topic or ()),
-    )
-    chosen = {
-        "paradigm": paradigm,
-        "features": features,
-        "vocabulary": None if vocabulary is None else str(vocabulary),
-        "descriptor": descriptor,
-        "robust": robust,
-        "seed": seed,
-        "save_recording": False if no_record else None,
-        "save_map": False if no_map else None,
-        "mono": mono or None,
-        "camera_height": camera_height,
-    }
-    settings = {name: value for name, value in chosen.items() if value is not None}
-    interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
+    topics = tuple(image_topic or ())
+    recording = RunOptions(source=source, sequence=sequence, out=out, format=dataset_format, fps=fps, topics=topics)
+    options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
+    settings: dict[str, object] = {"paradigm": paradigm, "features": features, "descriptor": descriptor}
+    settings |= {"vocabulary": None if vocabulary is None else str(vocabulary), "robust": robust, "seed": seed}
+    settings |= {"mono": mono or None, "camera_height": camera_height}
+    settings |= {"save_recording": False if no_record else None, "save_map": False if no_map else None}
+    interrupted = run_pipeline(options, _given(settings), Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 
 
+def _given(settings: dict[str, object]) -> dict[str, object]:
+    """Keep the settings that an option gives; the others come from --config or stay at their defaults."""
+    return {name: value for name, value in settings.items() if value is not None}
+
+
 def reprocess(
-    map_: Annotated[
-        Path, typer.Argument(metavar="MAP", help="Saved map of one drive: a map.db, or a run folder that has one.")
-    ],
-    out: Out,
-    paradigm: Annotated[
-        str | None,
-        typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", show_default=_FROM_MAP),
-    ] = None,
-    robust: Annotated[
-        str | None, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=_FROM_MAP)
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="TOML file with settings, such as the config.toml of a run.", show_default=_FROM_MAP),
-    ] = None,
-    source: Annotated[
-        Path | None, typer.Option(help="Recording of the drive, if it has been moved.", show_default=_FROM_MAP)
-    ] = None,
-    no_record: Annotated[
-        bool, typer.Option("--no-record", help="Do not write recording.rrd.", rich_help_panel=OUTPUT)
-    ] = False,
-    overwrite: Overwrite = False,
+    map_: option.MapToReprocess,
+    out: option.Out,
+    paradigm: option.NewParadigm = None,
+    robust: option.NewRobust = None,
+    config: option.NewSettings = None,
+    source: option.MovedSource = None,
+    no_record: option.NoRecord = False,
+    overwrite: option.Overwrite = False,
 ) -> None:
     """Search the loops of a drive again with other settings. Motions and landmarks are taken from its map.
 
@@ -301,8 +132,6 @@ def reprocess(
 
     Example: revisit reprocess runs/kitti05 --paradigm hierarchical-places --out runs/kitti05-hp
     """
-    from dataclasses import replace
-
     from slam.map_database.replay import source_of
     from slam.pipeline.pipeline import RunOptions, run_pipeline
 
@@ -312,7 +141,6 @@ def reprocess(
         source=found.path,
         sequence=found.sequence,
         out=out,
-        view="none",
         overwrite=overwrite,
         reuse_map=map_,
         config=config,
@@ -320,8 +148,7 @@ def reprocess(
         fps=found.fps,
         topics=found.topics,
     )
-    chosen = {"paradigm": paradigm, "robust": robust, "save_recording": not no_record}
-    settings = {name: value for name, value in chosen.items() if value is not None}
+    settings = _given({"paradigm": paradigm, "robust": robust, "save_recording": not no_record})
     interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 

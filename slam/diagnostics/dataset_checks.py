@@ -9,14 +9,6 @@ from numpy.typing import NDArray
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format
-from slam.diagnostics.camera_checks import (
-    ImageStatistics,
-    check_camera,
-    check_images,
-    check_rectification,
-    check_timestamps,
-    measure_image,
-)
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -26,6 +18,14 @@ from slam.diagnostics.findings import (
     report_fault,
     report_ok,
     report_warning,
+)
+from slam.diagnostics.sensor_checks import (
+    ImageStatistics,
+    check_camera,
+    check_images,
+    check_rectification,
+    check_timestamps,
+    measure_image,
 )
 from slam.errors import DataError
 from slam.evaluation.trajectory import path_length
@@ -41,7 +41,7 @@ _STEREO_PAIRS = 8  # pairs of left and right images in which rows are compared
 
 @dataclass
 class _Samples:
-    """What was read of a dataset.
+    """Images that were read from a dataset for the checks.
 
     Attributes:
         images: statistics of all sampled left images.
@@ -135,7 +135,7 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
 
 
 def _sample_indices(count: int) -> list[int]:
-    """Indices of all images, or of runs of successive images of a long dataset."""
+    """Return the indices of all images, or of runs of successive images of a long dataset."""
     if count <= _RUNS * _RUN_LENGTH:
         return list(range(count))
     first = np.linspace(0, count - _RUN_LENGTH, _RUNS).astype(int)

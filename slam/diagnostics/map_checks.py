@@ -1,4 +1,4 @@
-"""Checks of a saved map: whether the file is complete, and its contents are consistent."""
+"""Checks of a saved map: is the file complete, and are its contents consistent?"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,14 +18,17 @@ Array = NDArray[np.float64]
 CheckResult = tuple[Status, str]
 Check = Callable[[MapDatabase], CheckResult]
 
-_EVERYTHING = tuple(MapUse)
+_ALL_MAP_USES = tuple(MapUse)
 _HEADER, _APPLICATION_AT = b"SQLite format 3\0", 68  # of the file format, section 1.3
-_ROTATION_ERROR = 1e-6  # of R R^T - 1
-_UNIT = 1.01  # no number of a descriptor of unit length is larger, rounding allowed for
+_MAX_ROTATION_ERROR = 1e-6  # of the elements of R R^T - 1
+_MAX_DESCRIPTOR = 1.01  # of the numbers of a descriptor of unit length, with room for rounding
 
 
 def is_map(path: Path) -> bool:
-    """Whether a path names a map store: by its ending, even where it is none, by its first bytes, or a run's folder."""
+    """Return whether a path is a saved map: the folder of a run that has one, or a file by its suffix or first bytes.
+
+    A file with the suffix counts even if it is damaged: its error message is then about a map.
+    """
     if path.is_dir():
         return (path / MAP_FILE).is_file()
     if path.suffix == Path(MAP_FILE).suffix:
@@ -38,60 +41,66 @@ def is_map(path: Path) -> bool:
 
 
 def inspect_map(path: Path) -> Inspection:
-    """Inspect a map store, or that of the run in a folder; what keeps it from being read is a finding too."""
+    """Inspect a saved map, or the map of a run in a folder; a fault that keeps it from being read is a finding too."""
     file = map_file(path)
     try:
-        with MapDatabase.open(file) as store:
-            findings = tuple(_run_check(topic, check, store) for topic, check in _CHECKS.items())
+        with MapDatabase.open(file) as database:
+            findings = tuple(_run_check(topic, check, database) for topic, check in _CHECKS.items())
     except DataError as error:
-        findings = (report_fault("file", str(error), _EVERYTHING),)
-    return Inspection(str(path), "map", findings, _EVERYTHING)
+        findings = (report_fault("file", str(error), _ALL_MAP_USES),)
+    return Inspection(str(path), "map", findings, _ALL_MAP_USES)
 
 
-def _run_check(topic: str, check: Check, store: MapDatabase) -> Finding:
-    forbids = (MapUse.RESUME,) if topic == "checkpoint" else _EVERYTHING
+def _run_check(topic: str, check: Check, database: MapDatabase) -> Finding:
+    forbids = (MapUse.RESUME,) if topic == "checkpoint" else _ALL_MAP_USES
     try:
-        status, text = check(store)
+        status, text = check(database)
     except DataError as error:
         status, text = Status.FAULT, str(error)
     return Finding(topic, status, text, forbids=forbids if status is Status.FAULT else ())
 
 
-def _file(store: MapDatabase) -> CheckResult:
-    said = [row[0] for row in store.ask("PRAGMA integrity_check(3)")]
-    if said != ["ok"]:
-        return Status.FAULT, f"{store.path}: expected a sound file, SQLite finds {said[0]}; copy it again or run again"
-    size = sum(row[0] for row in store.ask("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
+def _file(database: MapDatabase) -> CheckResult:
+    messages = [row[0] for row in database.ask("PRAGMA integrity_check(3)")]
+    if messages != ["ok"]:
+        return (
+            Status.FAULT,
+            f"{database.path}: expected a sound file, SQLite finds {messages[0]}; copy it again or run again",
+        )
+    size = sum(row[0] for row in database.ask("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
     return Status.OK, f"sound, {size / 1e6:.1f} MB"
 
 
-def _tables(store: MapDatabase) -> CheckResult:
-    lost = schema.missing_columns(store.ask)
+def _tables(database: MapDatabase) -> CheckResult:
+    lost = schema.missing_columns(database.ask)
     if lost:
         return Status.FAULT, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
-    stray = store.ask("PRAGMA foreign_key_check")
+    stray = database.ask("PRAGMA foreign_key_check")
     if stray:
         return Status.FAULT, f"{len(stray)} rows of {stray[0]['table']} belong to no {stray[0]['parent']}; run again"
     return Status.OK, f"version {schema.VERSION}, all rows belong together"
 
 
-def _drives(store: MapDatabase) -> CheckResult:
-    sessions = store.sessions()
+def _drives(database: MapDatabase) -> CheckResult:
+    sessions = database.sessions()
     if not sessions:
         return Status.FAULT, "expected a drive, found none; a run writes one: revisit run SOURCE --out DIR"
-    counts = [store.images(session.number) for session in sessions]
+    counts = [database.images(session.number) for session in sessions]
     firsts = [session.first_image for session in sessions]
     if firsts != np.concatenate([[0], np.cumsum(counts)[:-1]]).tolist():
         return Status.FAULT, f"expected drives that follow one another, found them begin at images {firsts}; run again"
     unfinished = [session.name for session in sessions if not session.finished]
     if unfinished:
-        return Status.WARNING, f"{', '.join(unfinished)} did not end, no pose is corrected yet; go on with --resume"
-    return Status.OK, f"{len(sessions)}, all driven to their end"
+        return (
+            Status.WARNING,
+            f"{', '.join(unfinished)} did not end, so no pose is corrected yet; continue with --resume",
+        )
+    return Status.OK, f"{len(sessions)}, all complete"
 
 
-def _frames(store: MapDatabase) -> CheckResult:
-    count, landmarks, numbers = store.images(), 0, set()
-    for expected, frame in enumerate(store.frames()):
+def _frames(database: MapDatabase) -> CheckResult:
+    count, landmarks, numbers = database.images(), 0, set()
+    for expected, frame in enumerate(database.frames()):
         if frame.image != expected:
             return Status.FAULT, f"image {expected} is missing, or its landmarks are; run again"
         fault = _fault(frame)
@@ -99,15 +108,15 @@ def _frames(store: MapDatabase) -> CheckResult:
             return Status.FAULT, f"image {frame.image}: {fault}; run again"
         landmarks += len(frame.landmarks)
         numbers |= {frame.landmarks.descriptors.shape[1]} if len(frame.landmarks) else set()
-    if store.count("landmark") != count or len(numbers) > 1:
+    if database.count("landmark") != count or len(numbers) > 1:
         return Status.FAULT, f"expected landmarks of one kind for {count} images, found others; run again"
     if landmarks == 0:
-        return Status.FAULT, "expected landmarks, found none in any image; nothing can be recognised by it"
-    return Status.OK, f"{count}, {len(store.key_frames())} key frames, {landmarks} landmarks"
+        return Status.FAULT, "expected landmarks, found none in any image; no place can be recognised with this map"
+    return Status.OK, f"{count}, {len(database.key_frames())} key frames, {landmarks} landmarks"
 
 
 def _fault(frame: FrameRecord) -> str:
-    """What of a frame cannot be true; empty where all can."""
+    """Return what of a frame is impossible; empty if nothing is."""
     poses = [frame.T_world_odometry, frame.T_world_online, frame.motion.T_previous_current]
     poses += [] if frame.T_world_camera is None else [frame.T_world_camera]
     if not all(_is_pose(T) for T in poses):
@@ -115,7 +124,7 @@ def _fault(frame: FrameRecord) -> str:
     seen = frame.landmarks
     if not all(np.isfinite(array).all() for array in (seen.pixels, seen.points, seen.descriptors)):
         return "expected finite landmarks, found others"
-    if np.abs(seen.descriptors).max(initial=0) > _UNIT or (seen.points[:, 2] <= 0).any():
+    if np.abs(seen.descriptors).max(initial=0) > _MAX_DESCRIPTOR or (seen.points[:, 2] <= 0).any():
         return "expected landmarks before the camera with descriptors of unit length, found others"
     return "" if np.isfinite(frame.unit) and frame.unit > 0 else f"expected a length as its unit, found {frame.unit}"
 
@@ -123,29 +132,29 @@ def _fault(frame: FrameRecord) -> str:
 def _is_pose(T: Array) -> bool:
     R = T[:3, :3]
     error = np.abs(R @ R.T - np.eye(3)).max()
-    rigid = error < _ROTATION_ERROR and np.linalg.det(R) > 0 and T[3].tolist() == [0, 0, 0, 1]
+    rigid = error < _MAX_ROTATION_ERROR and np.linalg.det(R) > 0 and T[3].tolist() == [0, 0, 0, 1]
     return bool(np.isfinite(T).all() and rigid)
 
 
-def _loops(store: MapDatabase) -> CheckResult:
-    images = store.images()
-    for number, candidate in enumerate(store.candidates()):
+def _loops(database: MapDatabase) -> CheckResult:
+    images = database.images()
+    for number, candidate in enumerate(database.candidates()):
         belief = candidate.belief
         match = belief.query - 1 if belief.match is None else belief.match
         if not -1 <= match < belief.query < images:
             found = f"{belief.query} and {belief.match}"
             return Status.FAULT, f"candidate {number}: expected two of {images} images, found {found}; run again"
-    (row,) = store.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
-    return Status.OK, f"{row[0]} answers of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
+    (row,) = database.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
+    return Status.OK, f"{row[0]} candidates of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
 
 
-def _checkpoint(store: MapDatabase) -> CheckResult:
-    sessions = store.sessions()
+def _checkpoint(database: MapDatabase) -> CheckResult:
+    sessions = database.sessions()
     newest = sessions[-1].number if sessions else 0
-    checkpoint = store.checkpoint(newest)
+    checkpoint = database.checkpoint(newest)
     if checkpoint is None:
-        return Status.WARNING, "there is none; to go on would be to begin again"
-    frames = store.images(newest)
+        return Status.WARNING, "there is none; a resumed run would begin again at the first frame"
+    frames = database.images(newest)
     if checkpoint.frames != frames:
         return Status.FAULT, f"expected it after {frames} frames, found it after {checkpoint.frames}; run again"
     _, arrays = serialize(checkpoint.state)

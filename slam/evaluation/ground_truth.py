@@ -48,7 +48,7 @@ def read_revisit_truth(path: Path, rule: RevisitRule | None = None, fps: float |
         try:
             return RevisitTruth(load_truth(path), str(path))
         except ValueError as error:
-            raise DataError(f"{error}; choose the truth of this drive") from error
+            raise DataError(f"{error}; choose the truth of this recording") from error
     rule = rule or RevisitRule()
     times, poses = read_trajectory(path)
     if times is None and fps is not None:
@@ -81,7 +81,7 @@ def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
     if truth.matrix is not None and len(truth.matrix) != images:
         raise DataError(
             f"{truth.origin}: expected a truth of {images} images as in {of}, found {len(truth.matrix)};"
-            " choose the truth of this drive"
+            " choose the truth of this recording"
         )
 
 

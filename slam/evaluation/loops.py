@@ -101,7 +101,7 @@ def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool
 def count_loops(
     rows: Iterable[LoopRow], queries: NDArray[np.int64], truth: Array | None, rule: LoopRule | None = None
 ) -> LoopCounts:
-    """Count the loops of a drive and compare them with ground truth.
+    """Count the loops of a recording and compare them with ground truth.
 
     Args:
         rows: rows of loops.csv; a row without `truth` is true if its two frames are at the same place.
@@ -110,6 +110,7 @@ def count_loops(
         rule: what counts as a true loop and as a revisit.
     """
     rows = tuple(rows)
+    # A loop is a result only if it is in the graph; the others count as steps towards it.
     kept = [row for row in rows if row.in_graph]
     proposed, verified = sum(row.accepted for row in rows), sum(row.verified for row in rows)
     if truth is None:

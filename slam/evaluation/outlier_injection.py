@@ -1,8 +1,8 @@
-"""Outlier config: false loops to test back ends with, as hard to tell from true ones as real ones are.
+"""Injection of false loops into a pose graph, to test back ends.
 
-Their measured poses are those of true loops of the same graph, and so is their information; only the places are
-wrong. `random` ones are single; `grouped` ones come in runs of successive pairs, as when a recogniser takes one
-street for another; `coherent` runs agree among themselves as well, as when the streets look alike metre by metre.
+Relative pose and information of a false loop are copied from a true loop of the same graph; only its two poses are
+wrong. `random` loops are single; `grouped` loops come in runs of successive pairs, as when a recogniser takes one
+street for another; loops of `coherent` runs also agree with one another, as when two streets look alike throughout.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,21 @@ KINDS = ("random", "grouped", "coherent")
 
 @dataclass(frozen=True)
 class OutlierConfig:
-    """Kind and number of the false loops to add."""
+    """Kind and number of the false loops to add.
 
-    kind: str = "random"  # one of KINDS
-    share: float = 0.5  # of false loops among all loops, 0 to below 1
+    Attributes:
+        kind: one of KINDS.
+        share: share of false loops among all loops, from 0 to below 1.
+        seed: seed of the random choice.
+        run_length: number of loops in a run.
+        min_gap: minimum number of poses between the two ends of a loop.
+    """
+
+    kind: str = "random"
+    share: float = 0.5
     seed: int = 0
-    run_length: int = 10  # loops in a run
-    min_gap: int = 20  # poses between the two ends of a loop
+    run_length: int = 10
+    min_gap: int = 20
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,7 @@ def inject_outliers(problem: LoopProblem, poses: Array, config: OutlierConfig) -
 
 
 def _false_loops(rng: np.random.Generator, true: Edges, poses: Array, config: OutlierConfig, count: int) -> Edges:
-    """`count` false loops."""
+    """Make `count` false loops."""
     length = 1 if config.kind == "random" else config.run_length
     runs = -(-count // length)
     starts = _ends(rng, len(poses) - length, runs, config.min_gap)
@@ -87,7 +95,7 @@ def _false_loops(rng: np.random.Generator, true: Edges, poses: Array, config: Ou
 
 
 def _ends(rng: np.random.Generator, rows: int, count: int, min_gap: int) -> NDArray[np.int64]:
-    """(count, 2) rows of two poses each, the earlier first, that lie far enough apart."""
+    """Choose pairs of poses, (count, 2) rows, the earlier first, that lie far enough apart."""
     gap = min(min_gap, rows // 2)
     apart = rng.integers(gap, rows, size=count)
     first = rng.integers(0, rows - apart)
@@ -95,6 +103,6 @@ def _ends(rng: np.random.Generator, rows: int, count: int, min_gap: int) -> NDAr
 
 
 def _noise(rng: np.random.Generator, edges: Edges) -> Array:
-    """(M, dof) errors as the edges' information has them."""
+    """Draw errors (M, dof) from the covariances of the edges."""
     normal = rng.normal(size=(len(edges), edges.group.dof, 1))
     return np.asarray(np.linalg.solve(edges.sqrt_information, normal)[..., 0])

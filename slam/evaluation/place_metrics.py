@@ -10,7 +10,8 @@ from place_recognition.evaluation.memory import MapSize
 from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
 from place_recognition.recognizer import Belief
 
-# Images by which a match may be off, in the rule of iBoW-LCD and similar systems; the chapter's authors allow none.
+# Images by which a match may miss the true one in the rule of iBoW-LCD and similar systems; the chapter's authors
+# allow none.
 COMMON_TOLERANCE_IMAGES = 10
 
 _SCORE_NAMES = (

@@ -34,13 +34,13 @@ class GraphTruth:
     loops: Mask | None
 
     @staticmethod
-    def why(name: str) -> str:
-        """Reason for a missing value of metrics.json."""
+    def missing_reason(name: str) -> str:
+        """Return why a value of metrics.json is missing."""
         return _NO_POSES if name.startswith("ate") else _NO_LABELS
 
 
 def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | None) -> GraphTruth:
-    """Ground truth of a graph's poses from a file or a folder, and of its loops from the list beside the graph.
+    """Find the ground truth of a graph's poses in a file or a folder, and of its loops in the list beside the graph.
 
     The pose of id i is that of line i, counted from zero. In the plane x is KITTI's z and y its -x.
 
@@ -61,7 +61,7 @@ def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | Non
 
 
 def _file_for(path: Path, folder: Path) -> Path:
-    """The file of a folder whose name is a word of the graph's name: `05.txt` for `kitti_05_alpha_0.15.g2o`."""
+    """Return the file of a folder whose name is a word of the graph's name: `05.txt` for `kitti_05_alpha_0.15.g2o`."""
     words = re.split(r"[_\-\s]", path.stem)
     found = [file for file in sorted(folder.iterdir()) if file.is_file() and file.stem in words]
     if len(found) != 1:
@@ -78,7 +78,7 @@ def _positions(file: Path, graph: Graph) -> Array:
     if ids[0] < 0 or ids[-1] >= len(poses):
         raise DataError(
             f"{file}: expected a pose for each id from {ids[0]} to {ids[-1]} of the graph, found {len(poses)} poses; "
-            "give the truth of the same drive"
+            "give the truth of the same recording"
         )
     positions = poses[ids, :3, 3]
     # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
@@ -94,14 +94,14 @@ def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
     return np.array([(min(pair), max(pair)) in listed for pair in ends], dtype=bool)
 
 
-def aligned(estimate: Array, positions: Array) -> Array:
-    """Positions (N, d) aligned to true ones (N, d), metres, by the best rigid motion."""
+def align_positions(estimate: Array, positions: Array) -> Array:
+    """Align positions (N, d) with true ones (N, d), metres, by the best rigid motion."""
     return umeyama(estimate, positions).apply(estimate)
 
 
 def absolute_error(poses: Array, positions: Array | None) -> float | None:
-    """ATE, metres, of poses (N, n, n) after rigid alignment to positions (N, n - 1); None without truth."""
+    """Return the ATE, metres, of poses (N, n, n) after rigid alignment to positions (N, n - 1); None without truth."""
     if positions is None:
         return None
-    difference = aligned(poses[:, :-1, -1], positions) - positions
+    difference = align_positions(poses[:, :-1, -1], positions) - positions
     return float(np.sqrt(np.square(difference).sum(axis=1).mean()))

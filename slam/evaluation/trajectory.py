@@ -92,7 +92,7 @@ class TrajectoryErrors:
 
 
 def unknown_errors(reason: str) -> TrajectoryErrors:
-    """Return errors that are all unknown, such as those of a drive without ground truth."""
+    """Return errors that are all unknown, such as those of a recording without ground truth."""
     errors = TrajectoryErrors(None, None, None, None, None, None)
     errors.reasons.update(dict.fromkeys(errors.as_metrics(), reason))
     return errors
@@ -171,7 +171,7 @@ def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
     devkit gives 0.06 to 0.3 deg/100 m more for a good trajectory. State this beside published figures.
 
     Returns:
-        The errors, or None if the drive has no segment of 100 m.
+        The errors, or None if the path has no segment of 100 m.
     """
     starts, ends, lengths = _segments(distances_along(truth))
     if len(starts) == 0:
@@ -226,5 +226,5 @@ def _check_lengths(estimate: Array, truth: Array) -> None:
     if len(estimate) != len(truth) or len(truth) == 0:
         raise DataError(
             f"expected one estimated pose for each of {len(truth)} true ones, found {len(estimate)};"
-            " compare trajectories of the same drive"
+            " compare trajectories of the same recording"
         )

@@ -139,7 +139,7 @@ def read_events(path: Path) -> tuple[LoopEventRow, ...]:
     """Read loop_events.csv.
 
     Raises:
-        DataError: missing file, other columns, a cell that cannot be read.
+        DataError: the file is missing, columns are missing, or a cell cannot be read.
     """
     return _rows(path, LoopEventRow)
 

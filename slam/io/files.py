@@ -1,7 +1,4 @@
-"""Atomic writing of files: a file appears complete or not at all.
-
-Reads text files of numbers; errors name the file and the line.
-"""
+"""Text files: writing in one piece, so that a file appears complete or not at all, and reading of lines and numbers."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

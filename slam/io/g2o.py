@@ -40,8 +40,8 @@ class Graph:
         motions: relative poses T_first_second, (M, n, n), metres.
         information: inverse covariances of right perturbations, (M, dof, dof), rotation first (1/rad^2, 1/m^2).
         fixed: id of the pose that is held fixed (`FIX`), or None.
-        placed: whether the file has poses.
-        warnings: what was repaired or ignored.
+        has_poses: whether the file has poses.
+        warnings: repairs and ignored lines, a sentence each.
     """
 
     ids: Ids
@@ -51,7 +51,7 @@ class Graph:
     motions: Array
     information: Array
     fixed: int | None = None
-    placed: bool = True
+    has_poses: bool = True
     warnings: tuple[str, ...] = ()
 
 
@@ -91,18 +91,18 @@ def read_g2o(path: Path) -> Graph:
             are mixed, or there is neither pose nor edge.
     """
     parsed = parse_g2o(path)
-    ids = parsed.vertex_ids if parsed.placed else np.unique(parsed.edge_ids)
+    ids = parsed.vertex_ids if parsed.has_poses else np.unique(parsed.edge_ids)
     size = 3 if parsed.kind.dof == 3 else 4
     unplaced = np.tile(np.eye(size), (len(ids), 1, 1))
     return Graph(
         ids=ids,
-        poses=_poses(parsed.vertices) if parsed.placed else unplaced,
+        poses=_poses(parsed.vertices) if parsed.has_poses else unplaced,
         first=parsed.edge_ids[:, 0],
         second=parsed.edge_ids[:, 1],
         motions=_poses(parsed.edges),
         information=_reordered(parsed.information),
         fixed=parsed.fixed,
-        placed=parsed.placed,
+        has_poses=parsed.has_poses,
         warnings=parsed.warnings,
     )
 

@@ -28,7 +28,7 @@ class Kind:
 
     Attributes:
         vertex, edge: tags of pose lines and of edge lines.
-        size: count of numbers of a pose.
+        size: number of numbers of a pose.
         dof: rows of an information matrix.
     """
 
@@ -59,7 +59,7 @@ class ParsedGraph:
         edges: numbers of the relative poses, (M, 3) or (M, 7).
         information: information matrices, (M, dof, dof), positive definite.
         fixed: id of the pose that is held fixed, or None.
-        warnings: what was repaired or ignored.
+        warnings: repairs and ignored lines, a sentence each.
     """
 
     kind: Kind
@@ -72,7 +72,7 @@ class ParsedGraph:
     warnings: tuple[str, ...]
 
     @property
-    def placed(self) -> bool:
+    def has_poses(self) -> bool:
         """Whether the file has poses, not only edges."""
         return len(self.vertex_ids) > 0
 

@@ -1,4 +1,4 @@
-"""Classify the edges of a stored graph as odometry or loops, and make a problem for the back ends of it."""
+"""Classification of the edges of a stored graph as odometry or loops, which makes a problem for the back ends."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class ClassifiedEdges:
 
     Attributes:
         order: (N,) rows of the graph's poses, sorted by id: the order of `problem.start`.
-        trusted: (M,) bool, edges that are taken for odometry.
+        trusted: (M,) bool, which edges count as odometry.
         problem: trusted edges and loops, each in the file's order.
         warnings: assumptions that had to be made, a sentence each.
     """
@@ -64,7 +64,7 @@ def classify_edges(graph: Graph, name: str) -> ClassifiedEdges:
 
 
 def _spanning_tree(edges: Edges, count: int) -> tuple[Mask, Mask]:
-    """(M,) edges of a spanning tree, successive poses first, and those of them that join other poses."""
+    """Return which edges (M,) form a spanning tree, successive poses first, and which of them join other poses."""
     # A tree, so that the trusted edges have one solution without residuals: every other edge is a loop.
     successive = np.abs(edges.first - edges.second) == 1
     pieces = DisjointSet(range(count))
@@ -87,7 +87,7 @@ def _check_connected(tree: Edges, ids: NDArray[np.int64], name: str) -> None:
 
 
 def _compose_along(tree: Edges, first: Array, count: int) -> Array:
-    """Poses (N, n, n) along a spanning tree."""
+    """Compose poses (N, n, n) along a spanning tree."""
     poses = np.tile(first, (count, 1, 1))
     backwards = inverse(tree.motions)
     for row, before, edge in _visits(tree, count):
@@ -97,7 +97,7 @@ def _compose_along(tree: Edges, first: Array, count: int) -> Array:
 
 
 def _visits(tree: Edges, count: int) -> list[tuple[int, int, int]]:
-    """Rows of the tree from row 0 outwards, that row left out: row, the row before it, the edge between."""
+    """Return the steps through a tree from row 0 outwards: a row, the row before it, and the edge between them."""
     # By the set of its ends: an edge may run against the order in which the tree is walked.
     between = {frozenset(ends): k for k, ends in enumerate(zip(tree.first.tolist(), tree.second.tolist(), strict=True))}
     joined = sparse.csr_array((np.ones(len(tree)), (tree.first, tree.second)), shape=(count, count))

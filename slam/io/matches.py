@@ -1,4 +1,4 @@
-"""The files of place recognition: `matches.csv`, `precision_recall.csv` and `matrix.npz`."""
+"""Files of place recognition: `matches.csv`, `precision_recall.csv` and `matrix.npz`."""
 
 import csv
 import math

@@ -47,7 +47,7 @@ def read_metrics(path: Path) -> dict[str, object]:
     """Read metrics.json as nested dictionaries.
 
     Raises:
-        DataError: missing or not a JSON object.
+        DataError: the file is missing, or not a JSON object.
     """
     try:
         metrics = json.loads(path.read_text(encoding="utf-8"))

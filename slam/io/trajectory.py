@@ -1,7 +1,12 @@
-"""Trajectory files in the formats of KITTI and TUM, which most tools read.
+"""Trajectory files in the formats of KITTI and TUM, which most tools read, and the covariances of their poses.
 
 Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by row. TUM:
 `timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again.
+
+`covariances.npz` has the arrays `odometry` and `corrected`, (N, 6, 6) float64: covariance of the right perturbation
+`T_world_camera @ exp(xi)` of each pose in the trajectory file of that name, in the camera frame, rotation before
+translation (rad, m), with the first pose held fixed. The covariance of a position in the world is
+`R @ C[3:, 3:] @ R.T`, with R of the pose.
 """
 
 from pathlib import Path
@@ -12,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.errors import DataError
 from slam.io.files import atomic_writer, read_lines, read_numbers
+from slam.run_result import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -97,6 +103,17 @@ def read_trajectory(path: Path) -> tuple[Array | None, Array]:
     if columns == 12:
         return None, read_kitti(path)
     raise DataError(f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them")
+
+
+def write_covariances(path: Path, record: RunRecord) -> None:
+    """Write covariances.npz; an estimate without covariances is left out.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    known = {"odometry": record.odometry_covariances, "corrected": record.corrected_covariances}
+    with atomic_writer(path, "wb") as file:
+        np.savez_compressed(file, **{name: rows for name, rows in known.items() if rows is not None})  # type: ignore[arg-type]
 
 
 def _write_rows(path: Path, rows: Array) -> None:

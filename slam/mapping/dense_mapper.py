@@ -66,7 +66,7 @@ def group_key_frames(odometry: OdometryTrajectory, key_frames: KeyFrameConfig, s
 
 
 class DenseMapper:
-    """Fuses the depth of a recorded drive into submaps."""
+    """Fuses the depth of a recording into submaps."""
 
     def __init__(self, calibration: Calibration, config: DenseMapConfig | None = None) -> None:
         self._config = config or DenseMapConfig()
@@ -74,14 +74,14 @@ class DenseMapper:
         self._stereo = DenseStereo(calibration, reach.depth_limit(calibration.camera))
 
     def fuse(
-        self, drive: Dataset, odometry: OdometryTrajectory, groups: Sequence[Sequence[int]], store: SubmapStore
+        self, dataset: Dataset, odometry: OdometryTrajectory, groups: Sequence[Sequence[int]], store: SubmapStore
     ) -> Iterator[int]:
-        """Add one submap to the store for each group of key frames; yields the number of key frames done so far.
+        """Add one submap to the store for each group of key frames; yield the number of key frames done so far.
 
         Raises:
             DataError: an image cannot be read.
         """
-        frames = prefetch(_Subset(drive, [index for group in groups for index in group]))
+        frames = prefetch(_Subset(dataset, [index for group in groups for index in group]))
         done = 0
         for group in groups:
             poses = odometry.T_world_camera[list(group)]
@@ -99,13 +99,13 @@ class DenseMapper:
 
 @dataclass(frozen=True)
 class _Subset:
-    """Selected frames of a drive."""
+    """Selected frames of a dataset."""
 
-    drive: Dataset
+    dataset: Dataset
     indices: list[int]
 
     def __len__(self) -> int:
         return len(self.indices)
 
     def __getitem__(self, index: int) -> Frame:
-        return self.drive[self.indices[index]]
+        return self.dataset[self.indices[index]]

@@ -1,4 +1,4 @@
-"""Writes the surfaces of submaps as one binary PLY file, with one submap in memory at a time."""
+"""Writing of the surfaces of submaps as one binary PLY file, with one submap in memory at a time."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -66,7 +66,7 @@ class OccupancyGrid:
 def build_occupancy_grid(
     store: SubmapStore, T_world_camera: Array, config: OccupancyGridConfig | None = None
 ) -> OccupancyGrid:
-    """The grid of all submaps on a trajectory (F, 4, 4), metres."""
+    """Build the grid of all submaps on a trajectory (F, 4, 4), metres."""
     config = config or OccupancyGridConfig()
     free, occupied = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
     for submap in store:

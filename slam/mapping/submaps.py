@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Submap:
-    """The surface that a short part of the drive has seen.
+    """The surface that a short part of the recording has seen.
 
     Attributes:
         anchor: index of the frame whose camera frame the submap is in.

@@ -27,18 +27,18 @@ class FusionConfig:
     Attributes:
         voxel_m: edge of a voxel, metres; about the distance between points of the surface.
         max_depth_m: maximum depth of fused pixels, metres.
-        truncation: truncation distance along the ray, in voxels. A short one loses the road, which is seen at a flat
-            angle, a long one thickens every surface; figures: docs/decisions/dense_map.md.
+        truncation_voxels: truncation distance along the ray, voxels. A short one loses the road, which is seen at a
+            flat angle, a long one thickens every surface; figures: docs/decisions/dense_map.md.
         min_views: minimum number of images that must have seen a point.
     """
 
     voxel_m: float = 0.15
     max_depth_m: float = 25.0
-    truncation: float = 6.0
+    truncation_voxels: float = 6.0
     min_views: int = 5
 
     def __post_init__(self) -> None:
-        numbers = np.array([self.voxel_m, self.max_depth_m, self.truncation, self.min_views])
+        numbers = np.array([self.voxel_m, self.max_depth_m, self.truncation_voxels, self.min_views])
         if not (np.isfinite(numbers) & (numbers > 0)).all():
             raise ValueError(f"expected positive numbers, got {self}")
 
@@ -95,7 +95,7 @@ class TsdfVolume:
         depth = picture(tensor(np.ascontiguousarray(image.depth[:, :, None])))
         colour = picture(tensor(np.repeat(image.grey[:, :, None], 3, axis=2).astype(np.float32)))
         view = tensor(image.camera.K), tensor(se3.inverse(T_anchor_camera))
-        limits = 1.0, self._config.max_depth_m, self._config.truncation
+        limits = 1.0, self._config.max_depth_m, self._config.truncation_voxels
         blocks = self._grid.compute_unique_block_coordinates(depth, *view, *limits)
         self._grid.integrate(blocks, depth, colour, *view, *limits)
 

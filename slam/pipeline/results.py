@@ -27,9 +27,9 @@ from slam.io.calibration import write_calibration
 from slam.io.csv_tables import write_events, write_frames, write_loops, write_stages
 from slam.io.files import atomic_writer
 from slam.io.g2o import chain_graph, write_g2o
-from slam.io.landmarks import write_covariances, write_landmark_observers
+from slam.io.landmarks import write_landmark_observers
 from slam.io.metrics import write_metrics
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory import write_covariances, write_kitti, write_tum
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.session_merging import MergeResult
 from slam.pipeline.loop_log import LoopTruth, event_rows, loop_rows, matched_pixels, stage_rows

@@ -10,7 +10,7 @@ ONLINE = "#cc79a7"
 CORRECTED = "#0072b2"
 ACCEPTED = "#009e73"
 REJECTED = "#d55e00"  # drawn dotted
-MOST = "#001d33"  # end of the scale of matrices
+SCALE_END = "#001d33"  # of the largest values in pictures of matrices
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""The page of a dense map, `dense.html`: both maps from above, and what of the ground is free to drive on.
+"""The page of a dense map, `dense.html`: both maps from above, and the occupancy grid of the ground.
 
 `revisit dense` fuses a map long after the report of a run was written, so the map has a page of its own, which the
 report links to. No finished page is ever edited (docs/decisions/report_pages.md).
@@ -24,8 +24,8 @@ Image = NDArray[np.uint8]
 _MAX_SIDE_PX = 1200  # of a picture
 _WEBP_QUALITY = 80
 _HEIGHT_PERCENTILES = (2.0, 98.0)  # ends of the colour scale, so that a few outliers do not stretch it
-_FIRST_HUE = 50  # of 255: the colours before it are too dark to be seen on a dark page
-_MIN_BRIGHTNESS = 0.7  # of a colour, for what is black in the images
+_FIRST_HUE = 50  # of 255: earlier colours are too dark for a dark page
+_MIN_BRIGHTNESS = 0.7  # of a colour, for surfaces that are black in the images
 _MAX_PATH_POINTS = 1000
 _WORDS = {
     "before": ("Before: dense map by odometry", "Places that were visited twice do not fit where odometry drifted."),

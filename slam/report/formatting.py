@@ -1,9 +1,4 @@
-"""Values of a run's record as the cells and rows of the report's tables.
-
-Values of a record as text: metrics with their notes, outcomes of loops, time of each stage.
-
-The summary of a run as a table for the terminal.
-"""
+"""Values of a run's record as text: cells and rows of the report's tables, and the summary for the terminal."""
 
 import math
 from collections.abc import Mapping
@@ -16,6 +11,59 @@ from rich.table import Table
 from slam.run_result import LoopRow, RunRecord
 
 MISSING = "\N{EN DASH}"
+ESTIMATES = ("odometry", "online", "corrected")
+ERRORS = {
+    "t_rel_percent": "t_rel [%]",
+    "r_rel_deg_per_100m": "r_rel [deg/100 m]",
+    "end_error_m": "end error [m]",
+    "end_error_percent": "end error [%]",
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value in a table.
+
+    Attributes:
+        text: text that is shown.
+        note: reason why the value is missing; empty if it is there.
+        order: key by which its column is sorted.
+    """
+
+    text: str
+    note: str = ""
+    order: float | str = ""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One row of the table of trajectory errors.
+
+    Attributes:
+        name: `odometry`, `online` or `corrected`.
+        alignment: alignment of its ATE.
+        cells: ATE, then the errors in the order of `ERRORS`.
+    """
+
+    name: str
+    alignment: str
+    cells: list[Cell]
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Time of one stage of the pipeline.
+
+    Attributes:
+        name: name of the stage.
+        median, p99: median and 99th percentile over the frames in which it ran, milliseconds.
+        share: share of the total time, 0 to 1.
+    """
+
+    name: str
+    median: float
+    p99: float
+    share: float
 
 
 def metric_value(metrics: Mapping[str, object], key: str) -> object | None:
@@ -76,22 +124,6 @@ def loop_outcome(row: LoopRow) -> str:
     return "unverified" if row.accepted else "unlikely"
 
 
-@dataclass(frozen=True)
-class StageTime:
-    """Time of one stage of the pipeline.
-
-    Attributes:
-        name: name of the stage.
-        median, p99: median and 99th percentile over the frames in which it ran, milliseconds.
-        share: share of the total time, 0 to 1.
-    """
-
-    name: str
-    median: float
-    p99: float
-    share: float
-
-
 def stage_times(record: RunRecord) -> list[StageTime]:
     """Return the time of each stage in the order of the pipeline; stages that never ran are left out."""
     stages = {name: ms[np.isfinite(ms) & (ms > 0)] for name, ms in record.stage_ms.items() if name != "total"}
@@ -101,15 +133,6 @@ def stage_times(record: RunRecord) -> list[StageTime]:
         for name, ms in stages.items()
         if len(ms)
     ]
-
-
-ESTIMATES = ("odometry", "online", "corrected")
-ERRORS = {
-    "t_rel_percent": "t_rel [%]",
-    "r_rel_deg_per_100m": "r_rel [deg/100 m]",
-    "end_error_m": "end error [m]",
-    "end_error_percent": "end error [%]",
-}
 
 
 def summary_table(record: RunRecord) -> Table:
@@ -143,36 +166,6 @@ def _caption(record: RunRecord) -> str:
         f"median ms per frame: {stages}" if stages else "",
     ]
     return escape("\n".join(line for line in lines if line))
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A value in a table.
-
-    Attributes:
-        text: text that is shown.
-        note: reason why the value is missing; empty if it is there.
-        order: key by which its column is sorted.
-    """
-
-    text: str
-    note: str = ""
-    order: float | str = ""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One row of the table of trajectory errors.
-
-    Attributes:
-        name: `odometry`, `online` or `corrected`.
-        alignment: alignment of its ATE.
-        cells: ATE, then the errors in the order of `ERRORS`.
-    """
-
-    name: str
-    alignment: str
-    cells: list[Cell]
 
 
 def cell(record: RunRecord, key: str, digits: int = 2, unit: str = "") -> Cell:

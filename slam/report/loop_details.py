@@ -1,8 +1,6 @@
-"""Details of each row of the loop log: its two images, their matches, and what each stage decided.
+"""Details of each row of the loop log: what each stage decided in words, and its two images with their matches.
 
 Every image is stored once, even if several rows show it; matches are numbers that the page draws over the images.
-
-Explanation of a row of the loop log: what each stage decided about a match, in words.
 """
 
 import base64
@@ -18,7 +16,36 @@ from numpy.typing import NDArray
 from slam.report.formatting import format_value, loop_outcome, metric_value
 from slam.run_result import LoopEventRow, LoopRow, MatchedPixels, RunRecord, StageRow
 
-_NOT_REACHED = "not reached"  # the match was rejected by an earlier stage
+Image = NDArray[np.uint8]
+ImageSource = Callable[[int], Image | None]
+"""Returns the left image, (H, W) uint8, of a frame, or None if it cannot be read."""
+
+MAX_IMAGE_CHARACTERS = 14_000_000  # a page of 5,000 frames and 2,000 rows then stays below 25 MB
+_CHARACTERS_PER_PIXEL = 0.13  # of street scenes at the quality below, in base64
+_WEBP_QUALITY = 35
+_WIDTH_LIMITS_PX = (320.0, 620.0)  # narrower images show too little, wider ones do not fit a page
+_MAX_MATCHES = 100  # drawn of a pair; more hide the images
+_NUM_EXAMPLES = 3  # loops shown without opening a row
+_BATCH_SIZE = 64  # images encoded at a time
+_NOT_REACHED = "not reached"  # by a match that an earlier stage rejected
+
+
+@dataclass(frozen=True)
+class Album:
+    """Small images of frames, each stored once.
+
+    Attributes:
+        width, height: size of the original images, pixels.
+        pictures: WebP in base64 of each frame.
+    """
+
+    width: int = 0
+    height: int = 0
+    pictures: dict[int, str] = field(default_factory=dict)
+
+    def shows(self, row: LoopRow) -> bool:
+        """Return whether the album has both images of a row."""
+        return row.query in self.pictures and row.match in self.pictures
 
 
 def describe_outcome(row: LoopRow) -> str:
@@ -45,7 +72,7 @@ def describe_stages(
     yield "drift gate", _gate(stage)
     decisions = [f"frame {event.frame}: {event.reason}" for event in events] or [_NOT_REACHED]
     for number, decision in enumerate(decisions):
-        yield "" if number else "while driving", decision
+        yield "" if number else "online graph", decision
     yield "final map", _back_end(row)
     if row.truth is not None:
         wrong = "not a revisit, or a wrong relative pose" if row.verified else "not a revisit"
@@ -85,38 +112,8 @@ def _gate(stage: StageRow) -> str:
 def _back_end(row: LoopRow) -> str:
     if math.isnan(row.weight):
         return _NOT_REACHED
-    return f"{row.reason} (weight {row.weight:.2f}, residual {row.residual:.2f} sigma)"
-
-
-Image = NDArray[np.uint8]
-ImageSource = Callable[[int], Image | None]
-"""Returns the left image, (H, W) uint8, of a frame, or None if it cannot be read."""
-
-MAX_IMAGE_CHARACTERS = 14_000_000  # a page of 5,000 frames and 2,000 rows then stays below 25 MB
-_CHARACTERS_PER_PIXEL = 0.13  # of street scenes at the quality below, in base64
-_WEBP_QUALITY = 35
-_WIDTH_LIMITS_PX = (320.0, 620.0)  # narrower images show too little, wider ones do not fit a page
-_MAX_MATCHES = 100  # drawn of a pair; more hide the images
-_NUM_EXAMPLES = 3  # loops shown without opening a row
-_BATCH_SIZE = 64  # images encoded at a time
-
-
-@dataclass(frozen=True)
-class Album:
-    """Small images of frames, each stored once.
-
-    Attributes:
-        width, height: size of the original images, pixels.
-        pictures: WebP in base64 of each frame.
-    """
-
-    width: int = 0
-    height: int = 0
-    pictures: dict[int, str] = field(default_factory=dict)
-
-    def shows(self, row: LoopRow) -> bool:
-        """Return whether the album has both images of a row."""
-        return row.query in self.pictures and row.match in self.pictures
+    # The reason counts sigmas on the scale that the back end has estimated, the residual on the stated one.
+    return f"{row.reason} (weight {row.weight:.2f}, residual {row.residual:.2f} sigma by the stated covariances)"
 
 
 def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE_CHARACTERS) -> dict[str, object]:
@@ -131,7 +128,7 @@ def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE
         width, height and pictures of the `Album`; for each row its frames, outcome, title, description of each stage,
         caption, and in `lines` the pixels of each match to draw: x, y in the query's image, x, y in the match's.
     """
-    pictured = make_album(record.loops, images, budget)
+    album = make_album(record.loops, images, budget)
     stages = {(stage.query, stage.match): stage for stage in record.stages}
     events: dict[tuple[int, int], list[LoopEventRow]] = {}
     for event in record.events:
@@ -142,7 +139,7 @@ def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE
     for row in record.loops:
         key = row.query, row.match
         pair = matched.get(key)
-        lines = _lines(pair) if pair and pictured.shows(row) else np.empty((0, 4), np.int64)
+        lines = _lines(pair) if pair and album.shows(row) else np.empty((0, 4), np.int64)
         rows.append(
             {
                 "query": int(row.query),
@@ -150,17 +147,17 @@ def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE
                 "outcome": loop_outcome(row),
                 "title": describe_outcome(row),
                 "stages": list(describe_stages(paradigm, row, stages.get(key, StageRow(*key)), events.get(key, ()))),
-                "caption": _caption(row, pair, len(lines), pictured),
+                "caption": _caption(row, pair, len(lines), album),
                 "lines": lines.ravel().tolist(),
             }
         )
-    return {"width": pictured.width, "height": pictured.height, "pictures": pictured.pictures, "rows": rows}
+    return {"width": album.width, "height": album.height, "pictures": album.pictures, "rows": rows}
 
 
 def make_album(rows: Sequence[LoopRow], images: ImageSource, budget: int = MAX_IMAGE_CHARACTERS) -> Album:
     """Encode small images of as many rows as the budget of characters permits; few rows get larger images.
 
-    Accepted matches come first, and among them a coarse selection of the whole drive comes before the rest.
+    Accepted matches come first, and among them a coarse selection of the whole recording comes before the rest.
     """
     frames = list(dict.fromkeys(frame for row in _by_interest(rows) for frame in (int(row.query), int(row.match))))
     first = next((image for frame in frames if (image := images(frame)) is not None), None)
@@ -224,10 +221,10 @@ def _lines(pair: MatchedPixels) -> NDArray[np.int64]:
     return np.rint(both[chosen]).astype(np.int64)
 
 
-def _caption(row: LoopRow, pair: MatchedPixels | None, drawn: int, pictured: Album) -> str:
-    if not pictured.pictures:
+def _caption(row: LoopRow, pair: MatchedPixels | None, drawn: int, album: Album) -> str:
+    if not album.pictures:
         return "The images could not be read when this page was made."
-    if not pictured.shows(row):
+    if not album.shows(row):
         return "The images of this pair are not in this page, to keep it small."
     shown = f"Frame {row.query} above, frame {row.match} below."
     if pair is None or not drawn:

@@ -17,10 +17,10 @@ Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
 _PANEL_INCHES = 4.6  # side of a panel
-_MAX_CELLS = 600  # largest number of cells drawn along a side of a matrix: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.MOST])
+_MAX_CELLS = 600  # drawn along a side of a matrix: about the pixels of a panel
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.SCALE_END])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
-# Colour and dashes of the curves. The dashes tell them apart in print and for the colour-blind.
+# Colour and dashes of the curves. The dashes distinguish them in print and for the colour-blind.
 _LINES = (
     (colours.CORRECTED, "-"),
     (colours.ODOMETRY, "--"),
@@ -67,7 +67,7 @@ def plot_matrix(matrix: SimilarityMatrix) -> Figure:
 
 def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
-    _frame(ax, title, len(matrix.values) * matrix.step)
+    _format_axes(ax, title, len(matrix.values) * matrix.step)
     rows, columns, cells = reduce_to_cells(matrix)
     if not np.isfinite(cells).any():
         ax.text(0.5, 0.5, "no images were compared", transform=ax.transAxes, ha="center", va="center", color=INK)
@@ -79,14 +79,14 @@ def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     )
     bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.045, pad=0.02, extend="max")
     assert bar.solids is not None
-    bar.solids.set_rasterized(True)  # like the matrix, as a dark page turns the colours of images round
+    bar.solids.set_rasterized(True)  # like the matrix: a dark page inverts the colours of images
     bar.set_label("the paradigm's own scale", color=INK)
     bar.ax.tick_params(colors=INK, labelsize=8)
 
 
 def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, images: int) -> None:
     """Draw the accepted matches: Figure 4.7; true and false ones in different colours if the truth is known."""
-    _frame(ax, f"Detections: {len(detections)}", images)
+    _format_axes(ax, f"Detections: {len(detections)}", images)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
     ax.plot(*_columns_first(detections[right]), "o", color=colours.ACCEPTED, ms=2.4, mew=0, label=label)
@@ -98,7 +98,7 @@ def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, 
 
 def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
     """Draw which images show the same place: Figure 4.9."""
-    _frame(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", len(truth))
+    _format_axes(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", len(truth))
     ax.plot(*_columns_first(np.argwhere(truth)), "s", color=colours.CORRECTED, ms=1.4, mew=0, rasterized=True)
 
 
@@ -145,7 +145,7 @@ def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
 
 
 def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
-    """First row (axis 1) or column (axis 0) of each cell: those with values if they are at most half, else all."""
+    """Return the first row (axis 1) or column (axis 0) of each cell: those with values if at most half, else all."""
     there = np.flatnonzero(np.any(finite, axis=axis))
     if 2 * len(there) > len(finite) or not len(there):
         return np.arange(len(finite))
@@ -153,11 +153,11 @@ def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
 
 
 def _end(begins: Ids, size: int) -> int:
-    """End of the last cell: as far from its begin as the longest of the other cells is long."""
+    """Return the end of the last cell, which is as long as the longest of the others."""
     return min(int(begins[-1] + np.diff(begins).max(initial=1)), size)
 
 
-def _frame(ax: Axes, title: str, images: int) -> None:
+def _format_axes(ax: Axes, title: str, images: int) -> None:
     style_axes(ax)
     ax.grid(False)
     ax.set(xlim=(0, images), ylim=(images, 0), xlabel="earlier image", ylabel="query image")

@@ -6,7 +6,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slam.evaluation.pose_graph import aligned
+from slam.evaluation.pose_graph import align_positions
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.robust.problem import BackEndResult, LoopProblem
 from slam.report import colours
@@ -35,7 +35,7 @@ def draw_pose_graph(name: str, problem: LoopProblem, result: BackEndResult, trut
     )
     plane = _plane(result.poses[:, :-1, -1] if truth is None else truth)
     for ax, title, label, colour, poses in parts:
-        positions = poses[:, :-1, -1] if truth is None else aligned(poses[:, :-1, -1], truth)
+        positions = poses[:, :-1, -1] if truth is None else align_positions(poses[:, :-1, -1], truth)
         positions = positions @ plane
         _draw_loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
         _draw_loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))

@@ -19,7 +19,7 @@ _THEMED = {
     colours.CORRECTED: "var(--corrected)",
     colours.ACCEPTED: "var(--accepted)",
     colours.REJECTED: "var(--rejected)",
-    colours.MOST: "var(--most)",
+    colours.SCALE_END: "var(--most)",
 }
 _NO_METADATA = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 

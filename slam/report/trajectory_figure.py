@@ -1,8 +1,7 @@
 """Figure of a run before and after loop closing: plan view with map, trajectory and loops, and height profile.
 
-Alignment of an estimated trajectory with the ground truth, and the position error of each frame.
-
-Covariances of positions as 95 % confidence ellipses in plan view.
+Both estimates are aligned with the ground truth, if there is one. Covariances of positions are drawn as 95 % confidence
+ellipses.
 """
 
 import io
@@ -28,8 +27,48 @@ from slam.run_result import LoopRow, PointCloud, RunRecord
 
 Array = NDArray[np.float64]
 
+INK = "#1a1a1a"
+_NO_ELLIPSES = np.empty((0, 0, 2))
+_IDENTITY = Similarity(np.eye(3), np.zeros(3), 1.0)
+# Alignment.
 _MIN_ROUNDNESS = 1e-2  # a path with a lower ratio of second to first spread does not determine its roll
-_LEVER = 1e-2  # length of the levers, as a share of the mean distance from the centre
+_LEVER = 1e-2  # length of the levers of `align_trajectory`, as a share of the mean distance from the centre
+# Confidence ellipses.
+_NUM_ELLIPSES = 24  # in a panel, evenly spread along the path
+_SIGMAS_95 = np.sqrt(5.991)  # square root of the 95 % quantile of chi-square with 2 degrees of freedom
+_NUM_CORNERS = 48  # of an ellipse
+_PLAN = np.array([0, 2])  # rows of x and z
+# Plan views and height profiles.
+_MAX_LANDMARKS = 60_000  # drawn in a panel; more only make the file larger
+_MARGIN = 0.07  # around the trajectories, as a share of the larger side
+_MAX_MARGIN_M = 10.0  # around short trajectories, so that the map beside them is shown
+_MIN_SIDE_M = 4.0  # shown at least, for a camera that stood still
+_MIN_ASPECT = 0.6  # minimum ratio of short to long side of a panel, for straight paths
+_HEADING_DISTANCE = 0.04  # the arrow points to the first position this far from the start, as a share of the largest
+_ARROW_POINTS = 26.0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Contents of one panel, in the frame of the first camera.
+
+    Attributes:
+        title: heading of the panel.
+        name: name of the estimate, `odometry` or `corrected`.
+        colour: colour of its trajectory.
+        positions: camera positions, (N, 3), metres.
+        landmarks: map points, (M, 3), metres.
+        truth: true positions, (N, 3), metres, or None.
+        ellipses: outlines of the 95 % confidence regions, (K, C, 2), metres; K = 0 if covariances are unknown.
+    """
+
+    title: str
+    name: str
+    colour: str
+    positions: Array
+    landmarks: Array
+    truth: Array | None
+    ellipses: Array
 
 
 def anchor_ground_truth(record: RunRecord) -> Array | None:
@@ -74,12 +113,6 @@ def position_errors(estimate: Array, truth: Array, with_scale: bool = False) -> 
     return np.asarray(np.linalg.norm(aligned - truth[:, :3, 3], axis=1))
 
 
-_NUM_ELLIPSES = 24  # in a panel, evenly spread along the path
-_SCALE = np.sqrt(5.991)  # square root of the 95 % quantile of chi-square with 2 degrees of freedom
-_NUM_CORNERS = 48
-_PLAN = np.array([0, 2])  # rows of x and z
-
-
 def confidence_ellipses(poses: Array, covariances: Array, aligned: Similarity) -> Array:
     """Return outlines (K, 48, 2), x and z in metres, of the regions that hold the camera with 95 % confidence.
 
@@ -99,44 +132,9 @@ def confidence_ellipses(poses: Array, covariances: Array, aligned: Similarity) -
     values, vectors = np.linalg.eigh(plan)
     angles = np.linspace(0.0, 2.0 * np.pi, _NUM_CORNERS)
     circle = np.stack([np.cos(angles), np.sin(angles)])
-    outlines = vectors @ (_SCALE * np.sqrt(values.clip(min=0.0))[:, :, None] * circle)
+    outlines = vectors @ (_SIGMAS_95 * np.sqrt(values.clip(min=0.0))[:, :, None] * circle)
     centres = aligned.apply(poses[shown, :3, 3])[:, _PLAN]
     return centres[:, None, :] + np.swapaxes(outlines, 1, 2)
-
-
-INK = "#1a1a1a"
-_NO_ELLIPSES = np.empty((0, 0, 2))
-_IDENTITY = Similarity(np.eye(3), np.zeros(3), 1.0)
-_MAX_LANDMARKS = 60_000  # drawn in a panel; more only make the file larger
-_MARGIN = 0.07  # around the trajectories, as a share of the larger side
-_MAX_MARGIN_M = 10.0  # around short trajectories, so that the map beside them is shown
-_MIN_SIDE_M = 4.0  # shown at least, for a camera that stood still
-_MIN_ASPECT = 0.6  # least ratio of short to long side of a panel, for straight paths
-_HEADING_DISTANCE = 0.04  # the arrow points to the first position this far from the start, as a share of the largest
-_ARROW_POINTS = 26.0
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Contents of one panel, in the frame of the first camera.
-
-    Attributes:
-        title: heading of the panel.
-        name: name of the estimate, `odometry` or `corrected`.
-        colour: colour of its trajectory.
-        positions: camera positions, (N, 3), metres.
-        landmarks: map points, (M, 3), metres.
-        truth: true positions, (N, 3), metres, or None.
-        ellipses: outlines of the 95 % confidence regions, (K, C, 2), metres; K = 0 if covariances are unknown.
-    """
-
-    title: str
-    name: str
-    colour: str
-    positions: Array
-    landmarks: Array
-    truth: Array | None
-    ellipses: Array
 
 
 def draw_before_after(record: RunRecord) -> Figure:
@@ -144,13 +142,13 @@ def draw_before_after(record: RunRecord) -> Figure:
 
     With ground truth, both estimates are aligned with it in the same way as for their ATE.
     """
-    both = make_panels(record)
-    centre, half = shared_window(both)
+    panels = make_panels(record)
+    centre, half = shared_window(panels)
     figure, (left, right), profiles = _canvas(half[1] / half[0])
-    for ax, panel in zip((left, right), both, strict=True):
+    for ax, panel in zip((left, right), panels, strict=True):
         draw_plan_view(ax, panel, record)
         set_limits(ax, centre, half)
-    for ax, panel in zip(profiles, both, strict=True):
+    for ax, panel in zip(profiles, panels, strict=True):
         _draw_height(ax, panel)
     left.set_ylabel("z [m], forward at the start")
     profiles[0].set_ylabel("height [m]")
@@ -282,7 +280,7 @@ def _draw_height(ax: Axes, panel: Panel) -> None:
         ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
     ax.plot(_distances(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
     low, high = ax.get_ylim()
-    if high - low < _MIN_SIDE_M:  # a flat drive is not magnified into mountains
+    if high - low < _MIN_SIDE_M:  # a flat path is not magnified into mountains
         ax.set_ylim((low + high - _MIN_SIDE_M) / 2, (low + high + _MIN_SIDE_M) / 2)
 
 
@@ -315,9 +313,9 @@ def _draw_start(ax: Axes, panel: Panel) -> None:
         ax.annotate("", xy=plan[0], xytext=tip, textcoords="offset points", arrowprops=arrow, zorder=7)
 
 
-def shared_window(both: tuple[Panel, Panel]) -> tuple[Array, Array]:
+def shared_window(panels: tuple[Panel, Panel]) -> tuple[Array, Array]:
     """Return centre (2,) and half size (2,), metres, that show both trajectories; landmarks may be far outliers."""
-    shown = [panel.positions for panel in both] + [panel.truth for panel in both if panel.truth is not None]
+    shown = [panel.positions for panel in panels] + [panel.truth for panel in panels if panel.truth is not None]
     plan = np.concatenate([np.zeros((1, 2)), *(positions[:, [0, 2]] for positions in shown)])
     plan = plan[np.isfinite(plan).all(axis=1)]
     low, high = plan.min(axis=0), plan.max(axis=0)
@@ -346,9 +344,9 @@ def render_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def save_figure(figure: Figure, buffer: IO[Any], **how: Any) -> None:
+def save_figure(figure: Figure, buffer: IO[Any], **options: Any) -> None:
     """Write a figure to a buffer as `Figure.savefig` does; a letter that no font has becomes a box."""
     set_font_fallbacks(figure)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
-        figure.savefig(buffer, **how)
+        figure.savefig(buffer, **options)

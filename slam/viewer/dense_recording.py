@@ -51,7 +51,7 @@ def record_dense_map(path: Path, run: Path, camera: StereoCamera, maps: Iterable
         OutputError: the file cannot be written.
     """
     with replacing(path) as temporary:
-        temporary.touch()  # says what is wrong with the folder, which rerun does not
+        temporary.touch()  # gives the reason if the folder cannot be written, which rerun does not
         recording = continue_recording(run)
         recording.set_sinks(rr.FileSink(str(temporary)))
         positions = np.empty((0, 3))

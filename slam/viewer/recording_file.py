@@ -1,7 +1,7 @@
-"""The recording of a run on disk: whether there is room for it, and how the parts of a resumed run become one file.
+"""The recording file of a run: room on its disk, and merging of the parts of a resumed run.
 
-rerun's own sink writes the file. It must not fill the disk: the results of the run come after it, and rerun can wait
-for ever where its writer has died of a full disk (docs/decisions/recordings.md).
+rerun's own sink writes the file. It must not fill the disk: the results of the run are written after it, and rerun
+may wait for ever once its writer has failed on a full disk (docs/decisions/recordings.md).
 """
 
 import logging
@@ -14,7 +14,7 @@ from slam.errors import OutputError
 
 _LOG = logging.getLogger(__name__)
 
-# Kept free for the results that are written after the drive: the report alone may take 25 MB, a map 27 bytes a point.
+# Kept free for the results that are written at the end of the run: the report may take 25 MB, a map 27 bytes a point.
 RESERVE_BYTES = 200_000_000
 _MERGE_TIMEOUT_S = 600.0  # a recording of several gigabytes takes a minute
 
@@ -32,7 +32,7 @@ def has_room(recording: Path) -> bool:
 
 
 def rotate_recording(recording: Path) -> None:
-    """Make way for a new recording: what an earlier part of the run has left there is renamed.
+    """Rename the recording of an earlier part of the run, so that a new one can be written.
 
     Raises:
         OutputError: the file cannot be written.
@@ -41,7 +41,7 @@ def rotate_recording(recording: Path) -> None:
         if recording.exists():
             number = len(_parts(recording))
             recording.rename(recording.with_name(f"{recording.stem}.part-{number:03d}{recording.suffix}"))
-        recording.touch()  # rerun would not say what is wrong with the folder
+        recording.touch()  # gives the reason if the folder cannot be written, which rerun does not
     except OSError as error:
         raise _unwritable(recording, error) from error
 

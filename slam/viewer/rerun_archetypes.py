@@ -1,9 +1,4 @@
-"""NumPy arrays as rerun archetypes: colours, sizes and subsampling of what the viewer draws.
-
-An entity that grows with the drive, logged in parts: the file grows linearly, not with the square of the length.
-
-Layout of a recording in the rerun viewer: maps, camera image, latest loop and curves.
-"""
+"""What the viewer shows, in the terms of rerun: archetypes of NumPy arrays, growing entities, layout of the views."""
 
 from collections.abc import Callable, Iterable
 
@@ -27,7 +22,15 @@ _MAX_TRACKS = 400  # drawn in an image
 _MAX_MAP_POINTS = 300_000  # drawn of each map
 _MAX_MATRIX_SIDE_PX = 500
 _NUM_DASHES = 300  # of the ground truth
+_MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
 _LIFT_M = np.array([0.0, 0.5, 0.0])  # up is -y: dots float above the line, which would hide them
+# Entities of each view.
+_LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
+_BEFORE = ["+ /world/odometry/**", "+ /world/map_before/**", "+ /world/ground_truth/**"]
+_AFTER = ["+ /world/corrected/**", "+ /world/map_after/**", "+ /world/ground_truth/**", "+ /world/loops/**"]
+_DENSE_BEFORE = ["+ /world/dense_before/**", "+ /world/ground_truth/**"]
+_DENSE_AFTER = ["+ /world/dense_after/**", "+ /world/ground_truth/**"]
+_DARK = [16, 18, 22]  # background of all views, RGB
 
 
 def encode_jpeg(image: Image) -> rr.EncodedImage:
@@ -129,14 +132,12 @@ def subsample(rows: Array, max_rows: int) -> Array:
     return rows[:: len(rows) // max_rows + 1]
 
 
-_MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
-
-
 class GrowingEntity:
     """Rows (N, 3), metres, shown under one entity path and its parts.
 
     A viewer shows what was logged last to a path, so adding a row means to log all rows again. Here only the newest
-    rows are logged again; once they are more than `max_rows` they become a part of their own that stays as it is.
+    rows are logged again; once they are more than `max_rows` they become a part of their own that stays as it is. The
+    file thus grows linearly with the length of the recording, not with its square.
     """
 
     def __init__(
@@ -179,21 +180,13 @@ class GrowingEntity:
         self._parts, self._newest = 0, np.empty((0, 3))
 
 
-_LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
-_BEFORE = ["+ /world/odometry/**", "+ /world/map_before/**", "+ /world/ground_truth/**"]
-_AFTER = ["+ /world/corrected/**", "+ /world/map_after/**", "+ /world/ground_truth/**", "+ /world/loops/**"]
-_DENSE_BEFORE = ["+ /world/dense_before/**", "+ /world/ground_truth/**"]
-_DENSE_AFTER = ["+ /world/dense_after/**", "+ /world/ground_truth/**"]
-_DARK = [16, 18, 22]
-
-
 def blueprint(width: int, height: int, positions: Array | None, dense: bool = False) -> rrb.Blueprint:
     """Lay out map, camera image (width x height), latest loop and curves; with `dense` also a tab of dense maps.
 
     The 3D views look down on positions (N, 3), metres; without positions rerun chooses the viewpoint.
     """
-    eye = None if positions is None or len(positions) < 2 else _overview(positions)
-    whole = _map("Drive", ["+ /world/**", *_LIVE_ONLY], eye)
+    viewpoint = None if positions is None or len(positions) < 2 else _overview(positions)
+    whole = _map("Drive", ["+ /world/**", *_LIVE_ONLY], viewpoint)
     pair = rrb.Horizontal(
         _image("Latest loop: query", "loop/query", (width / 2, height / 2)),
         _image("Latest loop: match", "loop/match", (width / 2, height / 2)),
@@ -208,12 +201,14 @@ def blueprint(width: int, height: int, positions: Array | None, dense: bool = Fa
         name="Now",
     )
     before_after = rrb.Horizontal(
-        _map("Before: odometry", _BEFORE, eye), _map("After: corrected", _AFTER, eye), name="Before and after"
+        _map("Before: odometry", _BEFORE, viewpoint),
+        _map("After: corrected", _AFTER, viewpoint),
+        name="Before and after",
     )
     drive = rrb.Horizontal(whole, right, column_shares=[5, 4], name="Drive")
     return rrb.Blueprint(
         rrb.Tabs(
-            *([_dense_maps(eye)] if dense else []),
+            *([_dense_maps(viewpoint)] if dense else []),
             drive,
             before_after,
             rrb.TextLogView(origin="loop/log", name="Loop log"),
@@ -225,16 +220,16 @@ def blueprint(width: int, height: int, positions: Array | None, dense: bool = Fa
     )
 
 
-def _dense_maps(eye: rrb.EyeControls3D | None) -> rrb.Horizontal:
+def _dense_maps(viewpoint: rrb.EyeControls3D | None) -> rrb.Horizontal:
     return rrb.Horizontal(
-        _map("Before: dense map by odometry", _DENSE_BEFORE, eye),
-        _map("After: dense map, corrected", _DENSE_AFTER, eye),
+        _map("Before: dense map by odometry", _DENSE_BEFORE, viewpoint),
+        _map("After: dense map, corrected", _DENSE_AFTER, viewpoint),
         name="Dense map",
     )
 
 
-def _map(name: str, contents: list[str], eye: rrb.EyeControls3D | None) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(origin="world", contents=contents, name=name, background=_DARK, eye_controls=eye)
+def _map(name: str, contents: list[str], viewpoint: rrb.EyeControls3D | None) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(origin="world", contents=contents, name=name, background=_DARK, eye_controls=viewpoint)
 
 
 def _image(name: str, origin: str, size: tuple[float, float]) -> rrb.Spatial2DView:

@@ -33,11 +33,11 @@ _LOG = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Mode = Literal["record", "native", "web"]
 
-_MAX_LANDMARKS = 150  # drawn of each key frame while the drive goes on
+_MAX_LANDMARKS = 150  # drawn of each key frame during the run
 _MAX_LINE_ROWS, _MAX_LANDMARK_ROWS = 150, 1600  # of one part of a growing entity
-_IMAGE_DISTANCE = 0.04  # of the drawn image from its camera, as a share of the size of the drive
+_IMAGE_DISTANCE = 0.04  # of the drawn image from its camera, as a share of the extent of the path
 _IMAGE_DISTANCE_LIMITS_M = (0.5, 4.0)
-_VIEWER_FLUSH_S = 5.0  # a viewer that has not taken the rest by then is gone
+_VIEWER_FLUSH_S = 5.0  # a viewer that has not received the rest by then is closed
 _FILE_FLUSH_S = 60.0  # a slow disk needs some time, a dead writer would keep us waiting for ever
 _CURVES = {
     "plots/inliers": colours.CORRECTED,
@@ -190,7 +190,7 @@ class RerunViewer:
         self._connect()
 
     def _close_file(self, consequence: str) -> None:
-        """End the file while there is room for its end, and go on without it."""
+        """End the file while there is room for its end, and continue without it."""
         _LOG.warning(
             "%s, as the disk has less than %.0f MB left for the results; make room", consequence, RESERVE_BYTES / 1e6
         )

@@ -1,4 +1,4 @@
-"""What a run shows while it drives (frames, loops, matrix), the viewer protocol, and the viewer that shows nothing."""
+"""The viewer protocol, the views of frames and loops that a run sends, and the viewer that shows nothing."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameView:
-    """What a viewer shows of one frame.
+    """Contents of one frame for a viewer.
 
     Attributes:
         index: index of the frame, from 0.
@@ -48,7 +48,7 @@ class FrameView:
 
 @dataclass(frozen=True)
 class LoopView:
-    """What a viewer shows of a proposed loop, closed or rejected.
+    """Contents of a proposed loop, closed or rejected, for a viewer.
 
     Attributes:
         query, match: frame indices.
@@ -98,7 +98,7 @@ class Viewer(Protocol):
         ...
 
     def finish(self, record: RunRecord) -> None:
-        """Show the end of the drive: final trajectories, maps and errors."""
+        """Show the end of the run: final trajectories, maps and errors."""
         ...
 
     def close(self) -> None:

@@ -57,10 +57,10 @@ def _options() -> argparse.Namespace:
 
 def _run_engine(options: argparse.Namespace) -> None:
     """Try every reader on the inputs of one engine; the tallies go to a file."""
-    from .watching import watched
+    from .instrumentation import instrument
 
     guided = options.engine == "guided" and importlib.util.find_spec("atheris") is not None
-    with watched(guided):
+    with instrument(guided):
         from .process import fuzz_apart
         from .readers import READERS
 
@@ -72,8 +72,8 @@ def _run_engine(options: argparse.Namespace) -> None:
     for name in names:
         inputs = round(options.inputs * READERS[name].share / whole)
         tallies[name] = fuzz_apart(name, engine, inputs, seed, options.out)
-        said = f"{engine}, {name}: {tallies[name].inputs:,} inputs, failures {tallies[name].failures or 'none'}"
-        print(said, file=sys.stderr, flush=True)
+        line = f"{engine}, {name}: {tallies[name].inputs:,} inputs, failures {tallies[name].failures or 'none'}"
+        print(line, file=sys.stderr, flush=True)
         texts = {key: asdict(tally) for key, tally in tallies.items()}
         (options.out / f"{options.engine}.json").write_text(json.dumps(texts, indent=1))
 

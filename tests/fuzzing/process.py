@@ -1,4 +1,4 @@
-"""Tries inputs on a reader in a process of its own, which may die."""
+"""Trials of inputs on a reader in a process of its own, which may die."""
 
 import json
 import os
@@ -12,32 +12,32 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 
+from .acceptance import is_accepted, prepare
 from .engines import ENGINES
-from .judging import outcome, prepare
 from .readers import READERS
 from .tally import Tally
 
 _MEMORY = 1 << 30
-_LONGEST_S, _KILLED_AFTER_S = 2.0, 30.0
-_TOLD_EVERY = 200
+_MAX_CALL_S, _KILLED_AFTER_S = 2.0, 30.0
+_REPORT_INTERVAL = 200
 _PROJECT = ("/slam/", "/place_recognition/", "/odometry/", "/fuzzing/")
-_MOST_DEATHS = 20
+_MAX_DEATHS = 20
 
 
 def fuzz_apart(name: str, engine: str, inputs: int, start: int, out: Path) -> Tally:
-    """Try so many inputs on a reader; what fails is kept in the folder `out`.
+    """Try a number of inputs on a reader, and keep those that fail in the folder `out`.
 
     A process that dies is followed by another one, with another seed.
 
     Args:
-        name: of the reader, in READERS.
-        engine: in ENGINES.
-        inputs: how many.
-        start: seed.
-        out: folder.
+        name: name of the reader in READERS.
+        engine: name of the engine in ENGINES.
+        inputs: number of inputs.
+        start: seed of the inputs.
+        out: folder for the inputs that fail.
     """
     tally = Tally()
-    for death in range(_MOST_DEATHS):
+    for death in range(_MAX_DEATHS):
         if tally.inputs >= inputs:
             break
         with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as work:
@@ -55,11 +55,11 @@ def _in_a_process(name: str, engine: str, inputs: int, start: int, work: Path) -
         finally:
             os._exit(1)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    told = work / "tally.json"
-    tally = Tally(**json.loads(told.read_text())) if told.exists() else Tally()
+    report = work / "tally.json"
+    tally = Tally(**json.loads(report.read_text())) if report.exists() else Tally()
     if tally.inputs < inputs:
-        said = ((work / "said").read_text(errors="replace").strip().splitlines() or [""])[-1]
-        reason = "hung" if status == -signal.SIGALRM else f"died ({status}): {said[:200]}"
+        output = ((work / "output").read_text(errors="replace").strip().splitlines() or [""])[-1]
+        reason = "hung" if status == -signal.SIGALRM else f"died ({status}): {output[:200]}"
         last = work / "root" / READERS[name].file
         (work / "failures" / "killer").write_bytes(last.read_bytes() if last.exists() else b"")
         tally.fail(reason, "killer")
@@ -76,9 +76,9 @@ def _keep(tally: Tally, work: Path, out: Path) -> None:
 
 def _fuzz(name: str, engine: str, inputs: int, start: int, work: Path) -> None:
     os.chdir(work)
-    said = os.open("said", os.O_WRONLY | os.O_CREAT)
-    os.dup2(said, sys.stdout.fileno())
-    os.dup2(said, sys.stderr.fileno())
+    output = os.open("output", os.O_WRONLY | os.O_CREAT)
+    os.dup2(output, sys.stdout.fileno())
+    os.dup2(output, sys.stderr.fileno())
     warnings.simplefilter("ignore")
     trial = _Trial(name, work)
     for data in trial.reader.seeds():  # loads what is loaded late
@@ -99,7 +99,7 @@ def _limit_memory() -> None:
 
 
 class _Trial:
-    """Tries inputs and keeps count in `tally.json`; what fails is written to `failures/`."""
+    """Tries inputs and keeps count in `tally.json`; inputs that fail are written to `failures/`."""
 
     def __init__(self, name: str, work: Path) -> None:
         self.reader, self.work, self.root = READERS[name], work, work / "root"
@@ -110,34 +110,34 @@ class _Trial:
     def __call__(self, data: bytes) -> None:
         """Try an input."""
         self.attempt(data)
-        if self.tally.inputs % _TOLD_EVERY == 0:
-            self.tell()
+        if self.tally.inputs % _REPORT_INTERVAL == 0:
+            self.write_tally()
 
     def attempt(self, data: bytes) -> None:
         self.tally.inputs += 1
         start = time.perf_counter()
         try:
-            self.tally.accepted += self._outcome(data)
+            self.tally.accepted += self._try(data)
         except Exception as error:
             self._fail(_kind(error), data)
             return
         took = time.perf_counter() - start
-        if took > _LONGEST_S:  # it may have waited for a busy machine
+        if took > _MAX_CALL_S:  # it may have waited for a busy machine
             took = min(took, *(self._seconds(data) for _ in range(3)))
         self.tally.slowest_ms = max(self.tally.slowest_ms, 1000 * took)
-        if took > _LONGEST_S:
-            self._fail(f"took more than {_LONGEST_S:g} s", data)
+        if took > _MAX_CALL_S:
+            self._fail(f"took more than {_MAX_CALL_S:g} s", data)
 
-    def _outcome(self, data: bytes) -> bool:
+    def _try(self, data: bytes) -> bool:
         signal.setitimer(signal.ITIMER_REAL, _KILLED_AFTER_S)
         try:
-            return outcome(self.reader, self.root, data)
+            return is_accepted(self.reader, self.root, data)
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def _seconds(self, data: bytes) -> float:
         start = time.perf_counter()
-        self._outcome(data)
+        self._try(data)
         return time.perf_counter() - start
 
     def _fail(self, kind: str, data: bytes) -> None:
@@ -146,20 +146,20 @@ class _Trial:
             (self.work / "failures" / file).write_bytes(data)
         self.tally.fail(kind, file)
 
-    def tell(self) -> None:
+    def write_tally(self) -> None:
         self.tally.peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         (self.work / "tally.json").write_text(json.dumps(asdict(self.tally)))
 
     def finish(self) -> None:
-        """Write down what came of them, and end the process."""
-        self.tell()
+        """Write the tally and end the process."""
+        self.write_tally()
         os._exit(0)
 
 
 def _kind(error: BaseException) -> str:
-    """What went wrong, and where: the same for all inputs that fail alike."""
+    """Describe an error and its place; inputs that fail alike have the same description."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if any(part in f.filename for part in _PROJECT)]
     where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "elsewhere"
-    said = " ".join(str(error).split())
-    said = said.split(":")[0] if isinstance(error, AssertionError) else said
-    return f"{type(error).__name__} at {where}: {said[:60]}"
+    text = " ".join(str(error).split())
+    text = text.split(":")[0] if isinstance(error, AssertionError) else text
+    return f"{type(error).__name__} at {where}: {text[:60]}"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from .judging import outcome, prepare
+from .acceptance import is_accepted, prepare
 from .mutations import mutated
 from .readers import READERS
 
@@ -30,12 +30,12 @@ def name(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def test_a_valid_file_is_accepted(name: str, tmp_path: Path) -> None:
-    assert outcome(READERS[name], tmp_path, READERS[name].seeds()[0])
+    assert is_accepted(READERS[name], tmp_path, READERS[name].seeds()[0])
 
 
 def test_files_that_once_made_a_reader_fail_do_so_no_more(name: str, tmp_path: Path) -> None:
     for file in sorted(folder_of(name).glob("*")):
-        outcome(READERS[name], tmp_path, file.read_bytes())
+        is_accepted(READERS[name], tmp_path, file.read_bytes())
 
 
 @few
@@ -43,7 +43,7 @@ def test_files_that_once_made_a_reader_fail_do_so_no_more(name: str, tmp_path: P
 def test_any_file_is_accepted_or_refused_by_name(name: str, tmp_path: Path, data: st.DataObject) -> None:
     reader = READERS[name]
     damaged = st.integers(0, 2**32).map(lambda seed: mutated(random.Random(seed), reader.seeds()))
-    outcome(reader, tmp_path, data.draw(damaged if name.startswith(SLOW) else damaged | reader.generated))
+    is_accepted(reader, tmp_path, data.draw(damaged if name.startswith(SLOW) else damaged | reader.generated))
 
 
 def test_every_found_file_belongs_to_a_reader() -> None:

@@ -96,11 +96,11 @@ def camera_files() -> list[bytes]:
     lens = 'model = "radtan"\ndistortion = [-0.02, 0.01, 0.0002, 0.00002]\n'
     right = f"[right_camera]\n{CAMERA}T_left_right = [[1,0,0,0.1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\n"
     rest = 'left = "left"\nright = "right"\nground_truth = "poses.tum"\n'
-    fish_eye = 'model = "equidistant"\ndistortion = [0.01, 0.002, 0, 0]\n'
+    fisheye = 'model = "equidistant"\ndistortion = [0.01, 0.002, 0, 0]\n'
     texts = (
         f"{CAMERA}fps = 10\n",
         f"{CAMERA}baseline = 0.5\nfps = 10\n{lens}{rest}",
-        f"{CAMERA}fps = 10\n{fish_eye}",
+        f"{CAMERA}fps = 10\n{fisheye}",
         f"{CAMERA}fps = 10\n{lens}{right}{lens}",
     )
     return [text.encode() for text in texts]

@@ -1,4 +1,4 @@
-// The table of loops: sorted by its headings, filtered by outcome and text; a button in the first cell opens a row.
+// The loop log: sorted by its headings, filtered by outcome and text; a button in the first cell opens a row.
 (() => {
   const table = document.getElementById("loop-log");
   if (!table) return;

@@ -61,7 +61,7 @@ def test_a_closed_loop_is_explained_stage_by_stage_with_its_numbers(run: Path) -
     assert "0.50 right, 0.25 up, 3.00 back m and turned 2.50 deg" in stage(text, "relative pose")
     assert "one sigma 0.031 m, 0.110 deg" in stage(text, "relative pose")
     assert stage(text, "drift gate") == "passed: drift explains 4.0 m"
-    assert stage(text, "while driving") == "frame 40: waits"
+    assert stage(text, "online graph") == "frame 40: waits"
     assert "frame 42: joined" in text
     assert "weight 0.97, residual 1.40 sigma" in stage(text, "final map")
     assert stage(text, "ground truth") == "a true revisit"
@@ -72,7 +72,7 @@ def test_a_belief_that_was_not_accepted_stops_at_the_recogniser(run: Path) -> No
     assert "not closed" in text
     assert "below the recogniser's threshold" in stage(text, "recogniser")
     assert stage(text, "epipolar check") == "5 matches agree with one epipolar geometry, too few"
-    assert [stage(text, name) for name in ("drift gate", "while driving", "final map")] == ["not reached"] * 3
+    assert [stage(text, name) for name in ("drift gate", "online graph", "final map")] == ["not reached"] * 3
 
 
 def test_a_match_that_geometry_does_not_verify_has_a_reason(run: Path) -> None:

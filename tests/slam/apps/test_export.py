@@ -70,7 +70,7 @@ def test_whatever_cannot_be_exported_is_one_line(run: Path, capsys: pytest.Captu
     assert "map_after.ply: expected the result of a run, found none" in capsys.readouterr().err
 
 
-def test_a_file_that_is_there_stays_unless_told_otherwise(
+def test_an_existing_file_stays_without_overwrite(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.tum"

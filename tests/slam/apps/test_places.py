@@ -208,7 +208,7 @@ FAULTS: dict[str, tuple[Callable[[Path], list[object]], int, str]] = {
     ),
     "no times for an exclusion": (lambda t: ["--exclude", 5], 2, "give --fps"),
     "an exclusion that is none": (lambda t: ["--exclude", -5], 2, "--exclude: expected seconds from 0, found -5"),
-    "a rate that is none": (lambda t: ["--fps", 0], 2, "--fps: expected images a second above 0"),
+    "a rate that is none": (lambda t: ["--fps", 0], 2, "--fps: expected images per second, above 0"),
 }  # fmt: skip
 
 
@@ -261,11 +261,11 @@ def test_a_damaged_image_midway_is_named_and_nothing_is_left(
 
 ALL_PARADIGMS = """
 import sys, cv2
-from slam import cli
+from slam.cli import app
 cv2.setNumThreads(int(sys.argv[1]))
 for paradigm in sys.argv[4:]:
     arguments = ["places", sys.argv[2], "--paradigm", paradigm, "--out", f"{sys.argv[3]}/{paradigm}"]
-    if code := cli._exit_code(lambda: cli.app(arguments)):
+    if code := app._exit_code(lambda: app.app(arguments)):
         sys.exit(code)
 """
 

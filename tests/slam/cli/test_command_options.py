@@ -14,7 +14,7 @@ import slam.benchmark.sweep
 import slam.pipeline.pipeline
 import slam.simulation
 from slam.cli import app
-from slam.simulation import DriveSpec
+from slam.simulation import SimulationConfig
 
 Call = tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -52,7 +52,7 @@ def test_every_option_of_simulate_is_a_field_of_the_drive(calls: Callable[..., l
     flags = ("--reverse", "--change-illumination", "--perceptual-aliasing", "--ideal-sensor", "--save-depth")
     run("simulate", "blocks", "--out", tmp_path, *(word for pair in given.items() for word in pair), *flags)
     plain, full = (arguments[0] for arguments, _ in made)
-    assert plain == DriveSpec(shape="blocks")
+    assert plain == SimulationConfig(shape="blocks")
     values = list(asdict(full).values())
     assert sum(value is True for value in values) == len(flags)
     assert set(given.values()) <= set(values)
@@ -67,15 +67,14 @@ def test_every_option_of_simulate_is_a_field_of_the_drive(calls: Callable[..., l
 
 
 def test_options_of_dense_are_not_exchanged(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    name = next(name for name in ("map_densely", "build_dense_map") if hasattr(slam.dense_command, name))
-    made = calls(slam.dense_command, name, "done")
+    made = calls(slam.apps.dense, "build_dense_map", "done")
     run("dense", tmp_path, "--voxel-size", 0.3, "--max-depth", 12.5, "--overwrite")
     options = made[0][0][0]
     assert (options.run, options.voxel_m, options.max_depth_m, options.overwrite) == (tmp_path, 0.3, 12.5, True)
 
 
 def test_options_of_evaluate_loops_are_the_rule(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    made = calls(slam.evaluation.loops_command, "evaluate_loops", "text")
+    made = calls(slam.apps.evaluate, "evaluate_loops", "text")
     words = ("evaluate", "loops", tmp_path / "matches.csv", tmp_path / "poses.txt")
     run(*words)
     plain = made[0][0][0]
@@ -90,7 +89,7 @@ def test_options_of_evaluate_loops_are_the_rule(calls: Callable[..., list[Call]]
 def test_options_of_a_run_that_are_not_given_leave_the_settings_alone(
     calls: Callable[..., list[Call]], tmp_path: Path
 ) -> None:
-    made = calls(slam.run, "run_pipeline", False)
+    made = calls(slam.pipeline.pipeline, "run_pipeline", False)
     run("run", tmp_path, "--out", tmp_path / "out")
     options, settings = made[0][0][:2]
     assert settings == {}
@@ -98,7 +97,7 @@ def test_options_of_a_run_that_are_not_given_leave_the_settings_alone(
 
 
 def test_options_of_a_run_arrive(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    made = calls(slam.run, "run_pipeline", False)
+    made = calls(slam.pipeline.pipeline, "run_pipeline", False)
     reading = {
         "--sequence": "05",
         "--format": "kitti",
@@ -125,7 +124,7 @@ def test_options_of_a_run_arrive(calls: Callable[..., list[Call]], tmp_path: Pat
 
 
 def test_what_a_run_does_not_write_is_switched_off(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    made = calls(slam.run, "run_pipeline", False)
+    made = calls(slam.pipeline.pipeline, "run_pipeline", False)
     run("run", tmp_path, "--out", tmp_path / "out", "--no-record")
     run("run", tmp_path, "--out", tmp_path / "out", "--no-map")
     first, second = (arguments[1] for arguments, _ in made)
@@ -134,13 +133,12 @@ def test_what_a_run_does_not_write_is_switched_off(calls: Callable[..., list[Cal
 
 
 def test_an_interrupted_run_ends_with_its_exit_code(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    calls(slam.run, "run_pipeline", True)
+    calls(slam.pipeline.pipeline, "run_pipeline", True)
     assert app._exit_code(lambda: app.app(["run", str(tmp_path), "--out", str(tmp_path)])) == 130
 
 
 def test_options_of_places_arrive(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
-    name = next(n for n in ("recognise_places", "recognize_places") if hasattr(slam.places.command, n))
-    made = calls(slam.places.command, name, False)
+    made = calls(slam.apps.places, "recognize_places", False)
     words = ("places", tmp_path, "--paradigm", "pixel-sequences", "--out", tmp_path / "out")
     run(*words)
     run(*words, "--exclude", 40, "--fps", 10, "--seed", 3, "--features", "orb", "--format", "images", "--json")
@@ -154,7 +152,7 @@ def test_options_of_places_arrive(calls: Callable[..., list[Call]], tmp_path: Pa
 def test_a_benchmark_with_failures_ends_with_their_exit_code(
     calls: Callable[..., list[Call]], tmp_path: Path, succeeded: bool, code: int
 ) -> None:
-    made = calls(slam.benchmark.command, "run_benchmark", succeeded)
+    made = calls(slam.benchmark.sweep, "run_benchmark", succeeded)
     words = ["benchmark", "town.toml", "--out", str(tmp_path), "--workers", "3"]
     assert app._exit_code(lambda: app.app(words)) == code
     options = made[0][0][0]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from odometry import se3
 from slam.datasets.distortion_models import CameraModel
 from slam.datasets.rectification import IdentityMap, Rectification, rectify_pair, rectify_parallel
-from slam.diagnostics.camera_checks import match_displacements
+from slam.diagnostics.sensor_checks import match_displacements
 
 from .rig import IDEAL, RIGS, SIZE, Rig, Walls, seen_at, turned
 

@@ -41,6 +41,6 @@ def test_too_few_coefficients_are_refused(tmp_path: Path) -> None:
         read_calibration(path)
 
 
-def test_a_run_without_calibration_is_told_how_to_get_one(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="of a drive with two cameras"):
+def test_a_missing_calibration_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="of a recording with two cameras"):
         read_calibration(tmp_path / "calibration.toml")

@@ -97,7 +97,7 @@ def quaternion_matrix(w: float, v: np.ndarray) -> np.ndarray:
     return np.eye(3) + 2 * w * cross + 2 * cross @ cross
 
 
-def test_a_model_that_is_there_stays_unless_told_otherwise(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_model_stays_without_overwrite(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert export(run) == 0
     assert export(run) == 1
     assert "--overwrite" in capsys.readouterr().err

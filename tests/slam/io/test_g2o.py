@@ -178,7 +178,7 @@ def test_a_file_of_edges_alone_has_the_poses_of_its_edges(tmp_path: Path) -> Non
     path.write_text(f"EDGE_SE2 7 9 1 0 0 {UNIT_PLANE}\nEDGE_SE2 9 8 1 0 0 {UNIT_PLANE}\n")
     graph = read_g2o(path)
     assert graph.ids.tolist() == [7, 8, 9]
-    assert not graph.placed
+    assert not graph.has_poses
     np.testing.assert_allclose(classify_edges(graph, "a").problem.start[:, 0, 2], [0, 2, 1])
 
 

@@ -85,10 +85,10 @@ def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.ge
     run, store = read_run(circle), SubmapStore(tmp_path)
     groups = group_key_frames(run.odometry, run.key_frames, 20)
     chosen = [groups[1], groups[-2]]  # one of each lap
-    assert list(DenseMapper(run.calibration).fuse(run.drive, run.odometry, chosen, store))[-1] == len(
+    assert list(DenseMapper(run.calibration).fuse(run.dataset, run.odometry, chosen, store))[-1] == len(
         [*chosen[0], *chosen[1]]
     )
-    truth = run.drive.ground_truth
+    truth = run.dataset.ground_truth
     assert truth is not None
     poses = umeyama(run.corrected[:, :3, 3], truth[:, :3, 3]).apply_poses(run.corrected)
     points = np.concatenate([surface.points for surface in store.surfaces_in_world(poses)]).astype(np.float32)
@@ -132,7 +132,7 @@ def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(sh
 
 def test_the_dense_map_has_a_page_to_which_the_report_links_and_a_recording(circle: Path, short: Path):
     assert '<a href="dense.html">' in (circle / "report.html").read_text(encoding="utf-8")
-    RerunViewer(short / "recording.rrd", read_run(short).drive.camera).close()
+    RerunViewer(short / "recording.rrd", read_run(short).dataset.camera).close()
     assert build_dense_map(DenseOptions(short), QUIET).endswith("dense.html, dense.rrd")
     assert (short / "dense.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
     assert (short / "dense.rrd").stat().st_size > 1_000_000

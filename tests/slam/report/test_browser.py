@@ -41,7 +41,7 @@ CONTRAST = """
         return (both[1] + 0.05) / (both[0] + 0.05);
     });
 """
-END_OF_WAY = """
+POINT_AT_END = """
     const path = document.querySelectorAll(".inside")[arguments[0]].querySelector("g[id*=inside] > path[style*='1.8']");
     const end = path.getPointAtLength(path.getTotalLength()).matrixTransform(path.getScreenCTM());
     document.querySelectorAll(".pane svg:not(.inside)")[arguments[0]].dispatchEvent(
@@ -199,14 +199,14 @@ def test_the_frame_under_the_pointer_is_named_with_its_error_in_both_maps_at_any
     errors = [position_errors(poses, WHOLE.ground_truth)[-1] for poses in (WHOLE.odometry, WHOLE.corrected)]
     page.run("document.querySelectorAll('.pane')[arguments[0]].focus()", number)
     for _ in range(3):
-        page.run(END_OF_WAY, number)
+        page.run(POINT_AT_END, number)
         shown = page.run("return [...document.querySelectorAll('.map output')].map((said) => said.textContent)")
         assert [re.sub("x .*, ", "", words) for words in shown] == [f"Frame 199: error {end:.2f} m" for end in errors]
-        page.run(WHEEL, *page.run(END_OF_WAY, number), number)
+        page.run(WHEEL, *page.run(POINT_AT_END, number), number)
 
 
 def test_a_finger_marks_a_frame(page):
-    page.run(END_OF_WAY.replace("pointermove", "pointerdown"), 0)
+    page.run(POINT_AT_END.replace("pointermove", "pointerdown"), 0)
     assert text(page, ".map output").startswith("Frame 199: ")
 
 
@@ -221,11 +221,11 @@ def test_maps_zoom_together_by_button_key_and_wheel_and_show_all_again(page):
     np.testing.assert_allclose(page.run(widths), np.divide(whole, 1.5**2), rtol=1e-6)
     page.press("0")
     np.testing.assert_allclose(page.run(widths), whole)
-    page.run(WHEEL, *page.run(END_OF_WAY, 0), 0)
+    page.run(WHEEL, *page.run(POINT_AT_END, 0), 0)
     assert page.run(widths)[0] < 0.3 * whole[0]
     page.run("document.activeElement.blur()")
     before = page.run(widths)
-    page.run(WHEEL, *page.run(END_OF_WAY, 0), 0)
+    page.run(WHEEL, *page.run(POINT_AT_END, 0), 0)
     assert page.run(widths) == before  # the page is scrolled instead
 
 
@@ -263,7 +263,7 @@ def test_a_phone_shows_everything_without_scrolling_aside(page):
         "return [...document.querySelectorAll('main > section')]"
         ".map((part) => { part.scrollIntoView(); return part.scrollWidth - part.clientWidth; })"
     )
-    assert wider == [0] * 6
+    assert wider == [0] * 7
     open_row(page, 110)
     left, right, inner, outer = page.run(
         "const box = document.querySelector('#pair'), { left, right } = box.getBoundingClientRect();"

@@ -110,8 +110,8 @@ def test_frames_are_where_the_drawing_has_them(name):
     figure = draw_interactive_map(WHOLE, name)
     drawn = inline_svg(figure, "map", "")
     data = map_data(WHOLE, name, figure)
-    way = re.search(r'<path d="M ([^"]*)"[^>]*stroke-width: 1.8', drawn)[1].replace("L", "").split()
-    ends = np.array(way, float).reshape(-1, 2)[[0, -1]]
+    path = re.search(r'<path d="M ([^"]*)"[^>]*stroke-width: 1.8', drawn)[1].replace("L", "").split()
+    ends = np.array(path, float).reshape(-1, 2)[[0, -1]]
     x, y, width, height = data["box"]
     left, bottom, right, top = data["window"]
     across, up = ((np.array(data["at"])[[0, -1]] - [left, bottom]) / [right - left, top - bottom]).T

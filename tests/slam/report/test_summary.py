@@ -12,7 +12,7 @@ from slam.run_result import RunRecord
 from .fabricate import record
 
 
-def judged() -> RunRecord:
+def record_with_recall() -> RunRecord:
     whole = record()
     places = {"recall_at_100_precision": 0.875, "average_precision": 0.9375}
     return replace(whole, metrics=whole.metrics | {"places": places})
@@ -25,7 +25,7 @@ def shown(drive: RunRecord) -> str:
 
 
 def test_the_terminal_shows_the_recall_at_full_precision():
-    assert "places: R@P100 0.875" in shown(judged())
+    assert "places: R@P100 0.875" in shown(record_with_recall())
 
 
 def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
@@ -33,5 +33,5 @@ def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
 
 
 def test_the_report_shows_the_recogniser_by_itself():
-    page = " ".join(render_report(judged(), None, {}).split())
+    page = " ".join(render_report(record_with_recall(), None, {}).split())
     assert "R@P100 0.875, average precision 0.938." in page

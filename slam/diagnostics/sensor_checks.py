@@ -1,9 +1,4 @@
-"""Checks of a calibration: plausible intrinsics and baseline, and common rows in the images of a rectified pair.
-
-Checks of images: light, blank and repeated images, sizes.
-
-Checks of timestamps: frame rate and pauses.
-"""
+"""Checks of what the camera delivers: its calibration, its images (light, contrast, copies) and their timestamps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +14,7 @@ from slam.diagnostics.findings import ALL_USES, SLAM_USES, Finding, Use, report_
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+# Calibration.
 _USUAL_VIEW_DEG, _POSSIBLE_VIEW_DEG = (35.0, 120.0), (5.0, 170.0)  # horizontal field of view
 # Distance of the principal point from the image centre, in shares of width and height: usual, and inside the image.
 _MAX_USUAL_OFFSET, _MAX_POSSIBLE_OFFSET = 0.12, 0.5
@@ -31,6 +27,33 @@ _MIN_MATCHES = 50  # in all pairs together, for a median
 _MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
 _MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
 _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
+# Images.
+_MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
+_MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
+_MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
+_HARMLESS_SHARE = 0.05  # of the images
+# Timestamps.
+_PAUSE_RATIO = 3.0  # a pause is a step longer than this many median steps
+_MIN_RATE_HZ = 4.0  # at less, successive images from a car have too little in common
+
+
+@dataclass(frozen=True)
+class ImageStatistics:
+    """Properties of one image.
+
+    Attributes:
+        shape: (height, width).
+        is_dark: whether nine tenths of the pixels are nearly black.
+        is_overexposed: whether a quarter of the pixels is white.
+        is_blank: whether the image has no contrast.
+        is_repeated: whether it equals the image before.
+    """
+
+    shape: tuple[int, int]
+    is_dark: bool
+    is_overexposed: bool
+    is_blank: bool
+    is_repeated: bool
 
 
 def check_camera(camera: StereoCamera, is_pair: bool) -> list[Finding]:
@@ -126,31 +149,6 @@ def _detect(image: Image) -> tuple[Array, NDArray[np.float32]]:
     return np.array([point.pt for point in key_points]), np.ascontiguousarray(descriptors / lengths, np.float32)
 
 
-_MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
-_MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
-_MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
-_HARMLESS_SHARE = 0.05  # of the images
-
-
-@dataclass(frozen=True)
-class ImageStatistics:
-    """Properties of one image.
-
-    Attributes:
-        shape: (height, width).
-        is_dark: whether nine tenths of the pixels are nearly black.
-        is_overexposed: whether a quarter of the pixels is white.
-        is_blank: whether the image has no contrast.
-        is_repeated: whether it equals the image before.
-    """
-
-    shape: tuple[int, int]
-    is_dark: bool
-    is_overexposed: bool
-    is_blank: bool
-    is_repeated: bool
-
-
 def measure_image(image: Image, before: Image | None) -> ImageStatistics:
     """Measure an image (H, W) uint8, and compare it with the image before it, if there is one."""
     return ImageStatistics(
@@ -204,10 +202,6 @@ def _check_share(topic: str, flags: Sequence[bool], trouble: str) -> Finding:
     return report_ok(topic, f"{share:.0%} of the images are {word}", share=share)
 
 
-_PAUSE_RATIO = 3.0  # a pause is a step longer than this many median steps
-_MIN_RATE_HZ = 4.0  # at less, successive images from a car have too little in common
-
-
 def check_timestamps(times: Array) -> list[Finding]:
     """Check the rate and the pauses of times (N,), seconds, increasing."""
     if len(times) < 2:
@@ -230,11 +224,11 @@ def _check_pauses(steps: Array, median_s: float, times: Array) -> Finding:
     pauses = np.flatnonzero(steps > _PAUSE_RATIO * median_s)
     if not len(pauses):
         return report_ok("pauses", f"none: no step above {steps.max():.3f} s", pauses=0, longest_s=float(steps.max()))
-    longest = int(pauses[np.argmax(steps[pauses])])
+    worst = int(pauses[np.argmax(steps[pauses])])
     return report_warning(
         "pauses",
-        f"{len(pauses)}, the longest of {steps[longest]:.2f} s after image {longest}; motion is guessed across them",
+        f"{len(pauses)}, the longest of {steps[worst]:.2f} s after image {worst}; motion is extrapolated across them",
         pauses=len(pauses),
-        longest_s=float(steps[longest]),
-        after_s=float(times[longest] - times[0]),
+        longest_s=float(steps[worst]),
+        after_s=float(times[worst] - times[0]),
     )

@@ -7,16 +7,16 @@ from slam.errors import RevisitError
 from .readers import Reader
 
 
-def outcome(reader: Reader, root: Path, data: bytes) -> bool:
+def is_accepted(reader: Reader, root: Path, data: bytes) -> bool:
     """Whether a file is accepted.
 
     Args:
-        reader: that is tried.
+        reader: reader that is tried.
         root: folder prepared with `prepare`.
-        data: the file.
+        data: content of the file.
 
     Raises:
-        AssertionError: it was refused with a message that helps nobody, or accepted and is nonsense.
+        AssertionError: the file was refused with a message that does not help, or accepted although it is nonsense.
     """
     (root / reader.file).write_bytes(reader.dressed(data))
     try:

@@ -1,10 +1,10 @@
-"""What atheris watches: the readers, and the parsers beneath them that are written in Python."""
+"""Instrumentation by atheris of the readers, and of the parsers below them that are written in Python."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Not what numba compiles.
-_WATCHED = [
+# Functions that numba compiles cannot be instrumented.
+_MODULES = [
     "slam.benchmark.sweep_config", "slam.config", "slam.datasets", "slam.evaluation.ground_truth",
     "slam.apps.train", "slam.io.ply", "slam.simulation.scenario.trajectory", "slam.io",
     "place_recognition.evaluation", "place_recognition.vocabulary.vocabulary_file", "pykitti", "rosbags", "tomllib",
@@ -13,12 +13,12 @@ _WATCHED = [
 
 
 @contextmanager
-def watched(guided: bool) -> Iterator[None]:
-    """Have atheris watch the modules that are imported in the block."""
+def instrument(guided: bool) -> Iterator[None]:
+    """Instrument the modules that are imported in the block, if the fuzzer is guided by coverage."""
     if not guided:
         yield
         return
     import atheris
 
-    with atheris.instrument_imports(include=_WATCHED, enable_loader_override=False):
+    with atheris.instrument_imports(include=_MODULES, enable_loader_override=False):
         yield

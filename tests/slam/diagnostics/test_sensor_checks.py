@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry.camera import StereoCamera
-from slam.diagnostics.camera_checks import (
+from slam.diagnostics.findings import Finding, Inspection, Status, Use, report_fault, report_ok, report_warning
+from slam.diagnostics.sensor_checks import (
     ImageStatistics,
     check_camera,
     check_images,
@@ -15,7 +16,6 @@ from slam.diagnostics.camera_checks import (
     match_displacements,
     measure_image,
 )
-from slam.diagnostics.findings import Finding, Inspection, Status, Use, report_fault, report_ok, report_warning
 
 from ..datasets.rig import IDEAL, RIGS, Walls
 
