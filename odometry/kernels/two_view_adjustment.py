@@ -19,7 +19,7 @@ _FIELD = 6  # coefficients of the rectification error, for each of two axes
 _FIRST_FIELD = POSE + DISTORTION
 _STATES = _FIRST_FIELD + 2 * _FIELD
 
-# Depth over depth that nothing is divided by below: see `odometry.kernels.reprojection.MIN_RELATIVE_DEPTH`.
+# Smallest depth over depth by which the projection divides: see `odometry.kernels.reprojection.MIN_RELATIVE_DEPTH`.
 _MIN_RELATIVE_DEPTH = 1e-3
 
 

@@ -69,14 +69,14 @@ class AdjustmentConfig:
         max_iterations: Gauss-Newton steps at most.
         initial_noise_px: noise level assumed in the first step, at least, and halved in each.
         min_noise_px: smallest noise level that is assumed, pixels.
-        convergence_step: largest step, radians and metres, at which the iteration ends.
+        convergence_threshold: largest step, radians and metres, at which the iteration ends.
 
     """
 
     max_iterations: int = 12
     initial_noise_px: float = 2.0
     min_noise_px: float = 0.05
-    convergence_step: float = 1e-4
+    convergence_threshold: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def estimate_motion(
         start = config.initial_noise_px * 0.5**k
         step = problem.step(max(start, min(sigma, config.initial_noise_px)))
         sigma = max(problem.noise(), config.min_noise_px)
-        if start < sigma and np.abs(step).max() < config.convergence_step:
+        if start < sigma and np.abs(step).max() < config.convergence_threshold:
             break
     return problem.result(sigma)
 

@@ -30,7 +30,7 @@ class SurfConfig:
     Attributes:
         max_features: maximum number of features of an image.
         octaves: number of doublings of scale; two reach sigmas from 1.6 to 6 pixels, three to 12.
-        min_determinant: minimum determinant of the Hessian, (gray levels / pixel^2)^2 over the filter's area.
+        hessian_threshold: minimum determinant of the Hessian, (gray levels / pixel^2)^2 over the filter's area.
         spread: distribution of the features over the image.
         oriented: whether each blob is described in its own direction, for cameras that roll. A level camera then has an
             eighth fewer matches, at twice the time.
@@ -38,7 +38,7 @@ class SurfConfig:
 
     max_features: int = 500
     octaves: int = 2
-    min_determinant: float = 10.0
+    hessian_threshold: float = 10.0
     spread: SpreadConfig = field(default_factory=SpreadConfig)
     oriented: bool = False
 
@@ -76,7 +76,7 @@ class Surf:
         """Find all blobs of one octave (N, 4): x, y, scale, determinant."""
         # Larger filters change slowly from pixel to pixel: each octave samples every second pixel of the one before.
         sizes, step = layer_sizes(octave), 2**octave
-        found = find_blobs(deinterleave(integral, step), sizes, self.config.min_determinant)
+        found = find_blobs(deinterleave(integral, step), sizes, self.config.hessian_threshold)
         found[:, :2] *= step
         found[:, 2] = SIGMA_PER_SIZE * (sizes[0] + found[:, 2] * (sizes[1] - sizes[0]))
         return found

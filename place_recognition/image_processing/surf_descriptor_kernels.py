@@ -1,12 +1,8 @@
-"""Compiled descriptor of SURF: Haar wavelets around a point, summed in 4 x 4 cells.
+"""Compiled descriptor of SURF: Haar wavelets around a point, upright or in its dominant orientation, pooled in cells.
 
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 4; cells that overlap as in
-Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first row and
-column of zeros, as `cv2.integral` returns it.
-
-Compiled parts of oriented SURF: the dominant orientation of a blob, and its rotated descriptor.
-
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, sections 4.1 and 4.2.
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, sections 4.1 and 4.2; cells that overlap
+as in Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first
+row and column of zeros, as `cv2.integral` returns it.
 """
 
 import math
@@ -24,6 +20,11 @@ CELL_SIZE = 5.0  # distance between the centres of neighbouring cells, samples
 GAUSSIAN_SIGMA = 5.5  # sigma of the weight of a sample, samples
 GRID = SAMPLES + 2  # grid lines of an upright square: a wavelet spans two spaces between them
 MIDDLE = 0.5 * (SAMPLES - 1)  # index of the middle of the square
+
+RADIUS = 6  # radius of the disc whose wavelets determine the orientation, scales
+WEIGHT_SIGMA = 2.5  # sigma of the weight of a wavelet in the disc, scales
+DIRECTIONS = 72  # positions of the sliding window, 5 degrees apart
+WINDOW = DIRECTIONS // 6  # opening of the window, 60 degrees as in the paper
 
 
 def cell_weights() -> Floats:
@@ -115,17 +116,7 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
     # The weights separate: rows first, into CELLS x 4 x SAMPLES sums, then columns. So a sample is added to 2 x 4 sums
     # and not to the 4 x 4 of all cells that it belongs to.
     sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
-    for i in range(SAMPLES):
-        # Cells overlap by half: a row belongs to two of them, from this one on; to none where it leaves the image.
-        first = max(0, min(CELLS - 2, int((i - MIDDLE) / CELL_SIZE + 0.5 * (CELLS - 1))))
-        for cell in range(first, first + 2 if inside[0, i] else first):
-            w, total = weights[i, cell], sums[cell]
-            dx, dy = haar[0, i], haar[1, i]
-            for j in range(SAMPLES):  # all columns at once, as SIMD
-                total[0, j] += w * dx[j]
-                total[1, j] += w * abs(dx[j])
-                total[2, j] += w * dy[j]
-                total[3, j] += w * abs(dy[j])
+    _pool_rows(haar, inside[0], weights, sums)
     for cell in range(CELLS):
         for kind in range(4):
             for j in range(SAMPLES):
@@ -135,6 +126,22 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
     norm = np.sqrt(np.sum(out * out))
     if norm > 0:
         out /= norm
+
+
+@njit(cache=True, nogil=True)
+def _pool_rows(haar: Floats, inside: NDArray[np.bool_], weights: Floats, sums: Floats) -> None:
+    """Add the rows of responses (2, SAMPLES, SAMPLES) that lie inside to the sums (CELLS, 4, SAMPLES) of each cell."""
+    for i in range(SAMPLES):
+        # Cells overlap by half: a row belongs to two of them, from this one on; to none where it leaves the image.
+        first = max(0, min(CELLS - 2, int((i - MIDDLE) / CELL_SIZE + 0.5 * (CELLS - 1))))
+        for cell in range(first, first + 2 if inside[i] else first):
+            w, total = weights[i, cell], sums[cell]
+            dx, dy = haar[0, i], haar[1, i]
+            for j in range(SAMPLES):  # all columns at once, as SIMD
+                total[0, j] += w * dx[j]
+                total[1, j] += w * abs(dx[j])
+                total[2, j] += w * dy[j]
+                total[3, j] += w * abs(dy[j])
 
 
 @njit(cache=True, nogil=True)
@@ -155,12 +162,6 @@ def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
         _upright_haar(integral, points[k], haar, inside)
         pool_haar(haar, inside, weights, out[k])
     return out.reshape(len(points), CELLS * CELLS * 4)
-
-
-RADIUS = 6  # radius of the disc whose wavelets determine the orientation, scales
-WEIGHT_SIGMA = 2.5  # sigma of the weight of a wavelet in the disc, scales
-DIRECTIONS = 72  # positions of the sliding window, 5 degrees apart
-WINDOW = DIRECTIONS // 6  # opening of the window, 60 degrees as in the paper
 
 
 @njit(cache=True, nogil=True)
@@ -198,14 +199,14 @@ def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64
 def orientation(integral: Ints, point: Floats) -> float:
     """Compute the orientation of a point (x, y, scale), radians from x towards y: the longest sum in a window."""
     sums = _gradients_by_direction(integral, point)
-    best, longest = 0.0, -1.0
+    best, largest = 0.0, -1.0
     for begin in range(DIRECTIONS):
         x, y = 0.0, 0.0
         for k in range(begin, begin + WINDOW):
             x += sums[k % DIRECTIONS, 0]
             y += sums[k % DIRECTIONS, 1]
-        if x * x + y * y > longest:
-            best, longest = math.atan2(y, x), x * x + y * y
+        if x * x + y * y > largest:
+            best, largest = math.atan2(y, x), x * x + y * y
     return best
 
 

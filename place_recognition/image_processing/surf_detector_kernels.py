@@ -1,8 +1,4 @@
-"""Compiled search of SURF's detector: peaks of the determinant of the Hessian over position and scale.
-
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 3.4.
-
-Compiled box filters of SURF's detector: determinants of the Hessian.
+"""Compiled detector of SURF: box filters for the determinant of the Hessian, and its peaks over position and scale.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 3. An integral image is
 (H + 1, W + 1) int32 with a first row and column of zeros, as `cv2.integral` returns it: the sum over any box is four of

@@ -27,7 +27,7 @@ class ExclusionWindowConfig:
     Attributes:
         min_gap_frames: number of images between the beginning of the present view and the latest match candidate.
         min_distance_m: minimum path length between an image and its match; ignored while no distance is measured.
-        max_thumbnail_difference: maximum mean absolute difference of the thumbnails of two images of one view, gray
+        max_thumbnail_distance: maximum mean absolute difference of the thumbnails of two images of one view, gray
             levels. In simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated
             ones by 42, only one in twenty of them by less than 36.
         thumbnail: size and normalisation of the thumbnails.
@@ -37,7 +37,7 @@ class ExclusionWindowConfig:
 
     min_gap_frames: int = 10
     min_distance_m: float = 20.0
-    max_thumbnail_difference: float = 32.0
+    max_thumbnail_distance: float = 32.0
     thumbnail: ThumbnailConfig = field(default_factory=ThumbnailConfig)
     exclusion_frames: int = 0
 
@@ -88,7 +88,7 @@ class ExclusionWindow:
             return  # a blank image resembles no other, and would end every view
         for _ in range(MAX_VIEW_STEPS):
             begin = self._view[0]
-            limit = self.config.max_thumbnail_difference
+            limit = self.config.max_thumbnail_distance
             is_alike = not is_blank(begin) and mean_absolute_difference(begin, newest) <= limit
             if len(self._view) == 1 or is_alike:
                 return

@@ -1,6 +1,4 @@
-"""The map of sequences: the images of each sequence, and an inverted index of its words.
-
-Segmentation of a drive into sequences of images: by distance, or by visual word variance.
+"""Sequences of images: where one ends, by distance or by visual word variance, and the map of all that have ended.
 
 Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed distance) and IJRR 37(1) 2018 (visual word variance).
 """

@@ -119,7 +119,7 @@ def test_exact_views_give_exact_poses_and_depths(camera):
 
 
 def test_with_noise_poses_are_near_and_the_noise_is_told(camera):
-    bundle, truth, _ = driven(camera, MonoBundleConfig(error_memory=0.0), noise=0.1)
+    bundle, truth, _ = driven(camera, MonoBundleConfig(error_correlation=0.0), noise=0.1)
     off = se3.log(se3.inverse(truth[-1]) @ bundle.poses[-1])
     assert np.linalg.norm(off[:3]) < 5e-3
     assert np.linalg.norm(off[3:]) < 0.3

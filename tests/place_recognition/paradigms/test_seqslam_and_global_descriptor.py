@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from place_images import changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.global_descriptors import Hog
-from place_recognition.map.descriptor_database import DenseMap, absolute_differences, dot_products
+from place_recognition.map.descriptor_database import DescriptorDatabase, absolute_differences, dot_products
 from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.seqslam import PixelSequences, best_lines, local_contrast
@@ -43,7 +43,7 @@ def test_compiled_products_and_differences_agree_with_numpy(seed, size, count):
 def test_a_dense_map_gives_the_cosine_whatever_the_lengths():
     rng = np.random.default_rng(0)
     vectors = rng.normal(size=(50, 300)).astype(np.float32) * rng.uniform(1e-6, 1e6, (50, 1)).astype(np.float32)
-    dense = DenseMap()
+    dense = DescriptorDatabase()
     for vector in vectors:
         dense.add(vector)
     unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def test_a_dense_map_gives_the_cosine_whatever_the_lengths():
 
 
 def test_vectors_of_zeros_are_like_nothing():
-    dense = DenseMap()
+    dense = DescriptorDatabase()
     for vector in np.eye(3, 4, dtype=np.float32) * [[1], [0], [1]]:
         dense.add(vector.astype(np.float32))
     np.testing.assert_array_equal(dense.similarities(np.float32([1, 0, 0, 0]), 3), [1, 0, 0])
@@ -61,14 +61,14 @@ def test_vectors_of_zeros_are_like_nothing():
 
 
 def test_a_dense_map_refuses_other_sizes_and_what_is_no_number():
-    dense = DenseMap()
+    dense = DescriptorDatabase()
     dense.add(np.ones(5, np.float32))
     with pytest.raises(ValueError, match=r"expected a descriptor \(5,\), got \(4,\)"):
         dense.add(np.ones(4, np.float32))
     with pytest.raises(ValueError, match="expected a descriptor of finite numbers"):
         dense.similarities(np.full(5, np.nan, np.float32), 1)
     with pytest.raises(ValueError, match=r"expected a descriptor \(D,\), got \(2, 2\)"):
-        DenseMap().add(np.ones((2, 2), np.float32))
+        DescriptorDatabase().add(np.ones((2, 2), np.float32))
 
 
 def test_local_contrast_agrees_with_a_plain_loop():
