@@ -1,7 +1,7 @@
 """Pinhole cameras and rectified stereo pairs: projection, and triangulation from a disparity or from two views.
 
 Camera frame: x right, y down, z forward, metres, origin at the left camera. Pixel (0, 0) is the centre of the
-top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline_m, 0, 0).
+top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline, 0, 0).
 """
 
 from dataclasses import dataclass

@@ -26,9 +26,7 @@ POSE = 6  # unknowns of a pose: rotation, then translation
 POINT = 3  # unknowns of a point: two pixels across its ray, and its inverse depth
 FIXED = -1  # first unknown of a pose that is not adjusted
 
-# Numba does not notice a change of this file in the caches of its callers: delete `*.nbi` and `*.nbc` after one.
-
-# Information about a depth, relative to its unit, below which it cannot be told from rounding errors.
+# Information about a depth, relative to its unit, below which it cannot be distinguished from rounding errors.
 _SINGULAR = 1e-9
 
 

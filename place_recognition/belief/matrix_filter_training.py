@@ -41,7 +41,7 @@ class FilterTrainingConfig:
         ridge_weight: weight of the squared coefficients except the constant. Without it, samples that a plane separates
             would drive the coefficients to infinity.
         negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all.
-            In the matrix of a long drive one cell in hundreds is a revisit, and a filter that never responds would be
+            In the matrix of a long recording one cell in hundreds is a revisit, and a filter that never responds would be
             right nearly everywhere.
         seed: seed of the random draw.
     """

@@ -39,7 +39,7 @@ Steps = NDArray[np.int64]
 _SPEED_RATIOS = 2.0 ** np.arange(-0.25, 0.26, 0.125)
 _SLOPES = np.concatenate([_SPEED_RATIOS, -_SPEED_RATIOS])  # negative: the place is driven in the opposite direction
 
-# Images by which the tolerance grows for each image between the two: speeds change along the way.
+# Images by which the tolerance grows for each image between the two: speeds change along the path.
 _TOLERANCE_GROWTH = 0.1
 
 # Support from one side only counts up to this times the image's own evidence: where a revisit begins or ends, the

@@ -5,7 +5,7 @@
   blocks of 2 x 2 cells that overlap by one, L2-Hys normalisation.
 * `Thumbnail`: a reduced image whose patches are normalised to one brightness and contrast. Milford, Wyeth, 'SeqSLAM:
   Visual Route-Based Navigation for Sunny Summer Days and Stormy Winter Nights', ICRA 2012, section III-A.
-* `ColorHistogram`: the joint colour histogram of an image, or the histogram of a gray one.
+* `ColorHistogram`: the joint colour histogram of an image, or the histogram of a grey one.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,8 @@ Floats = NDArray[np.float32]
 ONNX = "onnx:"  # first letters of the name of a learned descriptor, before the path of its file
 HOG_CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
 HOG_BLOCK = 2  # cells along each side of a block
-MIDDLE = 128  # gray level of a pixel as bright as its patch, in a thumbnail
-DEVIATION = 42  # gray levels of one standard deviation in a thumbnail: three fit into a byte on either side
+MIDDLE = 128  # grey level of a pixel as bright as its patch, in a thumbnail
+DEVIATION = 42  # grey levels of one standard deviation in a thumbnail: three fit into a byte on either side
 
 
 class GlobalDescriptor(Protocol):
@@ -42,7 +42,7 @@ class GlobalDescriptor(Protocol):
         ...
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a gray image (H, W) uint8 of any size by a vector (D,); zeros for an image without structure."""
+        """Describe a grey image (H, W) uint8 of any size by a vector (D,); zeros for an image without structure."""
         ...
 
 
@@ -56,7 +56,7 @@ class HogConfig:
         cell: side of a cell, pixels. On two simulated towns R@P100 was 0.41 with 8, 0.41 and 0.43 with 16 and 0.37 with
             32, but with 8 first passes stay further below revisits.
         orientations: number of bins over 180 degrees.
-        noise_contrast: length of the vector of a block that is only noise, gray levels.
+        noise_contrast: length of the vector of a block that is only noise, grey levels.
     """
 
     width: int = 128
@@ -86,7 +86,7 @@ class Hog:
         return f"hog-{self.config.width}x{self.config.height}-{self.config.cell}-{self.config.orientations}"
 
     def describe(self, image: NDArray[np.uint8]) -> Floats:
-        """Describe a gray image (H, W) uint8 by its blocks of 2 x 2 cells, one after another; zeros for an even one."""
+        """Describe a grey image (H, W) uint8 by its blocks of 2 x 2 cells, one after another; zeros for an even one."""
         check_gray(image)
         small = cv2.resize(image, (self.config.width, self.config.height), interpolation=cv2.INTER_AREA)
         cells = cell_histograms(small.astype(np.float32), self.config.cell, self.config.orientations)
@@ -134,7 +134,7 @@ class ThumbnailConfig:
         width: width of the thumbnail, pixels, a multiple of patch.
         height: height of the thumbnail, pixels, a multiple of patch.
         patch: side of the square patches that are normalised, pixels.
-        min_contrast: minimum standard deviation by which a patch is divided, gray levels: it keeps the noise of a wall
+        min_contrast: minimum standard deviation by which a patch is divided, grey levels: it keeps the noise of a wall
             or of the sky small.
     """
 
@@ -152,7 +152,7 @@ class ThumbnailConfig:
 
 
 def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray[np.uint8]:
-    """Make the thumbnail (height, width) uint8 of a gray image (H, W) uint8; that of an even one is all MIDDLE."""
+    """Make the thumbnail (height, width) uint8 of a grey image (H, W) uint8; that of an even one is all MIDDLE."""
     check_gray(image)
     small = cv2.resize(image, (config.width, config.height), interpolation=cv2.INTER_AREA).astype(np.float32)
     side = config.patch
@@ -164,7 +164,7 @@ def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray
 
 
 def mean_absolute_difference(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
-    """Compute equation 4.1 of the chapter for two thumbnails of one size, gray levels."""
+    """Compute equation 4.1 of the chapter for two thumbnails of one size, grey levels."""
     if first.shape != second.shape:
         raise ValueError(f"expected images of one size, got {first.shape} and {second.shape}")
     return float(np.abs(first.astype(np.int16) - second).mean())
@@ -182,7 +182,7 @@ class Thumbnail:
         return f"thumbnail-{self.config.width}x{self.config.height}-{self.config.patch}"
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a gray image by the deviations (width height,) from each patch's mean; zeros for an even one."""
+        """Describe a grey image by the deviations (width height,) from each patch's mean; zeros for an even one."""
         return (make_thumbnail(image, self.config).astype(np.float32) - MIDDLE).ravel()
 
 
@@ -192,7 +192,7 @@ class ColorHistogramConfig:
 
     Attributes:
         bins: number of bins of each colour channel, up to 256.
-        gray_bins: number of bins of a gray image, up to 256.
+        gray_bins: number of bins of a grey image, up to 256.
     """
 
     bins: int = 8

@@ -31,7 +31,7 @@ class OrbConfig:
 
     Attributes:
         max_features: maximum number of features of an image.
-        min_contrast: minimum contrast of a corner to the circle around it, gray levels.
+        min_contrast: minimum contrast of a corner to the circle around it, grey levels.
         levels: number of pyramid levels, each 1.2 times smaller than the one before.
         spread: distribution of the features over the image.
     """
@@ -60,7 +60,7 @@ class Orb:
         )
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a gray image (H, W) uint8, strongest first; a blank or tiny one has none."""
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
         check_gray(image)
         points, described = self._orb.detectAndCompute(image, None) if min(image.shape) > ORB_PATCH_PX else ((), None)
         descriptors = unpack_bits(np.empty((0, ORB_BITS // 8), np.uint8) if described is None else described)
@@ -102,7 +102,7 @@ class Sift:
         )
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a gray image (H, W) uint8, strongest first; a blank or tiny one has none."""
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
         check_gray(image)
         size = [max(round(side / self.config.shrink_factor), 1) for side in image.shape[::-1]]
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -149,7 +149,7 @@ def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
     """Compute upright SURF descriptors.
 
     Args:
-        integral: integral image of the gray image.
+        integral: integral image of the grey image.
         points: (N, 3) float32 x right, y down and sigma, pixels.
         weights: (SAMPLES, CELLS) of `cell_weights`.
 

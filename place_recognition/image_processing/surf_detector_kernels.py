@@ -107,7 +107,7 @@ def determinant_row(planes: Ints, y: int, size: int, work: Ints, out: Floats) ->
         y: row of the image, pixels.
         size: side of the filter, odd and divisible by 3, pixels; it acts like a Gaussian of sigma 1.2 size / 9.
         work: (4, W') int32 work space, overwritten.
-        out: (W',) float32, W' = W / step rounded up, receives the determinants, (gray levels / pixel^2)^2 over the
+        out: (W',) float32, W' = W / step rounded up, receives the determinants, (grey levels / pixel^2)^2 over the
             filter's area.
     """
     step, lobe, half, middle = len(planes), size // 3, size // 2, size // 6

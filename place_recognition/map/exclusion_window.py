@@ -1,4 +1,4 @@
-"""The exclusion window of recognisers that compare whole images: how many of the images so far are past."""
+"""The exclusion window of recognisers that compare whole images: how many of the first images may be matched."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -45,8 +45,8 @@ class ExclusionWindowConfig:
 class ExclusionWindow:
     """Ids and distances of all images, by location (0, 1, 2, ...), and how many of them may be matched.
 
-    `ImageHistory` finds the beginning of the present view by local features; this one by thumbnails, which tell a
-    standing camera from a moving one. A fixed number of images and a distance are excluded besides.
+    `ImageHistory` finds the beginning of the present view by local features; this one by thumbnails, which differ
+    between a standing camera and a moving one. A fixed number of images and a distance are excluded besides.
     """
 
     def __init__(self, config: ExclusionWindowConfig | None = None) -> None:
@@ -64,7 +64,7 @@ class ExclusionWindow:
 
         Args:
             image_id: greater than that of the image before.
-            image: (H, W) uint8, gray.
+            image: (H, W) uint8, grey.
             distance_travelled_m: length of the path so far, metres; NaN, or always the same value, where it is not
                 measured.
         """

@@ -1,4 +1,4 @@
-"""The images observed so far with their features, and which of them are past enough to be matched with the latest."""
+"""The images observed so far with their features, and which of them may be matched with the latest one."""
 
 from dataclasses import dataclass
 from typing import Any

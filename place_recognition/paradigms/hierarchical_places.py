@@ -7,7 +7,7 @@ of the chapter. Deviations from the paper (reasons and figures: docs/decisions/h
   is sought among every third image; the neighbours of the best ones are candidates too.
 * The candidates go to the verification that all paradigms share. It adds temporal consistency, which the paper
   describes and its program leaves out, and its evidence is added to the score.
-* Each word votes once (`vote_for_places`); the last place ends with the drive.
+* Each word votes once (`vote_for_places`); the last place ends with the recording.
 * Images of the present view are excluded, not those of the last 40 s.
 * Geometry decides what is accepted, not the votes.
 """

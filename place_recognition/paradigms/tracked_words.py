@@ -137,7 +137,7 @@ class TrackedWords:
     def _last_matchable(self) -> int:
         """The latest location that is far enough behind and of which no feature is still tracked.
 
-        Where the distance is not measured, only the view can tell a slow drive or a stop from one that goes on.
+        Where the distance is not measured, only the view shows whether the camera has moved on.
         """
         behind = (
             self._history.last_outside_exclusion()

@@ -151,7 +151,7 @@ def _binary_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Floa
 
 
 def _is_binary(descriptors: Floats) -> bool:
-    # The first thousand tell: a float descriptor has this exact value in every number only by a miracle.
+    # The first thousand are enough: float descriptors practically never have this exact value in every number.
     return bool((np.abs(descriptors[:1000]) == bit_value(descriptors.shape[1])).all())
 
 

@@ -45,7 +45,7 @@ def test_an_impossible_observation_changes_nothing():
     assert probabilities([True, True], never) == [0, 0]
 
 
-@pytest.mark.parametrize("name", ["persistence", "false_alarm_probability", "detection_probability"])
+@pytest.mark.parametrize("name", ["persistence_probability", "false_alarm_probability", "detection_probability"])
 @pytest.mark.parametrize("value", [-0.1, 1.5, float("nan")])
 def test_a_number_that_is_no_probability_is_refused(name, value):
     with pytest.raises(ValueError, match=f"expected {name} between 0 and 1, got {value}"):

@@ -12,7 +12,7 @@ from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWin
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.seqslam import PixelSequences, best_lines, local_contrast
 
-WAY = float("nan")
+DISTANCE_M = float("nan")
 
 
 class Collected:
@@ -26,7 +26,7 @@ class Collected:
 
 
 def drive(recognizer, images):
-    return [b for i, image in enumerate(images) for b in recognizer.observe(i, image, WAY)]
+    return [b for i, image in enumerate(images) for b in recognizer.observe(i, image, DISTANCE_M)]
 
 
 @settings(max_examples=30, deadline=None)
@@ -144,14 +144,14 @@ def test_the_present_ends_where_the_view_has_changed_and_waits_where_it_has_not(
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     past = []
     for k, image in enumerate(views[:15] + 30 * [views[15]] + views[16:]):
-        present.add(k, image, WAY)
+        present.add(k, image, DISTANCE_M)
         past.append(present.count_matchable())
     assert past[14] > 5
     assert len(set(past[20:45])) == 1
     assert past[-1] > 50
 
 
-def test_the_present_reaches_as_far_back_as_the_way_demands():
+def test_the_present_reaches_as_far_back_as_the_distance_demands():
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3, min_distance_m=20.0))
     for k, image in enumerate(sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))):
         present.add(k, image, 0.5 * k)
@@ -162,5 +162,5 @@ def test_a_blank_image_does_not_end_the_present():
     views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     for k, image in enumerate(20 * [views[0]] + 5 * [np.zeros_like(views[0])] + 5 * [views[0]]):
-        present.add(k, image, WAY)
+        present.add(k, image, DISTANCE_M)
         assert present.count_matchable() == 0
