@@ -69,10 +69,10 @@ class NullMatrixSink:
 class PlaceRecognizer(Protocol):
     """Takes each image once, in order, and recognises places from the images so far: online and causal.
 
-    The caller gives each image an id, and beliefs name images by their ids. Inside a recogniser an image is named by its
-    location: its index, from 0, among all images observed. The same input gives the same beliefs, to the bit. A recogniser that counts visual words may have a property
-    `word_count`, and one whose map holds more than NumPy arrays a property `map_bytes`
-    (`place_recognition.evaluation.memory` reads both).
+    The caller gives each image an id, and beliefs name images by their ids. Inside a recogniser an image is named by
+    its location: its index, from 0, among all images observed. The same input gives the same beliefs, to the bit. A
+    recogniser that counts visual words may have a property `word_count`, and one whose map holds more than NumPy arrays
+    a property `map_bytes` (`place_recognition.evaluation.memory` reads both).
     """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:

@@ -40,8 +40,8 @@ class FilterTrainingConfig:
         gradient_threshold: largest absolute component of the gradient of the mean loss at which the descent ends.
         ridge_weight: weight of the squared coefficients except the constant. Without it, samples that a plane separates
             would drive the coefficients to infinity.
-        negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all.
-            In the matrix of a long recording one cell in hundreds is a revisit, and a filter that never responds would be
+        negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all. In
+            the matrix of a long recording one cell in hundreds is a revisit, and a filter that never responds would be
             right nearly everywhere.
         seed: seed of the random draw.
     """

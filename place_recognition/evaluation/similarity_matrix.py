@@ -28,8 +28,8 @@ class SimilarityMatrix:
 class MatrixRecorder:
     """Records the rows of a recogniser's matrix (a MatrixSink).
 
-    Image ids count from 0. A recording of more than `max_rows` images does not outgrow the memory: each time the limit is
-    reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
+    Image ids count from 0. A recording of more than `max_rows` images does not outgrow the memory: each time the limit
+    is reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
     stays.
     """
 

@@ -1,8 +1,8 @@
 """SURF features: blobs found by the determinant of the Hessian, described by Haar wavelets.
 
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008; why it is implemented
-here: docs/decisions/own_surf.md. Descriptors are upright by default, since the camera of a car does not roll. The compiled parts
-release the interpreter's lock, so that a thread can describe images ahead.
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008; why it is implemented here:
+docs/decisions/own_surf.md. Descriptors are upright by default, since the camera of a car does not roll. The compiled
+parts release the interpreter's lock, so that a thread can describe images ahead.
 """
 
 from dataclasses import dataclass, field

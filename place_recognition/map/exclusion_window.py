@@ -27,7 +27,7 @@ class ExclusionWindowConfig:
     Attributes:
         min_gap_frames: number of images between the beginning of the present view and the latest match candidate.
         min_distance_m: minimum path length between an image and its match; ignored while no distance is measured.
-        max_thumbnail_distance: maximum mean absolute difference of the thumbnails of two images of one view, gray
+        max_thumbnail_distance: maximum mean absolute difference of the thumbnails of two images of one view, grey
             levels. In simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated
             ones by 42, only one in twenty of them by less than 36.
         thumbnail: size and normalisation of the thumbnails.
