@@ -116,25 +116,10 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
     # The weights separate: rows first, into CELLS x 4 x SAMPLES sums, then columns. So a sample is added to 2 x 4 sums
     # and not to the 4 x 4 of all cells that it belongs to.
     sums = np.zeros((CELLS, 4, SAMPLES), np.float32)
-    _pool_rows(haar, inside[0], weights, sums)
-    for cell in range(CELLS):
-        for kind in range(4):
-            for j in range(SAMPLES):
-                if inside[1, j]:
-                    for column in range(CELLS):
-                        out[cell, column, kind] += weights[j, column] * sums[cell, kind, j]
-    norm = np.sqrt(np.sum(out * out))
-    if norm > 0:
-        out /= norm
-
-
-@njit(cache=True, nogil=True)
-def _pool_rows(haar: Floats, inside: NDArray[np.bool_], weights: Floats, sums: Floats) -> None:
-    """Add the rows of responses (2, SAMPLES, SAMPLES) that lie inside to the sums (CELLS, 4, SAMPLES) of each cell."""
     for i in range(SAMPLES):
         # Cells overlap by half: a row belongs to two of them, from this one on; to none where it leaves the image.
         first = max(0, min(CELLS - 2, int((i - MIDDLE) / CELL_SIZE + 0.5 * (CELLS - 1))))
-        for cell in range(first, first + 2 if inside[i] else first):
+        for cell in range(first, first + 2 if inside[0, i] else first):
             w, total = weights[i, cell], sums[cell]
             dx, dy = haar[0, i], haar[1, i]
             for j in range(SAMPLES):  # all columns at once, as SIMD
@@ -142,6 +127,21 @@ def _pool_rows(haar: Floats, inside: NDArray[np.bool_], weights: Floats, sums: F
                 total[1, j] += w * abs(dx[j])
                 total[2, j] += w * dy[j]
                 total[3, j] += w * abs(dy[j])
+    _pool_columns(sums, inside[1], weights, out)
+    norm = np.sqrt(np.sum(out * out))
+    if norm > 0:
+        out /= norm
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _pool_columns(sums: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
+    """Add the sums of rows (CELLS, 4, SAMPLES), column by column, to out (CELLS, CELLS, 4)."""
+    for cell in range(CELLS):
+        for kind in range(4):
+            for j in range(SAMPLES):
+                if inside[j]:
+                    for column in range(CELLS):
+                        out[cell, column, kind] += weights[j, column] * sums[cell, kind, j]
 
 
 @njit(cache=True, nogil=True)
