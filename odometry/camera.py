@@ -64,7 +64,6 @@ class StereoCamera:
         cx, cy: principal point, pixels.
         baseline: distance from the left to the right camera, metres, positive.
         width, height: image size, pixels.
-
     """
 
     fx: float
@@ -121,7 +120,6 @@ def triangulate(rays: Array, seen: Array, T_second_first: Array) -> tuple[Array,
     Returns:
         Inverse depth (N,) in the first camera, negative behind it; and the squared shift (N,) of `seen` by a unit
         of inverse depth, a measure of parallax, zero where there is none.
-
     """
     R, t = T_second_first[..., :3, :3], T_second_first[..., :3, 3]
     turned = np.einsum("...ij,...j->...i", R, rays)

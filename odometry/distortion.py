@@ -25,7 +25,6 @@ class LensDistortionConfig:
         radial_px: standard deviation of the radial distortion, pixels at 45 degrees.
         decentering_px: standard deviation of the decentering distortion, pixels at 45 degrees.
         drift_px: growth of the standard deviations, pixels per square root of a reference frame.
-
     """
 
     radial_px: float = 10.0
@@ -41,7 +40,6 @@ class LensDistortion:
         camera: the intrinsics.
         coefficients: (3,) pixels at 45 degrees.
         covariance: (3, 3) pixels squared.
-
     """
 
     camera: PinholeCamera

@@ -46,7 +46,6 @@ class Motion:
         pixels_previous, pixels_current: (N, 2) tracked points in the left images, pixels.
         inliers: (N,) bool, the tracks that agree with the motion.
         residual_px: root mean square reprojection error of the inliers, pixels; NaN when predicted.
-
     """
 
     T_previous_current: Array

@@ -57,7 +57,6 @@ class MotionCheckConfig:
         max_deceleration_mps2: largest deceleration of a car, metres per second squared.
         max_noise_px: largest noise of the measurements, pixels.
         min_moving_m: translation above which the camera counts as moving, metres.
-
     """
 
     min_tracks: int = 20
@@ -83,7 +82,6 @@ class MotionPrediction:
         frame_interval_s: time between two images, seconds.
         distance_m: distance that the camera covers at the lower of its last two speeds, metres; the higher one may
             be that of a gap in the recording.
-
     """
 
     T_reference_current: Array

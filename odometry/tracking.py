@@ -29,7 +29,6 @@ class TrackingConfig:
         window_px: side of the window that is compared, pixels, odd.
         pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
         max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
-
     """
 
     max_corners: int = 450

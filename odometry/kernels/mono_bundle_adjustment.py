@@ -71,7 +71,6 @@ def build_normal_equations(
         H (S, S) and b (S,), `H @ change = -b`; squared residuals (M,), pixels squared; for the points
         `points -= offset (N, 3) + gain (N, 3, S) @ change`; and the information about each inverse depth (N,),
         pixels squared over its unit squared.
-
     """
     first, frame, pixels = observations
     n, size = len(first) - 1, DISTORTION
@@ -141,7 +140,6 @@ def observe(camera: Array, first: Array, pixel: Array, point: Array, T: Array, l
         T: (3, 4) the anchor in the frame.
         lens: (3,) coefficients of the distortion.
         out: the columns of `odometry.kernels.reprojection`, with three for the point and three for the lens.
-
     """
     fx, fy, cx, cy = camera
     rx, ry, d = (first[0] - cx) / fx, (first[1] - cy) / fy, point[2]

@@ -83,7 +83,6 @@ def subtract_previous(
         residual: (R,) set to the increments.
         J: (R, 18 + C) set to their derivatives by the poses of anchor, frame before and frame, and the calibration.
         Jp: (R, P) set to their derivatives by the point.
-
     """
     points, shared = Jp.shape[1], J.shape[1] - 3 * POSE
     for r in range(len(residual)):

@@ -34,7 +34,6 @@ class GroundPlaneConfig:
         log_height_sigma: standard deviation of the logarithm of one measured height.
         frames_per_stretch: reference frames that see the same stretch of road, with the same error.
         log_scale_drift: growth of the standard deviation of the logarithm of scale, per square root of a frame.
-
     """
 
     min_slope: float = 0.08

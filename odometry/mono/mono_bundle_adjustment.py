@@ -45,7 +45,6 @@ class MonoBundleConfig:
         error_correlation: share of a track's error that it still has in the next frame.
         windows_per_track: windows in which one track is seen, so that its error does not count anew in each of them
             when the lens is learned.
-
     """
 
     max_frames: int = 12
@@ -64,7 +63,6 @@ class MonoBundle:
         poses: (K, 4, 4) T_map_frame.
         points: points of the window.
         noise_px: standard deviation of a measurement, pixels.
-
     """
 
     def __init__(self, lens: LensDistortion, config: MonoBundleConfig, lens_config: LensDistortionConfig) -> None:

@@ -24,7 +24,6 @@ class MonoTracks:
         pixels: (N, 2) places of the points in the image.
         reference_pixels: (N, 2) their places in the last reference frame.
         reference_image: (H, W) uint8, image of the last reference frame.
-
     """
 
     image: Image
@@ -50,7 +49,6 @@ class FollowedTracks:
     Attributes:
         tracks: the M points that were found, in the second image.
         before: (M, 2) pixels of the same points in the first image.
-
     """
 
     tracks: MonoTracks

@@ -58,7 +58,6 @@ class MonoOdometryConfig:
             have if these erred independently in every image: tracks keep their errors while they live.
         extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
         extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
-
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -88,7 +87,6 @@ class MonoOdometry:
 
     Attributes:
         bundle: the map of the last reference frames, and the lens distortion as learned so far.
-
     """
 
     def __init__(self, camera: PinholeCamera, config: MonoOdometryConfig | None = None) -> None:
@@ -120,7 +118,6 @@ class MonoOdometry:
 
         Raises:
             ValueError: an image of another size or type.
-
         """
         self._check(image)
         steps = self._frame_counter.frames_since_last(timestamp)

@@ -34,7 +34,6 @@ class PoseEstimationConfig:
         initial_noise_px: noise level assumed in the first step, at least, and halved in each.
         min_noise_px: smallest noise level that is assumed, pixels.
         convergence_threshold: largest step, radians and metres, at which the iteration ends.
-
     """
 
     max_iterations: int = 10
@@ -53,7 +52,6 @@ class PoseEstimate:
         inliers: (N,) bool, the tracks that agree.
         noise_px: standard deviation of a measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
-
     """
 
     T_first_second: Array

@@ -34,7 +34,6 @@ class StereoMatchingConfig:
         window_px: side of the window of the refinement, pixels, odd.
         max_return_error_px: largest distance between where matching back ends and where it began, pixels.
         max_refinement_px: largest shift of the search's result by the refinement, pixels.
-
     """
 
     max_disparity_px: int = 128

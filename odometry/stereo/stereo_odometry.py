@@ -51,7 +51,6 @@ class StereoOdometryConfig:
             have if these erred independently in every image: tracks keep their errors while they live.
         extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
         extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
-
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -74,7 +73,6 @@ class StereoOdometry:
 
     Attributes:
         calibration: the pair's calibration error as learned so far; corrects disparities of any match.
-
     """
 
     def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
@@ -101,7 +99,6 @@ class StereoOdometry:
 
         Raises:
             ValueError: images of another size or type.
-
         """
         self._check(left, right)
         steps = self._frame_counter.frames_since_last(timestamp)

@@ -43,7 +43,6 @@ class CalibrationConfig:
         curvature_px: standard deviation of one that grows with the square of the ray, pixels at 45 degrees.
         frames_per_track: frames in which one track is seen, so that its error is not counted anew in each.
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
-
     """
 
     radial_px: float = 10.0
@@ -69,7 +68,6 @@ class Calibration:
         camera: the pair.
         coefficients: (15,) pixels: 3 of the distortion, 6 of the rectification error along columns and 6 along rows.
         covariance: (15, 15) pixels squared.
-
     """
 
     camera: StereoCamera

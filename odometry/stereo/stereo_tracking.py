@@ -53,7 +53,6 @@ class TrackingResult:
         estimate: the measured motion; None with too few tracks.
         reason: reason for which the estimate must be rejected; None if it is accepted.
         followed: whether the points were followed by optical flow, so that their tracks go on.
-
     """
 
     tracks: StereoTracks
@@ -160,7 +159,6 @@ class _Search:
         pair: the new images.
         predicted: predicted motion of the pair, or None.
         calibration: error of the pair's calibration.
-
     """
 
     reference: StereoObservation

@@ -34,7 +34,6 @@ class StereoTracks:
     Attributes:
         first_left, first_right, second_left, second_right: (N, 2) pixels.
         ids: (N,) growing numbers of the tracks, -1 where there is no track.
-
     """
 
     first_left: Array
@@ -70,7 +69,6 @@ class AdjustmentConfig:
         initial_noise_px: noise level assumed in the first step, at least, and halved in each.
         min_noise_px: smallest noise level that is assumed, pixels.
         convergence_threshold: largest step, radians and metres, at which the iteration ends.
-
     """
 
     max_iterations: int = 12
@@ -91,7 +89,6 @@ class TwoViewEstimate:
         residual_px: root mean square of the inliers' residuals, pixels.
         calibration: (15,) coefficients, estimated with the motion.
         information: (15, 15) information of this pair of views about them.
-
     """
 
     T_first_second: Array

@@ -40,7 +40,7 @@ def test_compiled_products_and_differences_agree_with_numpy(seed, size, count):
     np.testing.assert_array_equal(absolute_differences(one, many), expected)
 
 
-def test_a_dense_map_gives_the_cosine_whatever_the_lengths():
+def test_a_descriptor_database_gives_the_cosine_whatever_the_lengths():
     rng = np.random.default_rng(0)
     vectors = rng.normal(size=(50, 300)).astype(np.float32) * rng.uniform(1e-6, 1e6, (50, 1)).astype(np.float32)
     dense = DescriptorDatabase()
@@ -60,7 +60,7 @@ def test_vectors_of_zeros_are_like_nothing():
     assert dense.similarities(np.zeros(4, np.float32), 0).shape == (0,)
 
 
-def test_a_dense_map_refuses_other_sizes_and_what_is_no_number():
+def test_a_descriptor_database_refuses_other_sizes_and_what_is_no_number():
     dense = DescriptorDatabase()
     dense.add(np.ones(5, np.float32))
     with pytest.raises(ValueError, match=r"expected a descriptor \(5,\), got \(4,\)"):
