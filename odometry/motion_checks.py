@@ -118,8 +118,8 @@ def rejection_reason(
 
 def _min_inlier_ratio(estimate: MotionEstimate, predicted: MotionPrediction | None, config: MotionCheckConfig) -> float:
     """Smallest share of inliers that an estimate needs: a smaller one where it agrees with the prediction."""
-    surprising = predicted is None or jump_reason(estimate.T_first_second, predicted.T_reference_current, config)
-    return config.min_inlier_ratio if surprising else config.min_expected_inlier_ratio
+    is_unexpected = predicted is None or jump_reason(estimate.T_first_second, predicted.T_reference_current, config)
+    return config.min_inlier_ratio if is_unexpected else config.min_expected_inlier_ratio
 
 
 def stops_implausibly(T: Array, predicted: MotionPrediction, config: MotionCheckConfig) -> bool:

@@ -14,7 +14,7 @@ from odometry.tracking import TrackingConfig, is_inside, track_points
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_NEIGHBOURS = 3  # nearest points of known depth whose median is a pixel's first guess
+_NEIGHBORS = 3  # nearest points of known depth whose median is a pixel's first guess
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def estimate_depths(
     then, now = images
     T_then_now = se3.inverse(then.T_map_camera) @ now.T_map_camera
     rays = lens.rays(pixels)
-    count = min(_NEIGHBOURS, len(known[1]))
+    count = min(_NEIGHBORS, len(known[1]))
     _, near = cKDTree(known[0]).query(pixels, k=count)
     guess = np.median(known[1][near.reshape(len(pixels), count)], axis=1)
     ahead = lens.pixels(rays @ T_then_now[:3, :3].T + guess[:, None] * T_then_now[:3, 3])

@@ -115,7 +115,7 @@ def rank_candidates(
     """Return the `max_verified` candidates with the most feature matches, best first; ties keep their order."""
     if len(candidates) == 0:
         return []
-    descriptors = images[query].strongest(config.ranking_features).quantised
+    descriptors = images[query].strongest(config.ranking_features).quantized
     counts = count_matches(descriptors, *images.strongest(candidates, config.ranking_features), config.ranking_ratio)
     return [candidates[k] for k in np.argsort(-counts, kind="stable")[: config.max_verified]]
 
@@ -125,7 +125,7 @@ def match_images(
 ) -> ImagePairMatches:
     """Match the features of the query image with those of the image at an earlier location."""
     now, then = images[query], images[location]
-    pairs = match_pairs(now.quantised, then.quantised, config.ratio)
+    pairs = match_pairs(now.quantized, then.quantized, config.ratio)
     octave_difference = np.abs(now.octaves[pairs[:, 0]] - then.octaves[pairs[:, 1]])
     pairs = pairs[octave_difference <= math.log2(config.max_scale_ratio)]
     random_agreement = _random_agreement(then, config.epipolar.max_distance_px)

@@ -60,8 +60,8 @@ class Votes:
     def neg_log10_probability(self, location: int, radius: int) -> float:
         """Return -log10 of the smallest density of the votes within `radius` locations; 0 if none exceeds chance."""
         first, end = np.searchsorted(self.locations, [location - radius, location + radius + 1])
-        surprising = self.votes[first:end] > self.expected[first:end]
-        return float(max(-self.log_density[first:end][surprising].min(initial=0.0), 0.0)) / math.log(10)
+        is_above = self.votes[first:end] > self.expected[first:end]
+        return float(max(-self.log_density[first:end][is_above].min(initial=0.0), 0.0)) / math.log(10)
 
 
 def count_votes(hit: Indices, words: WordMap) -> Votes:

@@ -157,10 +157,10 @@ def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray
     small = cv2.resize(image, (config.width, config.height), interpolation=cv2.INTER_AREA).astype(np.float32)
     side = config.patch
     patches = small.reshape(config.height // side, side, config.width // side, side)
-    centred = patches - patches.mean(axis=(1, 3), keepdims=True)
-    contrast = np.sqrt((centred * centred).mean(axis=(1, 3), keepdims=True))
-    normalised = MIDDLE + DEVIATION * centred / np.maximum(contrast, config.min_contrast)
-    return np.clip(np.round(normalised), 0, 255).astype(np.uint8).reshape(small.shape)
+    centered = patches - patches.mean(axis=(1, 3), keepdims=True)
+    contrast = np.sqrt((centered * centered).mean(axis=(1, 3), keepdims=True))
+    normalized = MIDDLE + DEVIATION * centered / np.maximum(contrast, config.min_contrast)
+    return np.clip(np.round(normalized), 0, 255).astype(np.uint8).reshape(small.shape)
 
 
 def mean_absolute_difference(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
@@ -216,11 +216,11 @@ class ColorHistogram:
         if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
             raise ValueError(f"expected an image (H, W) or (H, W, 3) uint8, got {image.shape} {image.dtype}")
         if image.ndim == 2:
-            colours, count = _bin(image, self.config.gray_bins), self.config.gray_bins
+            colors, count = _bin(image, self.config.gray_bins), self.config.gray_bins
         else:
             first, second, third = (_bin(image[..., channel], self.config.bins) for channel in range(3))
-            colours, count = (first * self.config.bins + second) * self.config.bins + third, self.config.bins**3
-        return (np.bincount(colours.ravel(), minlength=count) / colours.size).astype(np.float32)
+            colors, count = (first * self.config.bins + second) * self.config.bins + third, self.config.bins**3
+        return (np.bincount(colors.ravel(), minlength=count) / colors.size).astype(np.float32)
 
 
 def _bin(channel: NDArray[np.uint8], bins: int) -> NDArray[np.int64]:

@@ -89,11 +89,11 @@ def _mutual_nearest(first: Floats, second_columns: Floats) -> tuple[NDArray[np.i
     return nearest, best, runner_up, back
 
 
-def to_columns(quantised: Bytes) -> Bytes:
+def to_columns(quantized: Bytes) -> Bytes:
     """Transpose descriptors (N, D) to columns (D, M), with zeros from column N on; M is a multiple of LANES."""
-    count, dimension = quantised.shape
+    count, dimension = quantized.shape
     columns = np.zeros((dimension, -(-count // LANES) * LANES), np.int8)
-    columns[:, :count] = quantised.T
+    columns[:, :count] = quantized.T
     return columns
 
 

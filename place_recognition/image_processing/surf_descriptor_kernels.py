@@ -31,14 +31,14 @@ def cell_weights() -> Floats:
     """Compute the weight (SAMPLES, CELLS) of each sample along one axis in each cell: linear share times Gaussian."""
     # The weight of a sample in the square is the product of those along both axes, so that 24 x 4 numbers suffice.
     offsets = np.arange(SAMPLES) - MIDDLE
-    centres = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
-    shares = np.clip(1 - np.abs(offsets[:, None] - centres) / CELL_SIZE, 0, None)
+    centers = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
+    shares = np.clip(1 - np.abs(offsets[:, None] - centers) / CELL_SIZE, 0, None)
     gaussian = np.exp(-0.5 * (offsets / GAUSSIAN_SIGMA) ** 2)
     return (shares * gaussian[:, None]).astype(np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints:
+def _grid_lines(center: float, scale: float, limit: int, shares: Floats) -> Ints:
     """Return the integral coordinates (GRID,) below the grid lines of a square along one axis.
 
     shares (GRID,) receives their fractions. A line outside 0 ... limit is moved to the nearer end.
@@ -46,7 +46,7 @@ def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints
     below = np.empty(GRID, np.int32)
     for i in range(GRID):
         # the integral coordinate of a pixel's centre is half a pixel more than its index
-        line = min(max(centre + 0.5 + (i - MIDDLE - 1) * scale, 0.0), float(limit))
+        line = min(max(center + 0.5 + (i - MIDDLE - 1) * scale, 0.0), float(limit))
         below[i] = min(int(line), limit - 1)
         shares[i] = line - below[i]
     return below
@@ -102,12 +102,12 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
         inside[0, i] = y + offset - scale >= 0 and y + offset + scale <= height
         inside[1, i] = x + offset - scale >= 0 and x + offset + scale <= width
     for i in range(SAMPLES):
-        top, centre, bottom = grid[i], grid[i + 1], grid[i + 2]
+        top, center, bottom = grid[i], grid[i + 1], grid[i + 2]
         for j in range(SAMPLES):
             # Box sums are differences of these: dx is the right half minus the left, dy the lower minus the upper.
             right, middle, left = bottom[j + 2] - top[j + 2], bottom[j + 1] - top[j + 1], bottom[j] - top[j]
             haar[0, i, j] = right + left - 2 * middle
-            haar[1, i, j] = right - left - 2 * (centre[j + 2] - top[j + 2] - centre[j] + top[j])
+            haar[1, i, j] = right - left - 2 * (center[j + 2] - top[j + 2] - center[j] + top[j])
 
 
 @njit(cache=True, nogil=True)

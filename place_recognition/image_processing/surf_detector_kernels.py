@@ -140,11 +140,11 @@ def _mark_row(ring: Floats, level: int, y: int, threshold: np.float32, marks: ND
     """
     n = len(marks)
     above, same, below = ring[(y - 1) % 3, level], ring[y % 3, level], ring[(y + 1) % 3, level]
-    centre, left, right = same[1 : 1 + n], same[:n], same[2 : 2 + n]
+    center, left, right = same[1 : 1 + n], same[:n], same[2 : 2 + n]
     up, down = above[1 : 1 + n], below[1 : 1 + n]
     smaller, larger = ring[y % 3, level - 1, 1 : 1 + n], ring[y % 3, level + 1, 1 : 1 + n]
     for i in range(n):  # no branches, so that the loop becomes SIMD
-        v = centre[i]
+        v = center[i]
         beside = (v > left[i]) & (v >= right[i]) & (v > up[i]) & (v >= down[i])
         marks[i] = (v > threshold) & beside & (v > smaller[i]) & (v >= larger[i])
 
@@ -175,10 +175,10 @@ def fit_peak(cube: NDArray[np.float64]) -> tuple[float, float, float]:
     One Newton step from the middle, -H^-1 g, with gradient and Hessian by central differences (Brown, Lowe, 'Invariant
     Features from Interest Point Groups', BMVC 2002, which the paper follows).
     """
-    centre = 2 * cube[1, 1, 1]
+    center = 2 * cube[1, 1, 1]
     gx, gy, gs = cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1], cube[2, 1, 1] - cube[0, 1, 1]
-    xx, yy = cube[1, 1, 2] + cube[1, 1, 0] - centre, cube[1, 2, 1] + cube[1, 0, 1] - centre
-    ss = cube[2, 1, 1] + cube[0, 1, 1] - centre
+    xx, yy = cube[1, 1, 2] + cube[1, 1, 0] - center, cube[1, 2, 1] + cube[1, 0, 1] - center
+    ss = cube[2, 1, 1] + cube[0, 1, 1] - center
     xy = (cube[1, 2, 2] - cube[1, 2, 0] - cube[1, 0, 2] + cube[1, 0, 0]) / 4
     xs = (cube[2, 1, 2] - cube[2, 1, 0] - cube[0, 1, 2] + cube[0, 1, 0]) / 4
     ys = (cube[2, 2, 1] - cube[2, 0, 1] - cube[0, 2, 1] + cube[0, 0, 1]) / 4

@@ -203,7 +203,7 @@ class HierarchicalPlaces:
             return []
         locations = self._sample_images(votes, count)
         images, features = self._history.images, self.config.ranking_features
-        query = images[self._history.latest].strongest(features).quantised
+        query = images[self._history.latest].strongest(features).quantized
         matches = count_matches(query, *images.strongest(locations, features), self.config.ranking_ratio)
         best = [locations[k] for k in np.argsort(-matches, kind="stable")[: self.config.max_candidates]]
         last = self._places.images(count - 1)[-1]

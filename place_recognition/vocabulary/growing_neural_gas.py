@@ -181,24 +181,24 @@ def _two_nearest(sample: Floats, state: GasState, count: int, closeness: Floats)
 @njit(cache=True)
 def _insert(state: GasState, count: int, split: float) -> int:
     """Insert a node between that of greatest error and its neighbour of greatest error (step 8)."""
-    worst, neighbour = 0, -1
+    worst, neighbor = 0, -1
     for node in range(1, count):
         if state.error[node] > state.error[worst]:
             worst = node
     for other in range(count):
         joined = state.age[worst, other] > NO_EDGE
-        if joined and (neighbour < 0 or state.error[other] > state.error[neighbour]):
-            neighbour = other
-    if neighbour < 0:
+        if joined and (neighbor < 0 or state.error[other] > state.error[neighbor]):
+            neighbor = other
+    if neighbor < 0:
         return count
     for k in range(len(state.columns)):
-        state.columns[k, count] = np.float32(0.5) * (state.columns[k, worst] + state.columns[k, neighbour])
+        state.columns[k, count] = np.float32(0.5) * (state.columns[k, worst] + state.columns[k, neighbor])
     _update_penalty(state, count)
-    _set_edge(state, worst, neighbour, NO_EDGE)
+    _set_edge(state, worst, neighbor, NO_EDGE)
     _set_edge(state, worst, count, 0)
-    _set_edge(state, neighbour, count, 0)
+    _set_edge(state, neighbor, count, 0)
     state.error[worst] *= split
-    state.error[neighbour] *= split
+    state.error[neighbor] *= split
     state.error[count] = state.error[worst]
     return count + 1
 

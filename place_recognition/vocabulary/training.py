@@ -189,39 +189,39 @@ def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator)
 
 def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]:
     """Return the rows of each cluster, none empty; one cluster where all descriptors are the same."""
-    centres = _first_centres(bits, clusters, rng)
+    centers = _first_centers(bits, clusters, rng)
     nearest = np.full(len(bits), -1)
     for _ in range(ROUNDS):
-        before, nearest = nearest, _nearest(bits, centres)
+        before, nearest = nearest, _nearest(bits, centers)
         if np.array_equal(before, nearest):
             break
-        centres = np.array([_vote(bits[nearest == k]) for k in np.unique(nearest)])
+        centers = np.array([_vote(bits[nearest == k]) for k in np.unique(nearest)])
     return [np.flatnonzero(nearest == k) for k in np.unique(nearest)]
 
 
-def _first_centres(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
+def _first_centers(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
     # k-means++: each next centre is drawn with a probability that grows with its squared distance from those so far.
-    centres = [bits[rng.integers(len(bits))]]
-    far = _hamming(bits, centres[0])
-    while len(centres) < clusters and far.any():
+    centers = [bits[rng.integers(len(bits))]]
+    far = _hamming(bits, centers[0])
+    while len(centers) < clusters and far.any():
         chance = np.cumsum(far.astype(np.float64) ** 2)
-        centres.append(bits[np.searchsorted(chance, rng.random() * chance[-1], side="right")])
-        far = np.minimum(far, _hamming(bits, centres[-1]))
-    return np.array(centres)
+        centers.append(bits[np.searchsorted(chance, rng.random() * chance[-1], side="right")])
+        far = np.minimum(far, _hamming(bits, centers[-1]))
+    return np.array(centers)
 
 
 def _vote(bits: Bits) -> Bits:
     return bits.sum(axis=0) * 2 > len(bits)
 
 
-def _hamming(bits: Bits, centre: Bits) -> Indices:
-    return np.count_nonzero(bits != centre, axis=1)
+def _hamming(bits: Bits, center: Bits) -> Indices:
+    return np.count_nonzero(bits != center, axis=1)
 
 
-def _nearest(bits: Bits, centres: Bits) -> Indices:
+def _nearest(bits: Bits, centers: Bits) -> Indices:
     """Find the centre (N,) at the least Hamming distance."""
     # Agreeing bits are counted by a matrix product; its whole numbers are exact in any order of summation.
-    signs = centres.astype(np.float32).T * 2 - 1
-    zeros = np.count_nonzero(~centres, axis=1)
+    signs = centers.astype(np.float32).T * 2 - 1
+    zeros = np.count_nonzero(~centers, axis=1)
     blocks = (bits[begin : begin + ROWS].astype(np.float32) for begin in range(0, len(bits), ROWS))
     return np.concatenate([(block @ signs + zeros).argmax(axis=1) for block in blocks])

@@ -259,13 +259,13 @@ def split_in_two(members: Floats, min_members: int) -> Flags:
 
 
 @njit(cache=True)
-def _distances(members: Floats, centre: Floats) -> Floats:
+def _distances(members: Floats, center: Floats) -> Floats:
     """Compute the squared Euclidean distance (N,) of members (N, D) from a centre (D,)."""
     # Not by a BLAS, whose bits depend on its number of threads.
     distances = np.zeros(len(members), np.float32)
     for k in range(len(members)):
-        for i in range(len(centre)):
-            difference = members[k, i] - centre[i]
+        for i in range(len(center)):
+            difference = members[k, i] - center[i]
             distances[k] += difference * difference
     return distances
 

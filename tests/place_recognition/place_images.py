@@ -43,11 +43,11 @@ def changed(image: Image, seed: int) -> Image:
 
 
 def gaussian_blob(
-    sigma: float, centre: tuple[float, float] = (70.0, 60.0), shape: tuple[int, int] = (128, 144)
+    sigma: float, center: tuple[float, float] = (70.0, 60.0), shape: tuple[int, int] = (128, 144)
 ) -> Image:
     """One bright blob on black, centred at x and y."""
     y, x = np.mgrid[: shape[0], : shape[1]]
-    return np.round(200 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)
+    return np.round(200 * np.exp(-((x - center[0]) ** 2 + (y - center[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)
 
 
 class CachingSurf(Surf):

@@ -74,9 +74,9 @@ def test_a_rectification_error_is_learned_and_no_longer_stretches_the_distance(c
         tracks = simulate(camera, MOTION, rng, offset_px=(0.8, -0.5))
         estimate = estimate_motion(tracks, learned, MOTION)
         learned = learned.update(estimate.calibration, estimate.information, OPEN)
-    centre = np.array([[camera.cx, camera.cy]])
-    np.testing.assert_allclose(learned.rectify(centre, centre)[1], centre - [0.8, -0.5], atol=0.06)
-    np.testing.assert_allclose(learned.correct_disparity(centre, np.array([9.2])), [10.0], atol=0.06)
+    center = np.array([[camera.cx, camera.cy]])
+    np.testing.assert_allclose(learned.rectify(center, center)[1], center - [0.8, -0.5], atol=0.06)
+    np.testing.assert_allclose(learned.correct_disparity(center, np.array([9.2])), [10.0], atol=0.06)
     assert np.linalg.norm(error(estimate)[3:]) < 0.01
     blind = estimate_motion(tracks, Calibration.unknown(camera, EXACT), MOTION)
     assert error(blind)[5] < -0.02  # too long

@@ -95,7 +95,7 @@ def test_the_top_of_a_parabola_is_found_and_a_plane_has_none():
 
 @pytest.mark.parametrize("sigma", [2.3, 3.0, 3.6, 5.0])
 def test_a_gaussian_blob_is_found_where_it_is(sigma):
-    features = Surf().extract(gaussian_blob(sigma, centre=(70.3, 59.8)))
+    features = Surf().extract(gaussian_blob(sigma, center=(70.3, 59.8)))
     assert np.abs(features.pixels[0] - [70.3, 59.8]).max() < 0.1
 
 

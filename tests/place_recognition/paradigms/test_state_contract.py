@@ -135,7 +135,7 @@ def test_a_restored_store_has_the_same_features_in_memory_and_on_disk(images):
     assert len(other) == images
     assert other.disk_bytes == one.disk_bytes
     for k in range(images):
-        np.testing.assert_array_equal(other[k].quantised, one[k].quantised)
+        np.testing.assert_array_equal(other[k].quantized, one[k].quantized)
         np.testing.assert_array_equal(other[k].pixels, one[k].pixels)
 
 
