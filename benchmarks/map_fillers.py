@@ -96,7 +96,7 @@ class AuditedIndex(HybridWordIndex):
         return float(np.mean(self.nearest(self._queries) == self._nearest))
 
 
-def fill_route(history: ImageHistory, material: Material, size: int) -> int:
+def fill_history(history: ImageHistory, material: Material, size: int) -> int:
     """Add real images up to a size, without looking where their views begin; return the size before."""
     before = len(history)
     follow, history._follow_view = history._follow_view, lambda: None  # type: ignore[method-assign]
@@ -139,7 +139,7 @@ class TrackedWordsFiller:
         """Let tracks have ended at all images up to a size."""
         words = self.recognizer._words
         words.activate_until(size)
-        for begin in range(fill_route(self.history, self._material, size), size, BLOCK):
+        for begin in range(fill_history(self.history, self._material, size), size, BLOCK):
             last = np.repeat(np.arange(begin, min(begin + BLOCK, size)), TRACKED_WORDS)
             first = np.maximum(last - self._material.rng.integers(4, 2 * TRACK_LENGTH - 4, len(last)), 0)
             words.add(Words(self._material.descriptors(len(last)), first, last))
@@ -163,7 +163,7 @@ class PlacesFiller:
         """Let places have ended up to a size; the open one is dropped."""
         places = self.recognizer._places
         self.recognizer._open.flush()
-        before = fill_route(self.history, self._material, size)
+        before = fill_history(self.history, self._material, size)
         for last in range(before + PLACE_LENGTH - 1, size, PLACE_LENGTH):
             places.add(self._material.descriptors(PLACE_WORDS), last)
             places.activate_until(last)
@@ -192,7 +192,7 @@ class SequencesFiller:
         """Let sequences have ended up to a size; the open ones are dropped."""
         matching = self.recognizer
         matching.finish()
-        fill_route(self.history, self._material, size)
+        fill_history(self.history, self._material, size)
         while len(matching._words) < size:
             begin = len(matching._words)
             words = [self._mixed() for _ in range(min(SEQUENCE_LENGTH, size - begin))]

@@ -143,7 +143,7 @@ def plain_pairs(first, second):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 70), st.integers(1, 70), st.sampled_from([2, 3, 8, 13, 64, 256]))
-def test_quantised_descriptors_match_as_in_plain_integers(seed, n, m, d):
+def test_quantized_descriptors_match_as_in_plain_integers(seed, n, m, d):
     rng = np.random.default_rng(seed)
     first, second = quantized(rng, n, d), quantized(rng, m, d)
     shared = min(n, m) // 2
@@ -207,7 +207,7 @@ def test_random_matches_rarely_look_rigid():
     assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)
 
 
-def test_quantised_descriptors_of_real_size_match_as_floats_do():
+def test_quantized_descriptors_of_real_size_match_as_floats_do():
     rng = np.random.default_rng(9)
     first, second = quantized(rng, 300, 64), quantized(rng, 280, 64)
     second[:90] = np.clip(first[100:190].astype(int) + rng.integers(-9, 10, (90, 64)), -127, 127)
