@@ -96,14 +96,14 @@ class AuditedIndex(HybridWordIndex):
         return float(np.mean(self.nearest(self._queries) == self._nearest))
 
 
-def fill_route(route: ImageHistory, material: Material, size: int) -> int:
-    """Add real images until the route has so many, without looking where their views begin; returns how many it had."""
-    before = len(route)
-    follow, route._follow_view = route._follow_view, lambda: None  # type: ignore[method-assign]
-    for location in range(len(route), size):
-        route.add(location, material.features[location % len(material.features)], float(location))
-    route._follow_view = follow  # type: ignore[method-assign]
-    route._view_begin = size - 1
+def fill_history(history: ImageHistory, material: Material, size: int) -> int:
+    """Add real images up to a size, without looking where their views begin; return the size before."""
+    before = len(history)
+    follow, history._follow_view = history._follow_view, lambda: None  # type: ignore[method-assign]
+    for location in range(len(history), size):
+        history.add(location, material.features[location % len(material.features)], float(location))
+    history._follow_view = follow  # type: ignore[method-assign]
+    history._view_begin = size - 1
     return before
 
 
@@ -112,11 +112,11 @@ class Filler(Protocol):
 
     Attributes:
         recognizer: whose map it is.
-        route: its route.
+        history: its history.
     """
 
     recognizer: Any
-    route: ImageHistory
+    history: ImageHistory
 
     def fill(self, size: int) -> None:
         """Bring the map to so many images."""
@@ -133,13 +133,13 @@ class TrackedWordsFiller:
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
         self.recognizer = TrackedWords(FeatureCache(features), index=lambda: self._index)
-        self.route = self.recognizer._route
+        self.history = self.recognizer._history
 
     def fill(self, size: int) -> None:
         """Add the words of tracks that end at each image up to a size."""
         words = self.recognizer._words
         words.activate_until(size)
-        for begin in range(fill_route(self.route, self._material, size), size, BLOCK):
+        for begin in range(fill_history(self.history, self._material, size), size, BLOCK):
             last = np.repeat(np.arange(begin, min(begin + BLOCK, size)), TRACKED_WORDS)
             first = np.maximum(last - self._material.rng.integers(4, 2 * TRACK_LENGTH - 4, len(last)), 0)
             words.add(Words(self._material.descriptors(len(last)), first, last))
@@ -157,13 +157,13 @@ class PlacesFiller:
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
         self.recognizer = HierarchicalPlaces(FeatureCache(features), index=lambda: self._index)
-        self.route = self.recognizer._route
+        self.history = self.recognizer._history
 
     def fill(self, size: int) -> None:
         """Add places up to a size; the open place is dropped."""
         places = self.recognizer._places
         self.recognizer._open.flush()
-        before = fill_route(self.route, self._material, size)
+        before = fill_history(self.history, self._material, size)
         for last in range(before + PLACE_LENGTH - 1, size, PLACE_LENGTH):
             places.add(self._material.descriptors(PLACE_WORDS), last)
             places.activate_until(last)
@@ -184,7 +184,7 @@ class SequencesFiller:
     ) -> None:
         self._vocabulary, self._material = default_vocabulary(), material
         self.recognizer = make(FeatureCache(features), self._vocabulary)
-        self.route = self.recognizer._route
+        self.history = self.recognizer._history
         shown = self.recognizer.config.word_features
         self._images = [self._vocabulary.assign(image.descriptors[:shown]) for image in material.features]
 
@@ -192,7 +192,7 @@ class SequencesFiller:
         """Add sequences up to a size; the open ones are dropped."""
         matching = self.recognizer
         matching.finish()
-        fill_route(self.route, self._material, size)
+        fill_history(self.history, self._material, size)
         while len(matching._words) < size:
             begin = len(matching._words)
             words = [self._mixed() for _ in range(min(SEQUENCE_LENGTH, size - begin))]

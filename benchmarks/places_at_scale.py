@@ -86,7 +86,7 @@ def ask(recognizer: Any, images: list[NDArray[np.uint8]], size: int) -> NDArray[
 def report(name: str, filler: Any, fill: tuple[int, float], times: NDArray[np.float64]) -> Row:
     """Measure and print the row of a size at once: the next one may take minutes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    words, disk = filler.recognizer.word_count, filler.route.images.disk_bytes / 1e9
+    words, disk = filler.recognizer.word_count, filler.history.images.disk_bytes / 1e9
     row = Row(name, fill[0], words, float(np.median(times)), float(times.mean()), filler.recall(), peak, disk, fill[1])
     print(
         f"{row.paradigm:20s} {row.images:9,d} images {row.words:11,d} words  {row.median:7.2f} ms median "

@@ -1,9 +1,7 @@
-"""Pinhole cameras and rectified stereo pairs: pixels to points and back.
+"""Pinhole cameras and rectified stereo pairs: projection, and triangulation from a disparity or from two views.
 
 Camera frame: x right, y down, z forward, metres, origin at the left camera. Pixel (0, 0) is the centre of the
 top left pixel. Rectified: both cameras share intrinsics and rows; the right camera sits at (+baseline, 0, 0).
-
-Triangulation: depth from two views of one point.
 """
 
 from dataclasses import dataclass
@@ -22,19 +20,39 @@ class PinholeCamera(Protocol):
     """Intrinsics of one camera, pixels; a stereo pair has them, and so has a single camera."""
 
     @property
-    def fx(self) -> float: ...  # noqa: D102
+    def fx(self) -> float:
+        """Focal length along x, pixels."""
+        ...
+
     @property
-    def fy(self) -> float: ...  # noqa: D102
+    def fy(self) -> float:
+        """Focal length along y, pixels."""
+        ...
+
     @property
-    def cx(self) -> float: ...  # noqa: D102
+    def cx(self) -> float:
+        """Column of the principal point, pixels."""
+        ...
+
     @property
-    def cy(self) -> float: ...  # noqa: D102
+    def cy(self) -> float:
+        """Row of the principal point, pixels."""
+        ...
+
     @property
-    def width(self) -> int: ...  # noqa: D102
+    def width(self) -> int:
+        """Width of the image, pixels."""
+        ...
+
     @property
-    def height(self) -> int: ...  # noqa: D102
+    def height(self) -> int:
+        """Height of the image, pixels."""
+        ...
+
     @property
-    def K(self) -> Array: ...  # noqa: D102
+    def K(self) -> Array:
+        """Calibration matrix (3, 3), pixels."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -46,7 +64,6 @@ class StereoCamera:
         cx, cy: principal point, pixels.
         baseline: distance from the left to the right camera, metres, positive.
         width, height: image size, pixels.
-
     """
 
     fx: float
@@ -93,17 +110,16 @@ def clamp_inverse_depth(inverse_depth: Array) -> Array:
 
 
 def triangulate(rays: Array, seen: Array, T_second_first: Array) -> tuple[Array, Array]:
-    """Inverse depths of points from two views.
+    """Triangulate points from two views.
 
     Args:
-        rays: (N, 3) directions with z = 1 in the first camera.
-        seen: (N, 3) likewise in the second.
+        rays: (N, 3) directions of the points with z = 1 in the first camera.
+        seen: (N, 3) directions of the same points with z = 1 in the second camera.
         T_second_first: (4, 4), or (N, 4, 4) with one for each point.
 
     Returns:
-        Inverse depth (N,) in the first camera, negative behind it; and (N,) the squared shift of `seen` by a unit
+        Inverse depth (N,) in the first camera, negative behind it; and the squared shift (N,) of `seen` by a unit
         of inverse depth, a measure of parallax, zero where there is none.
-
     """
     R, t = T_second_first[..., :3, :3], T_second_first[..., :3, 3]
     turned = np.einsum("...ij,...j->...i", R, rays)

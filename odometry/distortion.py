@@ -23,9 +23,8 @@ class LensDistortionConfig:
 
     Attributes:
         radial_px: standard deviation of the radial distortion, pixels at 45 degrees.
-        decentering_px: the same of the decentering distortion.
+        decentering_px: standard deviation of the decentering distortion, pixels at 45 degrees.
         drift_px: growth of the standard deviations, pixels per square root of a reference frame.
-
     """
 
     radial_px: float = 10.0
@@ -35,13 +34,12 @@ class LensDistortionConfig:
 
 @dataclass(frozen=True)
 class LensDistortion:
-    """A camera and its distortion: places in its images less places that a perfect lens would show.
+    """A camera and its distortion: displacement of its pixels from those of a perfect lens.
 
     Attributes:
         camera: the intrinsics.
         coefficients: (3,) pixels at 45 degrees.
         covariance: (3, 3) pixels squared.
-
     """
 
     camera: PinholeCamera
@@ -64,13 +62,13 @@ class LensDistortion:
     def pixels(self, points: Array) -> Array:
         """Pixels (N, 2) of points (N, 3), camera frame; NaN at or behind the image plane.
 
-        Distortion is taken where a perfect lens would show the point: exact to a tenth of a pixel.
+        The distortion is that at the pixel of a perfect lens: exact to a tenth of a pixel.
         """
         c = self.camera
         x, y, z = points.T
         z = np.where(z > 0, z, np.nan)
-        rectify = np.stack([c.fx * x / z + c.cx, c.fy * y / z + c.cy], axis=1)
-        return 2 * rectify - undistort(c, self.coefficients, rectify)
+        straight = np.stack([c.fx * x / z + c.cx, c.fy * y / z + c.cy], axis=1)
+        return 2 * straight - undistort(c, self.coefficients, straight)
 
     def update(self, coefficients: Array, information: Array, config: LensDistortionConfig) -> "LensDistortion":
         """Take over coefficients (3,) with the new information (3, 3) about them."""

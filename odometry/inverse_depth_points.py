@@ -24,7 +24,6 @@ class FrameObservations:
     Attributes:
         ids: (N,) growing numbers of the tracks.
         pixels: (N, 2).
-
     """
 
     ids: Indices
@@ -40,7 +39,6 @@ class ObservationTable:
         first: (N + 1,) first observation of each point, and the end of the last one's.
         frame: (M,) frame of each observation.
         pixels: (M, 2) pixels.
-
     """
 
     ids: Indices
@@ -85,7 +83,6 @@ class Points:
         anchor_pixel: (N, 2) adjusted place of the point in its anchor's image, pixels.
         inverse_depth: (N,) in that frame.
         information: (N,) about the inverse depth, pixels squared over its unit squared; 0 where nothing is known.
-
     """
 
     ids: Indices
@@ -137,7 +134,6 @@ class Points:
             observations: observations without those of the frame that has left; frames are counted from the next one.
             poses: (K, 4, 4) T_map_frame, beginning with the frame that has left.
             lens: of the camera.
-
         """
         old, anchor = self.select(observations.ids), observations.anchor + 1
         T = se3.inverse(poses[anchor]) @ poses[old.frame]

@@ -1,7 +1,4 @@
-"""Result of an odometry: the camera's motion from the previous image to the current one.
-
-Count of the images that a camera took between two that arrived, by time stamps.
-"""
+"""Result of an odometry: the camera's motion between two consecutive images, and the count of missing images."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -12,8 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-
 FIRST_VARIANCE = 1e-12  # rad², m²: the pose of the first image is exact by definition
+_MAX_INTERVALS = 15  # intervals whose median is the camera's
+_DEFAULT_INTERVAL_S = 0.1  # that of most recordings
 
 
 def extrapolation_covariance(sigma_rad: float, sigma_m: float, images: int) -> Array:
@@ -48,7 +46,6 @@ class Motion:
         pixels_previous, pixels_current: (N, 2) tracked points in the left images, pixels.
         inliers: (N,) bool, the tracks that agree with the motion.
         residual_px: root mean square reprojection error of the inliers, pixels; NaN when predicted.
-
     """
 
     T_previous_current: Array
@@ -61,16 +58,12 @@ class Motion:
     residual_px: float = float("nan")
 
 
-_HISTORY = 15  # intervals whose median is the camera's
-_DEFAULT_INTERVAL_S = 0.1  # that of most recordings
-
-
 class FrameCounter:
-    """Counts the images in each gap between time stamps; without time stamps no image is missing."""
+    """Counts the images that a camera took between two that arrived; without time stamps no image is missing."""
 
     def __init__(self) -> None:
         self._last: float | None = None
-        self._intervals: deque[float] = deque(maxlen=_HISTORY)
+        self._intervals: deque[float] = deque(maxlen=_MAX_INTERVALS)
 
     @property
     def interval_s(self) -> float:
@@ -85,10 +78,10 @@ class FrameCounter:
         self._last = timestamp
         if interval <= 0.0:
             return 1
-        median_inverse_depth = self.interval_s if self._intervals else interval
-        ticks = max(round(interval / median_inverse_depth), 1)
-        self._intervals.append(interval / ticks)
-        return ticks
+        usual = self.interval_s if self._intervals else interval
+        frames = max(round(interval / usual), 1)
+        self._intervals.append(interval / frames)
+        return frames
 
     def state(self) -> dict[str, Any]:
         """The latest time and intervals, for a checkpoint."""

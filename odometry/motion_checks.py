@@ -1,6 +1,6 @@
 """Checks that a measured motion must pass: enough agreement, low noise, and what a vehicle can do.
 
-A check gives the reason for a rejection in words, or None where there is nothing to object to.
+A check returns the reason for a rejection in words, or None if the motion passes.
 """
 
 from dataclasses import dataclass
@@ -13,28 +13,30 @@ from odometry import se3
 
 Array = NDArray[np.float64]
 
+IMPLAUSIBLE_STOP = "most of the view does not move although the camera was driving a moment ago"
+
 
 class MotionEstimate(Protocol):
-    """A motion that was measured, and how well: see `odometry.stereo.two_view_adjustment.TwoViewEstimate`."""
+    """A measured motion with its uncertainty, of a stereo pair (`TwoViewEstimate`) or one camera (`PoseEstimate`)."""
 
     @property
     def T_first_second(self) -> Array:
-        """(4, 4), metres."""
+        """Second camera in the first camera's frame (4, 4), metres."""
         ...
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) of the right perturbation."""
+        """Covariance (6, 6) of the right perturbation, rotation first (rad, m)."""
         ...
 
     @property
     def inliers(self) -> NDArray[np.bool_]:
-        """(N,) the tracks that agree."""
+        """Mask (N,) of the tracks that agree with the motion."""
         ...
 
     @property
     def noise_px(self) -> float:
-        """Of a measurement, pixels."""
+        """Standard deviation of one measurement, pixels."""
         ...
 
 
@@ -48,20 +50,20 @@ class MotionCheckConfig:
         min_expected_inlier_ratio: smallest share that must agree with a motion that was predicted: most of the view
             may belong to another vehicle.
         certain_inlier_ratio: share from which on any motion is accepted, as after a gap in the recording.
-        surprise_ratio: share of a jump beyond which the odometry looks for a minority that moves as predicted.
+        minority_search_ratio: deviation from the prediction, as a share of the largest jump, from which on the odometry
+            looks for a minority of tracks that moves as predicted.
         max_jump_m: largest deviation of the translation from the predicted one, metres for each image.
         max_jump_rad: largest deviation of the rotation from the predicted one, radians for each image.
         max_deceleration_mps2: largest deceleration of a car, metres per second squared.
         max_noise_px: largest noise of the measurements, pixels.
         min_moving_m: translation above which the camera counts as moving, metres.
-
     """
 
     min_tracks: int = 20
     min_inlier_ratio: float = 0.35
     min_expected_inlier_ratio: float = 0.15
     certain_inlier_ratio: float = 0.6
-    surprise_ratio: float = 0.2
+    minority_search_ratio: float = 0.2
     max_jump_m: float = 0.5
     max_jump_rad: float = 0.05
     max_deceleration_mps2: float = 10.0
@@ -80,7 +82,6 @@ class MotionPrediction:
         frame_interval_s: time between two images, seconds.
         distance_m: distance that the camera covers at the lower of its last two speeds, metres; the higher one may
             be that of a gap in the recording.
-
     """
 
     T_reference_current: Array
@@ -88,9 +89,6 @@ class MotionPrediction:
     unmeasured_frames: int = 1
     frame_interval_s: float = 0.1
     distance_m: float = float("inf")
-
-
-IMPLAUSIBLE_STOP = "most of the view does not move although the camera was driving a moment ago"
 
 
 def rejection_reason(
@@ -120,8 +118,8 @@ def rejection_reason(
 
 def _min_inlier_ratio(estimate: MotionEstimate, predicted: MotionPrediction | None, config: MotionCheckConfig) -> float:
     """Smallest share of inliers that an estimate needs: a smaller one where it agrees with the prediction."""
-    surprising = predicted is None or jump_reason(estimate.T_first_second, predicted.T_reference_current, config)
-    return config.min_inlier_ratio if surprising else config.min_expected_inlier_ratio
+    is_unexpected = predicted is None or jump_reason(estimate.T_first_second, predicted.T_reference_current, config)
+    return config.min_inlier_ratio if is_unexpected else config.min_expected_inlier_ratio
 
 
 def stops_implausibly(T: Array, predicted: MotionPrediction, config: MotionCheckConfig) -> bool:

@@ -31,7 +31,6 @@ class Reference(Generic[ViewT]):
         T_reference_measured: (4, 4) pose of the last image that was measured from this one.
         covariance_previous: (6, 6) of `T_reference_previous`, of the part that was not measured from this image.
         age_frames: images since this one, or since the last one measured from it.
-
     """
 
     view: ViewT

@@ -64,6 +64,7 @@ def left_jacobian(w: Array) -> Array:
 
 @njit(cache=True)
 def _set_left_jacobian(x: float, y: float, z: float, out: Array) -> None:
+    """Set `out` (3, 3) to the left Jacobian at the rotation vector (x, y, z), radians."""
     angle = np.sqrt(x**2 + y**2 + z**2)
     a, b = 0.5, 1.0 / 6.0
     if angle >= _SMALL_ANGLE:
@@ -127,9 +128,8 @@ def exp(xi: Array) -> Array:
 
 def log(T: Array) -> Array:
     """Tangent vectors (..., 6) of poses (..., 4, 4), the inverse of `exp` for angles below pi."""
-    if (
-        T.ndim == 2
-    ):  # solving is as fast as the closed form for one pose, and the odometry's figures rest on its rounding
+    if T.ndim == 2:
+        # Solving is as fast as the closed form for one pose, and the odometry's figures rest on its rounding.
         w = Rotation.from_matrix(T[:3, :3]).as_rotvec()
         return np.concatenate([w, np.linalg.solve(left_jacobian(w), T[:3, 3])])
     flat = T.reshape(-1, 4, 4)

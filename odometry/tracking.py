@@ -1,10 +1,8 @@
-"""Detection of corners, and tracking them from image to image.
+"""Detection of corners, tracking them from image to image, and matching the brightness of two images.
 
 Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi, Good Features to Track, CVPR
 1994), spread evenly by a grid of buckets; they are followed with the pyramidal tracker (Bouguet, 2001) from a
 predicted place, and a track is accepted if tracking it back ends where it began.
-
-Match the brightness and contrast of two images.
 """
 
 from dataclasses import dataclass, replace
@@ -13,17 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-
-
-def match_brightness(reference: Image, image: Image) -> Image:
-    """Change an image (H, W) uint8 to the mean and the contrast of a reference image."""
-    (mean, deviation), (mean_reference, deviation_reference) = (cv2.meanStdDev(each) for each in (image, reference))
-    gain = float(deviation_reference[0, 0] / max(deviation[0, 0], 1.0))
-    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=float(mean_reference[0, 0] - gain * mean[0, 0])))
-
-
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 _HALF = 2  # corners are detected in the image at half its size: a quarter of the time, and less noise
 
@@ -40,7 +29,6 @@ class TrackingConfig:
         window_px: side of the window that is compared, pixels, odd.
         pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
         max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
-
     """
 
     max_corners: int = 450
@@ -106,6 +94,13 @@ def is_inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bo
     """Which of the pixels (N, 2) lie in the image, a margin in pixels away from its edge."""
     height, width = image.shape
     return np.all((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin]), axis=1)
+
+
+def match_brightness(reference: Image, image: Image) -> Image:
+    """Change an image (H, W) uint8 to the mean and the contrast of a reference image."""
+    (mean, deviation), (mean_reference, deviation_reference) = (cv2.meanStdDev(each) for each in (image, reference))
+    gain = float(deviation_reference[0, 0] / max(deviation[0, 0], 1.0))
+    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=float(mean_reference[0, 0] - gain * mean[0, 0])))
 
 
 def _corner_strength(image: Image) -> NDArray[np.float32]:

@@ -1,7 +1,4 @@
-"""An array that grows by rows in constant time a row on average.
-
-A sequence of records of one size: the latest in memory, the older ones spilled to a temporary file.
-"""
+"""Storage that grows with the map: an array of rows in memory, and records of one size that are spilled to disk."""
 
 import errno
 import os
@@ -12,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+Record = NDArray[np.void]
 
 
 class GrowingArray(Generic[Scalar]):
-    """Rows of one shape and type in storage that doubles when it is full, so that few rows cause a copy."""
+    """Rows of one shape and type; appending one takes constant time on average, as full storage is doubled."""
 
     def __init__(self, dtype: type[Scalar]) -> None:
         self._storage: NDArray[Scalar] = np.empty((0, 0), dtype)
@@ -61,11 +59,8 @@ class GrowingArray(Generic[Scalar]):
         self._storage, self._count = rows, len(rows)
 
 
-Record = NDArray[np.void]
-
-
 class SpillFile:
-    """Records in the order in which they were appended, in bounded memory.
+    """Records in the order in which they were appended: the latest in memory, the older ones in a temporary file.
 
     The file has no name where the system allows it, so that it is gone with the process, however that ends. Records are
     read and written by system calls (docs/decisions/feature_spilling.md).

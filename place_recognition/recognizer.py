@@ -40,7 +40,7 @@ class Belief:
 class MatrixSink(Protocol):
     """Receives the rows of a recogniser's similarity matrix as they are made, for Figures 4.7, 4.8 and 4.12.
 
-    A recogniser keeps no rows itself: over a long drive they would outgrow its map.
+    A recogniser keeps no rows itself: over a long recording they would outgrow its map.
     """
 
     def add(
@@ -69,9 +69,10 @@ class NullMatrixSink:
 class PlaceRecognizer(Protocol):
     """Takes each image once, in order, and recognises places from the images so far: online and causal.
 
-    The same input gives the same beliefs, to the bit. A recogniser that counts visual words may have a property
-    `word_count`, and one whose map holds more than NumPy arrays a property `map_bytes`
-    (`place_recognition.evaluation.memory` reads both).
+    The caller gives each image an id, and beliefs name images by their ids. Inside a recogniser an image is named by
+    its location: its index, from 0, among all images observed. The same input gives the same beliefs, to the bit. A
+    recogniser that counts visual words may have a property `word_count`, and one whose map holds more than NumPy arrays
+    a property `map_bytes` (`place_recognition.evaluation.memory` reads both).
     """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
@@ -84,13 +85,13 @@ class PlaceRecognizer(Protocol):
                 it is not measured.
 
         Returns:
-            Beliefs that became ready with this image. Over a whole drive there is exactly one for each image, in
+            Beliefs that became ready with this image. Over a whole recording there is exactly one for each image, in
             order, except for those that `finish` returns.
         """
         ...
 
     def finish(self) -> list[Belief]:
-        """Return the beliefs about the images that are still unanswered when the drive ends."""
+        """Return the beliefs about the images that are still unanswered when the recording ends."""
         ...
 
     def state(self) -> dict[str, Any]:

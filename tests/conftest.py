@@ -6,6 +6,22 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+ROOT = Path(__file__).parents[1]
+
+
+def pytest_sessionstart() -> None:
+    """Delete the compiled code that is older than any kernel's source.
+
+    Numba compiles a kernel anew when its own file changes, not when that of a function changes which it inlines.
+    """
+    sources = [path for folder in ("odometry", "place_recognition", "slam") for path in (ROOT / folder).rglob("*.py")]
+    newest = max(path.stat().st_mtime for path in sources if "@njit" in path.read_text())
+    for folder in {path.parent / "__pycache__" for path in sources}:
+        for cached in folder.glob("*.nb[ic]"):
+            if cached.stat().st_mtime < newest:
+                cached.unlink(missing_ok=True)
+
+
 # Properties are about truths: how long one example takes on a busy machine says nothing about them.
 settings.register_profile("untimed", settings.default, deadline=None)
 settings.load_profile("untimed")

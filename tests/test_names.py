@@ -137,7 +137,7 @@ def config_numbers(path: Path) -> Iterator[tuple[str, str]]:
 # Numbers of a configuration that have no unit: ratios, shares, probabilities and weights.
 DIMENSIONLESS = re.compile(
     r"ratio|share|fraction|probability|weight|score|similarity|factor|evidence|power|confidence|threshold|quality|overlap"
-    r"|correlation|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|distance$"
+    r"|correlation|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|slope|quantile|distance$"
 )
 
 

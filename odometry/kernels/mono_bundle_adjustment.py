@@ -2,7 +2,7 @@
 
 The unknowns are some of the poses, each with a right perturbation `T @ exp(xi)` (rotation first), the distortion of
 the lens (3), and three for every point: two pixels from where its first frame saw it, and its inverse depth there.
-Depths may have priors; a point of which nothing is known at all is an epipolar constraint on the poses.
+Depths may have priors; a point without any information about its depth is an epipolar constraint on the poses.
 docs/math.md, section "Monocular bundle", derives the residuals and their Jacobians.
 """
 
@@ -58,7 +58,7 @@ def build_normal_equations(
         camera: (4,) fx, fy, cx, cy in pixels.
         observations: first row of each point's observations and their end (N + 1,); the frame of each observation
             (M,), growing for each point; its column and row, (M, 2) pixels.
-        points: (N, 3) how far each is from where its first frame saw it, two pixels, and its inverse depth there;
+        points: (N, 3) offset of each from where its first frame saw it, two pixels, and its inverse depth there;
             the prior of the inverse depth (N,), and the prior's information (N,), pixels squared over its unit
             squared.
         poses: (K, 4, 4) T_map_frame.
@@ -71,7 +71,6 @@ def build_normal_equations(
         H (S, S) and b (S,), `H @ change = -b`; squared residuals (M,), pixels squared; for the points
         `points -= offset (N, 3) + gain (N, 3, S) @ change`; and the information about each inverse depth (N,),
         pixels squared over its unit squared.
-
     """
     first, frame, pixels = observations
     n, size = len(first) - 1, DISTORTION
@@ -137,11 +136,10 @@ def observe(camera: Array, first: Array, pixel: Array, point: Array, T: Array, l
         camera: (4,) fx, fy, cx, cy in pixels.
         first: (2,) pixel where the anchor saw the point.
         pixel: (2,) where the frame sees it.
-        point: (3,) how far it is from `first`, two pixels, and its inverse depth in the anchor.
+        point: (3,) its offset from `first`, two pixels, and its inverse depth in the anchor.
         T: (3, 4) the anchor in the frame.
         lens: (3,) coefficients of the distortion.
         out: the columns of `odometry.kernels.reprojection`, with three for the point and three for the lens.
-
     """
     fx, fy, cx, cy = camera
     rx, ry, d = (first[0] - cx) / fx, (first[1] - cy) / fy, point[2]

@@ -1,4 +1,4 @@
-"""What the adjustments share about a point on a ray, seen from another pose through a lens with distortion.
+"""Reprojection of a point on a ray of one frame into another frame, with derivatives: shared by the adjustments.
 
 An observation of a point is a small matrix, one row for each of its measurements, whose columns are
 
@@ -20,8 +20,8 @@ Vector = tuple[float, float, float]
 ERROR, ANCHOR, FRAME, BY_POINT = 0, 1, 1 + POSE, 1 + 2 * POSE  # first columns of an observation
 DISTORTION = 3  # coefficients of a lens: radial, decentering along x, decentering along y
 
-# Depth over depth that nothing is divided by below: a point that a poor guess puts beside or behind the camera
-# keeps a finite residual, so large that its robust weight is next to nothing.
+# Smallest depth in the frame over the depth in the anchor, by which the projection divides: a point that a poor guess
+# puts beside or behind the camera keeps a finite residual, so large that its robust weight is next to nothing.
 MIN_RELATIVE_DEPTH = 1e-2
 
 
@@ -71,7 +71,7 @@ def set_pose_columns(
 def subtract_previous(
     now: Array, before: Array, shares: tuple[float, ...], residual: Array, J: Array, Jp: Array
 ) -> None:
-    """Take out of an observation's errors what the same track's errors were in the frame before.
+    """Subtract from an observation's errors what the same track's errors were in the frame before.
 
     A tracker compares each image with the one before, so the error of a track is a random walk, whose independent
     parts are its increments: docs/math.md, section "Sliding window".
@@ -83,7 +83,6 @@ def subtract_previous(
         residual: (R,) set to the increments.
         J: (R, 18 + C) set to their derivatives by the poses of anchor, frame before and frame, and the calibration.
         Jp: (R, P) set to their derivatives by the point.
-
     """
     points, shared = Jp.shape[1], J.shape[1] - 3 * POSE
     for r in range(len(residual)):

@@ -26,9 +26,7 @@ POSE = 6  # unknowns of a pose: rotation, then translation
 POINT = 3  # unknowns of a point: two pixels across its ray, and its inverse depth
 FIXED = -1  # first unknown of a pose that is not adjusted
 
-# Numba does not notice a change of this file in the caches of its callers: delete `*.nbi` and `*.nbc` after one.
-
-# Information about a depth, relative to its unit, below which it cannot be told from rounding errors.
+# Information about a depth, relative to its unit, below which it cannot be distinguished from rounding errors.
 _SINGULAR = 1e-9
 
 
@@ -47,7 +45,6 @@ def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., N
         `add_rows(H, b, starts, J, weight, residual)`, which adds `weight * J.T @ J` to the upper triangle of H
         (S, S) and `weight * J.T @ residual` to b (S,). `starts` are the first unknowns of the poses, `FIXED` where
         one is not adjusted; J is (R, 6 poses + calibration).
-
     """
     end = POSE * poses
 
@@ -87,7 +84,6 @@ def compile_add_coupling(rows: int, poses: int, calibration: int, point: int) ->
     Returns:
         `add_coupling(W, starts, J, Jp, weight)`, which adds `weight * Jp.T @ J` to W (P, S), Jp (R, P) being the
         Jacobian by the point.
-
     """
     end = POSE * poses
 
@@ -131,7 +127,6 @@ def eliminate_depth(H: Array, b: Array, gain: Array, offset: float, curvature: f
         curvature: its own Hessian.
         states: first unknown that the point is coupled with, and the number of all unknowns S. Where the caller gives
             constants, the compiler unrolls the loops.
-
     """
     start, end = states
     for j in range(start, end):
@@ -159,7 +154,6 @@ def eliminate_point(H: Array, b: Array, A: Array, g: Array, W: Array, gain: Arra
 
     Returns:
         Information about the point's last unknown with the other two eliminated; 0 where there is none.
-
     """
     # The inverse of a symmetric 3 x 3 matrix by its cofactors: a tenth of the time of a factorisation by a library.
     c00, c01 = A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]

@@ -50,7 +50,6 @@ def build_normal_equations(
     Returns:
         H (6K, 6K) and b (6K,), `H @ change = -b`; squared residuals (M,), pixels squared; and for the depths:
         `inverse_depth -= offset (N,) + gain (N, 6K) @ change`.
-
     """
     first, frame, pixels = observations
     states = POSE * len(poses)
@@ -93,7 +92,6 @@ def observe(camera: Array, first: Array, pixel: Array, d: float, T: Array, out: 
         d: inverse depth in the anchor, 1/m.
         T: (3, 4) the anchor in the frame.
         out: the columns of `odometry.kernels.reprojection`, with the inverse depth as the point.
-
     """
     fx, fy, cx, cy, baseline = camera
     ray = ((first[0] - cx) / fx, (first[2] - cy) / fy)

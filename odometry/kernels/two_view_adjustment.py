@@ -19,7 +19,7 @@ _FIELD = 6  # coefficients of the rectification error, for each of two axes
 _FIRST_FIELD = POSE + DISTORTION
 _STATES = _FIRST_FIELD + 2 * _FIELD
 
-# Depth over depth that nothing is divided by below: see `odometry.kernels.reprojection.MIN_RELATIVE_DEPTH`.
+# Smallest depth over depth by which the projection divides: see `odometry.kernels.reprojection.MIN_RELATIVE_DEPTH`.
 _MIN_RELATIVE_DEPTH = 1e-3
 
 
@@ -40,7 +40,6 @@ def build_normal_equations(
     Returns:
         H (21, 21) and b (21,), `H @ change = -b`; squared residuals (N,), pixels squared, each with
         its depth at its best; and for the depths: `inverse_depth -= offset (N,) + gain (N, 21) @ change`.
-
     """
     n = len(pixels)
     H, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
@@ -108,7 +107,6 @@ def observe(
         calibration: (15,) pixels.
         out: residuals (6,), their derivatives by motion and calibration (6, 21) and by the inverse depth (6,), and
             room for the distortion's terms (4, 2, 3).
-
     """
     fx, fy, cx, cy, _ = camera
     residual, J, _, lens = out

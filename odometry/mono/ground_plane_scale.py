@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_CLEARLY = 3.0  # multiple of `max_distance_ratio` by which a point must be below the road to be no error
-_UNKNOWN = 10.0  # variance of the logarithm of an unknown scale
-_WIDTH = 2.0  # standard deviations at which the deviation of a single measurement is clipped
+_BELOW_ROAD = 3.0  # multiple of `max_distance_ratio` by which a point must be below the road to be no error
+_INITIAL_VARIANCE = 10.0  # of the logarithm of an unknown scale
+_CLIP_SIGMAS = 2.0  # standard deviations at which the deviation of a single measurement is clipped
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,6 @@ class GroundPlaneConfig:
         log_height_sigma: standard deviation of the logarithm of one measured height.
         frames_per_stretch: reference frames that see the same stretch of road, with the same error.
         log_scale_drift: growth of the standard deviation of the logarithm of scale, per square root of a frame.
-
     """
 
     min_slope: float = 0.08
@@ -46,7 +45,7 @@ class GroundPlaneConfig:
     max_ratio_below: float = 0.2
     samples: int = 200
     log_height_sigma: float = 0.08
-    frames_per_stretch: float = 10.0
+    frames_per_stretch: int = 10
     log_scale_drift: float = 0.003
 
 
@@ -65,7 +64,7 @@ def estimate_camera_height(points_camera: Array, config: GroundPlaneConfig) -> f
     if best.sum() < max(config.min_points, config.min_inlier_ratio * len(road)):
         return None
     normal = np.linalg.lstsq(road[best], np.ones(int(best.sum())), rcond=None)[0]
-    below = float(np.mean(road @ normal > 1.0 + _CLEARLY * config.max_distance_ratio))
+    below = float(np.mean(road @ normal > 1.0 + _BELOW_ROAD * config.max_distance_ratio))
     return float(1.0 / np.linalg.norm(normal)) if below <= config.max_ratio_below else None
 
 
@@ -87,7 +86,7 @@ class ScaleCorrection(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes from key frame to key frame, for a checkpoint."""
+        """Everything that changes from reference frame to reference frame, for a checkpoint."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -117,9 +116,9 @@ class GroundPlaneScale:
     and then it follows slowly, since single roads are neither flat nor level.
     """
 
-    def __init__(self, height: float, config: GroundPlaneConfig) -> None:
-        self._height, self._config = height, config
-        self._variance = _UNKNOWN
+    def __init__(self, height_m: float, config: GroundPlaneConfig) -> None:
+        self._height_m, self._config = height_m, config
+        self._variance = _INITIAL_VARIANCE
 
     def update(self, points_camera: Array) -> float:
         """Take in points (N, 3) in the camera frame; return the factor by which to make the map larger."""
@@ -127,8 +126,8 @@ class GroundPlaneScale:
         seen = estimate_camera_height(points_camera, self._config)
         if seen is None:
             return 1.0
-        off = float(np.log(self._height / seen))
-        limit = _WIDTH * float(np.sqrt(self._variance + self._config.log_height_sigma**2))
+        off = float(np.log(self._height_m / seen))
+        limit = _CLIP_SIGMAS * float(np.sqrt(self._variance + self._config.log_height_sigma**2))
         gain = self._variance / (self._variance + self._config.frames_per_stretch * self._config.log_height_sigma**2)
         self._variance *= 1.0 - gain
         return float(np.exp(gain * np.clip(off, -limit, limit)))

@@ -42,18 +42,17 @@ class MonoBundleConfig:
         max_free_frames: newest frames of the window that are adjusted; the older ones are fixed.
         iterations: Gauss-Newton steps for each new frame, which start from the window before.
         min_noise_px: smallest noise level of a measurement that is assumed, pixels.
-        error_memory: share of a track's error that it still has in the next frame.
+        error_correlation: share of a track's error that it still has in the next frame.
         windows_per_track: windows in which one track is seen, so that its error does not count anew in each of them
             when the lens is learned.
-
     """
 
     max_frames: int = 12
     max_free_frames: int = 6
     iterations: int = 2
     min_noise_px: float = 0.05
-    error_memory: float = 0.5
-    windows_per_track: float = 400.0
+    error_correlation: float = 0.5
+    windows_per_track: int = 400
 
 
 class MonoBundle:
@@ -64,7 +63,6 @@ class MonoBundle:
         poses: (K, 4, 4) T_map_frame.
         points: points of the window.
         noise_px: standard deviation of a measurement, pixels.
-
     """
 
     def __init__(self, lens: LensDistortion, config: MonoBundleConfig, lens_config: LensDistortionConfig) -> None:
@@ -136,7 +134,7 @@ class MonoBundle:
             observations, self._known(observations), self.poses, free, self.lens, self._config.windows_per_track
         )
         for _ in range(iterations):
-            problem.step(self.noise_px, self._config.error_memory)
+            problem.step(self.noise_px, self._config.error_correlation)
             noise = float(np.sqrt(np.median(problem.chi2[observations.is_followed()]) / _MEDIAN))
             self.noise_px = float(np.clip(noise, self._config.min_noise_px, _NOISE_AT_FIRST))
         if problem.is_finite():
@@ -161,7 +159,7 @@ class MonoBundle:
         return Points(observations.ids, observations.anchor, place, depth, known.information)
 
     def state(self) -> dict[str, Any]:
-        """Key frames, poses, points and the lens as learned, for a checkpoint."""
+        """Reference frames, poses, points and the lens as learned, for a checkpoint."""
         return {
             "frames": [dict(vars(frame)) for frame in self._frames],
             "lens_coefficients": self.lens.coefficients,
@@ -189,7 +187,7 @@ class _BundleProblem:
         poses: Array,
         free: int,
         lens: LensDistortion,
-        repeats: float,
+        repeats: int,
     ) -> None:
         self._observations, self._points = observations, points
         self._measured = observations.pixels[observations.first[:-1]]

@@ -22,9 +22,8 @@ class MonoTracks:
         image: (H, W) uint8.
         ids: (N,) growing numbers of the tracks.
         pixels: (N, 2) places of the points in the image.
-        key_pixels: (N, 2) their places in the last reference frame.
-        key_image: (H, W) uint8 of the last reference frame.
-
+        reference_pixels: (N, 2) their places in the last reference frame.
+        reference_image: (H, W) uint8, image of the last reference frame.
     """
 
     image: Image
@@ -50,7 +49,6 @@ class FollowedTracks:
     Attributes:
         tracks: the M points that were found, in the second image.
         before: (M, 2) pixels of the same points in the first image.
-
     """
 
     tracks: MonoTracks

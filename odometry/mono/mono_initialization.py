@@ -29,7 +29,6 @@ class InitializationConfig:
         min_points: points that must agree on one motion.
         min_inlier_ratio: share of all points that must agree.
         min_parallax_rad: smallest median angle between the rays to one point.
-
     """
 
     min_points: int = 50
@@ -44,7 +43,6 @@ class Initialization:
     Attributes:
         T_first_second: (4, 4), in units of the distance between the two.
         inliers: (N,) bool, the points that agree.
-
     """
 
     T_first_second: Array

@@ -4,10 +4,8 @@
     for image in images:
         T_world_camera = T_world_camera @ odometry.track(image).T_previous_current
 
-There is one finite motion for every image. Where the images do not allow a measurement it is an extrapolation, which
-`Motion.predicted` tells. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
-
-All settings of the monocular odometry.
+There is one finite motion for every image. Where the images do not allow a measurement, it is an extrapolation with
+`Motion.predicted` set. The unit of length is free at first, and kept from then on: see `MonoOdometryConfig`.
 """
 
 from collections import deque
@@ -33,6 +31,11 @@ from odometry.motion_checks import MotionCheckConfig, MotionPrediction, jump_rea
 from odometry.reference_frame import Reference
 from odometry.tracking import TrackingConfig
 
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_NEW_MAP = "lost; a new map goes on at the speed before"
+
 
 @dataclass(frozen=True)
 class MonoOdometryConfig:
@@ -53,9 +56,8 @@ class MonoOdometryConfig:
         min_tracked_ratio: share of the reference frame's points below which an image becomes the next one.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
-        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next.
+        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
         extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
-
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -80,20 +82,11 @@ class MonoOdometryConfig:
             )
 
 
-__all__ = ["MonoOdometry", "MonoOdometryConfig"]
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
-_NEW_MAP = "lost; a new map goes on at the speed before"
-
-
 class MonoOdometry:
     """Measures the motion of one camera, image by image.
 
     Attributes:
         bundle: the map of the last reference frames, and the lens distortion as learned so far.
-
     """
 
     def __init__(self, camera: PinholeCamera, config: MonoOdometryConfig | None = None) -> None:
@@ -125,7 +118,6 @@ class MonoOdometry:
 
         Raises:
             ValueError: an image of another size or type.
-
         """
         self._check(image)
         steps = self._frame_counter.frames_since_last(timestamp)
@@ -193,13 +185,10 @@ class MonoOdometry:
             return MotionPrediction(np.eye(4))
         if self._velocity is None:
             return None
-        T = reference.T_reference_previous @ motion
+        T_reference_current = reference.T_reference_previous @ motion
+        distance_m = reference.age_frames * min(self._speeds)
         return MotionPrediction(
-            T,
-            reference.age_frames,
-            self._unmeasured,
-            self._frame_counter.interval_s,
-            reference.age_frames * min(self._speeds),
+            T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, distance_m
         )
 
     def _accept(self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate) -> Motion:
@@ -230,9 +219,8 @@ class MonoOdometry:
     def _is_far_from_reference(self, tracks: MonoTracks, before: MonoTracks, T_map_camera: Array) -> bool:
         """Whether an image at (4, 4) has enough parallax to the last reference frame to add to it."""
         lens, R = self.bundle.lens, T_map_camera[:3, :3].T @ self.bundle.poses[-1][:3, :3]
-        parallax = tracks.pixels - lens.pixels(
-            lens.rays(tracks.reference_pixels) @ R.T
-        )  # what turning does not explain
+        turned = lens.pixels(lens.rays(tracks.reference_pixels) @ R.T)
+        parallax = tracks.pixels - turned  # what turning does not explain
         flow = float(np.nanmedian(np.linalg.norm(parallax, axis=1)))
         return flow > self._config.reference_parallax_px or len(tracks) < self._config.min_tracked_ratio * len(before)
 

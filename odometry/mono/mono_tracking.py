@@ -22,7 +22,6 @@ class MonoTrackingResult:
         followed: points of the reference frame that the image shows.
         estimate: the measured pose; None with too few points.
         reason: reason for which the estimate must be rejected; None if it is accepted.
-
     """
 
     followed: FollowedTracks
@@ -37,7 +36,6 @@ class PosedTracks:
     Attributes:
         tracks: points of the image.
         T_map_camera: (4, 4) pose of its camera.
-
     """
 
     tracks: MonoTracks

@@ -33,14 +33,13 @@ class PoseEstimationConfig:
         max_iterations: Gauss-Newton steps at most.
         initial_noise_px: noise level assumed in the first step, at least, and halved in each.
         min_noise_px: smallest noise level that is assumed, pixels.
-        convergence_step: largest step, radians and metres, at which the iteration ends.
-
+        convergence_threshold: largest step, radians and metres, at which the iteration ends.
     """
 
     max_iterations: int = 10
     initial_noise_px: float = 2.0
     min_noise_px: float = 0.05
-    convergence_step: float = 1e-4
+    convergence_threshold: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,6 @@ class PoseEstimate:
         inliers: (N,) bool, the tracks that agree.
         noise_px: standard deviation of a measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
-
     """
 
     T_first_second: Array
@@ -77,7 +75,7 @@ def estimate_pose(
         level = max(config.initial_noise_px * 0.5**k, min(sigma, config.initial_noise_px))
         step = problem.step(T, level)
         T, sigma = T @ se3.exp(step), max(problem.noise(), config.min_noise_px)
-        if level < 2 * sigma and np.abs(step).max() < config.convergence_step:
+        if level < 2 * sigma and np.abs(step).max() < config.convergence_threshold:
             break
     problem.step(T, sigma)
     inliers = problem.chi2 < _LIMIT * sigma**2

@@ -14,7 +14,7 @@ from odometry.tracking import TrackingConfig, is_inside, track_points
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_NEIGHBOURS = 3  # nearest points of known depth whose median is a pixel's first guess
+_NEIGHBORS = 3  # nearest points of known depth whose median is a pixel's first guess
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,6 @@ class MotionStereoConfig:
         max_rotation_rad: largest rotation since the earlier image, radians.
         max_epipolar_error_px: largest distance of a match from its epipolar line, pixels.
         tracking: settings of the tracker that finds the pixels.
-
     """
 
     max_distance_ratio: float = 0.2
@@ -42,7 +41,6 @@ class PosedImage:
     Attributes:
         image: (H, W) uint8.
         T_map_camera: (4, 4).
-
     """
 
     image: Image
@@ -56,7 +54,6 @@ class Depths:
     Attributes:
         inverse: (N,) inverse depth, NaN where it is not known.
         baseline: (N,) baseline of the stereo pair that would have seen it as well, in the map's unit.
-
     """
 
     inverse: Array
@@ -96,12 +93,11 @@ def estimate_depths(
         known: pixels (M, 2), M > 0, with known inverse depths (M,), for the first guess.
         lens: lens of the camera.
         config: settings.
-
     """
     then, now = images
     T_then_now = se3.inverse(then.T_map_camera) @ now.T_map_camera
     rays = lens.rays(pixels)
-    count = min(_NEIGHBOURS, len(known[1]))
+    count = min(_NEIGHBORS, len(known[1]))
     _, near = cKDTree(known[0]).query(pixels, k=count)
     guess = np.median(known[1][near.reshape(len(pixels), count)], axis=1)
     ahead = lens.pixels(rays @ T_then_now[:3, :3].T + guess[:, None] * T_then_now[:3, 3])

@@ -35,7 +35,6 @@ class WindowConfig:
         iterations: Gauss-Newton steps for each new frame, which start from the window before.
         min_noise_px: smallest noise level of a measurement that is assumed, pixels.
         min_shared_points: smallest number of points in at least two frames; with fewer nothing is adjusted.
-
     """
 
     max_frames: int = 5
@@ -51,7 +50,6 @@ class StereoFrameObservations:
     Attributes:
         ids: (N,) growing numbers of the tracks.
         left, right: (N, 2) pixels.
-
     """
 
     ids: Indices
@@ -67,7 +65,6 @@ class _Tracks:
         first: (N + 1,) first observation of each point, and the end of the last one's.
         frame: (M,) frame of each observation.
         pixels: (M, 3) pixels of a perfect pair: column left, column right, row.
-
     """
 
     first: Indices
@@ -107,7 +104,6 @@ class SlidingWindow:
 
         Returns:
             Its refined pose (4, 4) in the frame added before, at the pose returned for that one.
-
         """
         if len(self._frames) >= self._config.max_frames:
             self._frames, self._poses = self._frames[1:], _seen_from_first(self._poses[1:])

@@ -28,7 +28,6 @@ class StereoObservation:
     Attributes:
         pair: left and right image, (H, W) uint8.
         points: points that are followed from this pair.
-
     """
 
     pair: Pair

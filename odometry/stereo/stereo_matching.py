@@ -30,16 +30,15 @@ class StereoMatchingConfig:
     Attributes:
         max_disparity_px: largest disparity searched, pixels.
         max_row_offset_px: largest distance of a match from its row, pixels; rectification errors must fit.
-        uniqueness: the best sum of differences is at most this share of the best one elsewhere on the row.
+        uniqueness_ratio: the best sum of differences is at most this share of the best one elsewhere on the row.
         window_px: side of the window of the refinement, pixels, odd.
         max_return_error_px: largest distance between where matching back ends and where it began, pixels.
         max_refinement_px: largest shift of the search's result by the refinement, pixels.
-
     """
 
     max_disparity_px: int = 128
     max_row_offset_px: float = 3.0
-    uniqueness: float = 0.8
+    uniqueness_ratio: float = 0.8
     window_px: int = 11
     max_return_error_px: float = 0.3
     max_refinement_px: float = 4.0
@@ -59,7 +58,7 @@ def match_right(left: Image, right: Image, pixels: Array, config: StereoMatching
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     mirrored = np.ascontiguousarray(_half(right)[:, ::-1])
     reach = config.max_disparity_px // 2
-    shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness)
+    shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness_ratio)
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
     known = np.isfinite(guess[:, 0]) & is_inside(pixels, left)

@@ -4,8 +4,8 @@
     for left, right in pairs:
         T_world_camera = T_world_camera @ odometry.track(left, right).T_previous_current
 
-There is one finite motion for every pair. Where the images do not allow a measurement it is an extrapolation, which
-`Motion.predicted` tells.
+There is one finite motion for every pair. Where the images do not allow a measurement, it is an extrapolation with
+`Motion.predicted` set.
 """
 
 from collections import deque
@@ -44,14 +44,13 @@ class StereoOdometryConfig:
         calibration: prior of the calibration error.
         motion_checks: checks that a motion must pass.
         reference_spacing_m: distance from the reference frame at which a pair becomes the next one, metres.
-        reference_rotation_rad: rotation at which it does, radians.
-        min_reference_ratio: share of the reference frame's points below which it does.
+        reference_rotation_rad: rotation from the reference frame at which a pair becomes the next one, radians.
+        min_reference_ratio: share of the reference frame's points below which a pair becomes the next one.
         max_lost_frames: images for which a lost reference frame is tried again when its successors fail.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
-        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next.
+        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
         extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
-
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -74,7 +73,6 @@ class StereoOdometry:
 
     Attributes:
         calibration: the pair's calibration error as learned so far; corrects disparities of any match.
-
     """
 
     def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
@@ -85,9 +83,8 @@ class StereoOdometry:
         self._window = SlidingWindow(self._config.window)
         self._frame_counter = FrameCounter()
         self._reference: Reference[StereoObservation] | None = None
-        self._lost: Reference[StereoObservation] | None = (
-            None  # an earlier reference that its successor was not measured from
-        )
+        # An earlier reference frame, from which its successor could not be measured.
+        self._lost: Reference[StereoObservation] | None = None
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
@@ -102,7 +99,6 @@ class StereoOdometry:
 
         Raises:
             ValueError: images of another size or type.
-
         """
         self._check(left, right)
         steps = self._frame_counter.frames_since_last(timestamp)
@@ -111,9 +107,8 @@ class StereoOdometry:
             return self._begin((left, right))
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference.age(steps)
-        self._lost = (
-            self._lost.age(steps) if self._lost and self._lost.age_frames < self._config.max_lost_frames else None
-        )
+        is_lost_recent = self._lost is not None and self._lost.age_frames < self._config.max_lost_frames
+        self._lost = self._lost.age(steps) if self._lost and is_lost_recent else None
         return self._measure((left, right), motion)
 
     def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
@@ -174,7 +169,7 @@ class StereoOdometry:
         T_reference_current = estimate.T_first_second
         self._velocity, self._unmeasured = reference.velocity(T_reference_current), 0
         self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
-        if reference is not self._reference:  # found again: what was between need not be looked for
+        if reference is not self._reference:  # the lost one was found again, and the frames since then are dropped
             self._restart(self._front_end.observe(pair))
         elif self._is_far_from_reference(estimate):
             self._learn(estimate)
@@ -203,6 +198,7 @@ class StereoOdometry:
         return bool(far or estimate.inliers.sum() < self._config.min_reference_ratio * seen)
 
     def _learn(self, estimate: TwoViewEstimate) -> None:
+        """Update the calibration error by what a measured motion says about it."""
         if np.linalg.norm(estimate.T_first_second[:3, 3]) > self._config.motion_checks.min_moving_m:
             # A camera at rest learns nothing new: the same points have the same errors again.
             self.calibration = self.calibration.update(

@@ -37,13 +37,12 @@ class CalibrationConfig:
 
     Attributes:
         radial_px: standard deviation of the radial distortion, pixels at 45 degrees.
-        decentering_px: the same of the decentering distortion.
+        decentering_px: standard deviation of the decentering distortion, pixels at 45 degrees.
         offset_px: standard deviation of a constant rectification error, pixels.
-        slope_px: standard deviation of one that grows with the ray, pixels at 45 degrees.
-        curvature_px: the same for one that grows with its square.
+        slope_px: standard deviation of a rectification error that grows with the ray, pixels at 45 degrees.
+        curvature_px: standard deviation of one that grows with the square of the ray, pixels at 45 degrees.
         frames_per_track: frames in which one track is seen, so that its error is not counted anew in each.
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
-
     """
 
     radial_px: float = 10.0
@@ -51,7 +50,7 @@ class CalibrationConfig:
     offset_px: float = 1.0
     slope_px: float = 3.0
     curvature_px: float = 10.0
-    frames_per_track: float = 4.0
+    frames_per_track: int = 4
     drift_px: float = 0.003
 
     def prior(self) -> Array:
@@ -63,13 +62,12 @@ class CalibrationConfig:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration error of a pair: places in its images less places that a perfect pair would show.
+    """Calibration error of a pair: displacement of its pixels from those of a perfectly calibrated pair.
 
     Attributes:
         camera: the pair.
-        coefficients: (15,) pixels: LENS, then FIELD for the column and FIELD for the row.
+        coefficients: (15,) pixels: 3 of the distortion, 6 of the rectification error along columns and 6 along rows.
         covariance: (15, 15) pixels squared.
-
     """
 
     camera: StereoCamera
@@ -92,7 +90,7 @@ class Calibration:
     def unrectify(self, pixels: Array) -> tuple[Array, Array]:
         """Move pixels (N, 2) of far points in a perfect pair to where this pair shows them, left and right (N, 2).
 
-        The inverse of `perfect` where there is no disparity.
+        The inverse of `rectify` where there is no disparity.
         """
         left = self._distort(pixels)
         return left, self._distort(pixels + self._field(left))
@@ -110,7 +108,7 @@ class Calibration:
         return Calibration(self.camera, coefficients, 0.5 * (covariance + covariance.T))
 
     def _distort(self, pixels: Array) -> Array:
-        """Undo `straighten`, of pixels (N, 2)."""
+        """Add the lens distortion to pixels (N, 2) without it: the inverse of `undistort`."""
         distorted = pixels
         for _ in range(_ITERATIONS):
             distorted = distorted + pixels - self.undistort(distorted)

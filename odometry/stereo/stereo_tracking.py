@@ -1,9 +1,8 @@
 """Tracking of a stereo pair against a reference frame: by optical flow, then a wider search, then descriptors.
 
-Matching of descriptors, for pairs too far apart to follow points: after a gap, in a sharp turn.
-
-SIFT (Lowe, IJCV 2004) withstands the change of scale that a few seconds of driving bring. It takes several
-times as long as following and is less accurate, so it is used only when following has failed.
+Descriptors match pairs that are too far apart to follow points: after a gap, in a sharp turn. SIFT (Lowe, IJCV 2004)
+withstands the change of scale that a few seconds of driving bring. It takes several times as long as optical flow and
+is less accurate, so it is used only when optical flow has failed.
 """
 
 from dataclasses import dataclass, replace
@@ -35,51 +34,14 @@ from odometry.stereo.two_view_adjustment import (
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_FEATURES = 3000  # SIFT features of each image
-_RATIO = 0.8  # best over second best distance (Lowe, section 7.1)
-
-
-def match_descriptors(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
-    """Match points of two pairs of images (H, W) uint8, anywhere in them; there may be none."""
-    sift = cv2.SIFT.create(_FEATURES)
-    pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)
-    if min(len(pixels[0]), len(pixels[1])) < 2:
-        return _tracks(*(np.zeros((0, 2)) for _ in range(4)))
-    index = _mutual(*descriptors)
-    left = [pixels[0][index[:, 0]], pixels[1][index[:, 1]]]
-    right = [match_right(*pair, places, matching) for pair, places in zip((first, second), left, strict=True)]
-    seen = np.isfinite(right[0][:, 0]) & np.isfinite(right[1][:, 0])
-    return _tracks(left[0][seen], right[0][seen], left[1][seen], right[1][seen])
-
-
-def _tracks(first_left: Array, first_right: Array, second_left: Array, second_right: Array) -> StereoTracks:
-    """Points that belong to no track."""
-    return StereoTracks(first_left, first_right, second_left, second_right, np.full(len(first_left), -1))
-
-
-def _describe(sift: cv2.SIFT, image: Image) -> tuple[Array, NDArray[np.float32]]:
-    keypoints, descriptors = sift.detectAndCompute(image, None)
-    pixels = np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)
-    return pixels, np.zeros((0, 128), np.float32) if descriptors is None else descriptors
-
-
-def _mutual(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Pairs of indices (M, 2) of descriptors that are each other's nearest neighbour and pass the ratio test."""
-    forward = cv2.BFMatcher(cv2.NORM_L2).knnMatch(first, second, k=2)
-    back = {match.queryIdx: match.trainIdx for match in cv2.BFMatcher(cv2.NORM_L2).match(second, first)}
-    chosen = [
-        (best.queryIdx, best.trainIdx)
-        for best, other in forward
-        if best.distance < _RATIO * other.distance and back[best.trainIdx] == best.queryIdx
-    ]
-    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
-
-
 SWAPPED = "the left and the right image are swapped"
 
 # Share of the reference frame's points below which a pair is tested for swapped images: the test costs two detections,
 # and a pair whose images are swapped loses most points.
 _MIN_TRACKED_RATIO = 0.5
+
+_MAX_SIFT_FEATURES = 3000  # in each image
+_MAX_SIFT_RATIO = 0.8  # best over second best distance (Lowe, section 7.1)
 
 
 @dataclass(frozen=True)
@@ -91,7 +53,6 @@ class TrackingResult:
         estimate: the measured motion; None with too few tracks.
         reason: reason for which the estimate must be rejected; None if it is accepted.
         followed: whether the points were followed by optical flow, so that their tracks go on.
-
     """
 
     tracks: StereoTracks
@@ -101,7 +62,7 @@ class TrackingResult:
 
 
 class StereoTracker:
-    """Tries one way of finding the reference frame's points after the other, the cheapest first."""
+    """Finds the reference frame's points in a new pair by the cheapest of three methods that gives a sound motion."""
 
     def __init__(
         self, front_end: StereoFrontEnd, adjustment: AdjustmentConfig, motion_checks: MotionCheckConfig
@@ -179,7 +140,7 @@ class StereoTracker:
             return estimate
         T_predicted = search.predicted.T_reference_current
         deviation = deviation_in_jumps(estimate.T_first_second, T_predicted, config)
-        if deviation < config.surprise_ratio * search.predicted.frames:
+        if deviation < config.minority_search_ratio * search.predicted.frames:
             return estimate
         other = estimate_motion(tracks.select(rest), search.calibration, search.guess, self._adjustment)
         inliers = np.zeros(len(tracks), dtype=bool)
@@ -198,7 +159,6 @@ class _Search:
         pair: the new images.
         predicted: predicted motion of the pair, or None.
         calibration: error of the pair's calibration.
-
     """
 
     reference: StereoObservation
@@ -210,3 +170,40 @@ class _Search:
     def guess(self) -> Array:
         """Pose (4, 4) of the pair in the reference frame where the search begins."""
         return np.eye(4) if self.predicted is None else self.predicted.T_reference_current
+
+
+def match_descriptors(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
+    """Match points of two pairs of images (H, W) uint8, anywhere in them; there may be none."""
+    sift = cv2.SIFT.create(_MAX_SIFT_FEATURES)
+    pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)
+    if min(len(pixels[0]), len(pixels[1])) < 2:
+        return _tracks(*(np.zeros((0, 2)) for _ in range(4)))
+    index = _match_mutually(*descriptors)
+    left = [pixels[0][index[:, 0]], pixels[1][index[:, 1]]]
+    right = [match_right(*pair, places, matching) for pair, places in zip((first, second), left, strict=True)]
+    seen = np.isfinite(right[0][:, 0]) & np.isfinite(right[1][:, 0])
+    return _tracks(left[0][seen], right[0][seen], left[1][seen], right[1][seen])
+
+
+def _tracks(first_left: Array, first_right: Array, second_left: Array, second_right: Array) -> StereoTracks:
+    """Stereo tracks without ids: descriptors start no track."""
+    return StereoTracks(first_left, first_right, second_left, second_right, np.full(len(first_left), -1))
+
+
+def _describe(sift: cv2.SIFT, image: Image) -> tuple[Array, NDArray[np.float32]]:
+    """Pixels (N, 2) and descriptors (N, 128) of the SIFT features of an image (H, W) uint8."""
+    keypoints, descriptors = sift.detectAndCompute(image, None)
+    pixels = np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)
+    return pixels, np.zeros((0, 128), np.float32) if descriptors is None else descriptors
+
+
+def _match_mutually(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Pairs of indices (M, 2) of descriptors that are each other's nearest neighbour and pass the ratio test."""
+    forward = cv2.BFMatcher(cv2.NORM_L2).knnMatch(first, second, k=2)
+    back = {match.queryIdx: match.trainIdx for match in cv2.BFMatcher(cv2.NORM_L2).match(second, first)}
+    chosen = [
+        (best.queryIdx, best.trainIdx)
+        for best, other in forward
+        if best.distance < _MAX_SIFT_RATIO * other.distance and back[best.trainIdx] == best.queryIdx
+    ]
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)

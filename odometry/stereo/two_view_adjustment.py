@@ -34,7 +34,6 @@ class StereoTracks:
     Attributes:
         first_left, first_right, second_left, second_right: (N, 2) pixels.
         ids: (N,) growing numbers of the tracks, -1 where there is no track.
-
     """
 
     first_left: Array
@@ -69,14 +68,13 @@ class AdjustmentConfig:
         max_iterations: Gauss-Newton steps at most.
         initial_noise_px: noise level assumed in the first step, at least, and halved in each.
         min_noise_px: smallest noise level that is assumed, pixels.
-        convergence_step: largest step, radians and metres, at which the iteration ends.
-
+        convergence_threshold: largest step, radians and metres, at which the iteration ends.
     """
 
     max_iterations: int = 12
     initial_noise_px: float = 2.0
     min_noise_px: float = 0.05
-    convergence_step: float = 1e-4
+    convergence_threshold: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,6 @@ class TwoViewEstimate:
         residual_px: root mean square of the inliers' residuals, pixels.
         calibration: (15,) coefficients, estimated with the motion.
         information: (15, 15) information of this pair of views about them.
-
     """
 
     T_first_second: Array
@@ -114,7 +111,7 @@ def estimate_motion(
         start = config.initial_noise_px * 0.5**k
         step = problem.step(max(start, min(sigma, config.initial_noise_px)))
         sigma = max(problem.noise(), config.min_noise_px)
-        if start < sigma and np.abs(step).max() < config.convergence_step:
+        if start < sigma and np.abs(step).max() < config.convergence_threshold:
             break
     return problem.result(sigma)
 

@@ -14,14 +14,15 @@ class BayesFilterConfig:
     """Probabilities of the filter, from the paper.
 
     Attributes:
-        persistence: probability that the state is the same at the next image.
-        false_alarm_rate: probability of a detection at a new place; with 0 a single detection settles the state.
-        detection_rate: probability of a detection at a revisit: hardly more than every second image is recognised.
+        persistence_probability: probability that the state is the same at the next image.
+        false_alarm_probability: probability of a detection at a new place; with 0 a single detection settles the state.
+        detection_probability: probability of a detection at a revisit: hardly more than every second image is
+            recognised.
     """
 
-    persistence: float = 0.975
-    false_alarm_rate: float = 0.0
-    detection_rate: float = 0.54
+    persistence_probability: float = 0.975
+    false_alarm_probability: float = 0.0
+    detection_probability: float = 0.54
 
     def __post_init__(self) -> None:
         """Raise ValueError for a number outside [0, 1]."""
@@ -57,14 +58,14 @@ class BayesFilter:
         If neither state can explain the observation, only the prediction step is done.
         """
         revisit = self._predict()
-        joint_revisit = revisit * self._likelihood(self.config.detection_rate, is_detected)
-        joint_new = (1 - revisit) * self._likelihood(self.config.false_alarm_rate, is_detected)
+        joint_revisit = revisit * self._likelihood(self.config.detection_probability, is_detected)
+        joint_new = (1 - revisit) * self._likelihood(self.config.false_alarm_probability, is_detected)
         total = joint_revisit + joint_new
         self._probability = joint_revisit / total if total > 0 else revisit
         return self._probability
 
     def _predict(self) -> float:
-        stays = self.config.persistence
+        stays = self.config.persistence_probability
         return stays * self._probability + (1 - stays) * (1 - self._probability)
 
     def _likelihood(self, detection_probability: float, is_detected: bool) -> float:

@@ -64,7 +64,7 @@ class CandidateVerifier:
     def _follow_neighbors(self, results: list[VerificationResult], last_matchable: int) -> list[VerificationResult]:
         """Verify the images beside the best result too, and move on to the neighbour while its evidence is greater.
 
-        This is done only where the earlier results leave no doubt of the place. Near the end of a revisit the images
+        This is done only where the earlier results make the place certain. Near the end of a revisit the images
         show less and less of it, and the best match counts. Elsewhere, a search for the largest evidence would raise
         that of false matches as well.
         """
@@ -97,7 +97,7 @@ class CandidateVerifier:
         return result.evidence + min(self._consistency.sum_agreeing_evidence(result), result.evidence)
 
     def state(self) -> list[dict[str, Any]]:
-        """The latest proofs, for a checkpoint."""
+        """The best results of the latest queries, for a checkpoint."""
         return self._consistency.state()
 
     def restore(self, state: list[dict[str, Any]]) -> None:

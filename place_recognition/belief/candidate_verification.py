@@ -32,7 +32,7 @@ class CandidateVerificationConfig:
         ranking_ratio: largest ratio of nearest to second nearest descriptor distance of the matches that are counted
             to rank the candidates.
         ratio: the same ratio for the matches that are verified geometrically. It keeps nearly all matches, because the
-            fundamental matrix tells good ones from bad ones.
+            fundamental matrix separates good ones from bad ones.
         max_scale_ratio: largest ratio of the scales of two matched features. Images of one place show things at about
             the same size; matches beyond are mostly wrong, or show that the two cameras stood far apart.
         ranking_features: number of strongest features of each image used to rank the candidates.
@@ -60,7 +60,7 @@ class VerificationResult:
     """Result of the geometric verification of one candidate.
 
     Attributes:
-        query: location (position in the drive) of the query image.
+        query: location (index among all images) of the query image.
         location: location of the earlier, matched image.
         inliers: number of matches that agree with one fundamental matrix; 0 if too few do.
         evidence: -log10 of the expected number of false alarms (`a_contrario_evidence`); 0 means no evidence.
@@ -115,7 +115,7 @@ def rank_candidates(
     """Return the `max_verified` candidates with the most feature matches, best first; ties keep their order."""
     if len(candidates) == 0:
         return []
-    descriptors = images[query].strongest(config.ranking_features).quantised
+    descriptors = images[query].strongest(config.ranking_features).quantized
     counts = count_matches(descriptors, *images.strongest(candidates, config.ranking_features), config.ranking_ratio)
     return [candidates[k] for k in np.argsort(-counts, kind="stable")[: config.max_verified]]
 
@@ -125,7 +125,7 @@ def match_images(
 ) -> ImagePairMatches:
     """Match the features of the query image with those of the image at an earlier location."""
     now, then = images[query], images[location]
-    pairs = match_pairs(now.quantised, then.quantised, config.ratio)
+    pairs = match_pairs(now.quantized, then.quantized, config.ratio)
     octave_difference = np.abs(now.octaves[pairs[:, 0]] - then.octaves[pairs[:, 1]])
     pairs = pairs[octave_difference <= math.log2(config.max_scale_ratio)]
     random_agreement = _random_agreement(then, config.epipolar.max_distance_px)

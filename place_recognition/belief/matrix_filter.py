@@ -42,17 +42,17 @@ class FilterConfig:
             raise ValueError(f"expected a filter of 3x3 numbers, got shape {np.shape(self.kernel)}")
 
 
-def normalize_row(row: Floats, previous_score: float, min_divisor: float) -> Floats:
+def normalize_row(row: Floats, previous_score: float, min_previous_score: float) -> Floats:
     """Divide the scores (N,) of a query by its score with the sequence just before it (eq. 4.7).
 
     Args:
         row: (N,) scores of the query with earlier sequences.
         previous_score: score of the query with the sequence just before it.
-        min_divisor: lower bound of the divisor. Where the camera turns on the spot, successive sequences share almost
-            nothing, and the division would make all scores large (Galvez-Lopez and Tardos, T-RO 28(5) 2012, section
-            IV-B, drop such queries).
+        min_previous_score: lower bound of the divisor. Where the camera turns on the spot, successive sequences share
+            almost nothing, and the division would make all scores large (Galvez-Lopez and Tardos, T-RO 28(5) 2012,
+            section IV-B, drop such queries).
     """
-    return row / np.float32(max(previous_score, min_divisor))
+    return row / np.float32(max(previous_score, min_previous_score))
 
 
 def filter_matrix(matrix: Matrix, kernel: Kernel) -> Matrix:

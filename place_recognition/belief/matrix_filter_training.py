@@ -19,7 +19,7 @@ Truth = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Samples:
+class TrainingSamples:
     """Training samples.
 
     Attributes:
@@ -37,18 +37,18 @@ class FilterTrainingConfig:
 
     Attributes:
         max_iterations: largest number of steps of gradient descent.
-        tolerance: largest absolute component of the gradient of the mean loss at which the descent ends.
-        ridge: weight of the squared coefficients except the constant. Without it, samples that a plane separates would
-            drive the coefficients to infinity.
-        negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all.
-            In the matrix of a long drive one cell in hundreds is a revisit, and a filter that never responds would be
+        gradient_threshold: largest absolute component of the gradient of the mean loss at which the descent ends.
+        ridge_weight: weight of the squared coefficients except the constant. Without it, samples that a plane separates
+            would drive the coefficients to infinity.
+        negatives_per_positive: number of cells without revisit for each cell with one, drawn at random; 0 takes all. In
+            the matrix of a long recording one cell in hundreds is a revisit, and a filter that never responds would be
             right nearly everywhere.
         seed: seed of the random draw.
     """
 
     max_iterations: int = 20000
-    tolerance: float = 1e-5
-    ridge: float = 1e-4
+    gradient_threshold: float = 1e-5
+    ridge_weight: float = 1e-4
     negatives_per_positive: int = 10
     seed: int = 0
 
@@ -79,7 +79,7 @@ def reduce_to_sequences(matrix: Array, truth: Truth) -> tuple[Array, Truth]:
     return matrix[np.ix_(first, first)], np.logical_or.reduceat(by_rows, first, axis=1)
 
 
-def collect_samples(matrix: Array, truth: Truth, config: FilterTrainingConfig | None = None) -> Samples:
+def collect_samples(matrix: Array, truth: Truth, config: FilterTrainingConfig | None = None) -> TrainingSamples:
     """Collect the samples of a matrix of sequences (S, S), NaN where not compared, and its truth (S, S).
 
     Every compared cell is a sample; neighbours that were not compared are background, as they are for the filter.
@@ -94,16 +94,16 @@ def collect_samples(matrix: Array, truth: Truth, config: FilterTrainingConfig | 
         negative = negative[np.sort(drawn)]
     cells = np.concatenate([positive, negative])
     labels = np.arange(len(cells)) < len(positive)
-    return Samples(windows[cells[:, 0], cells[:, 1]].reshape(-1, 9).astype(np.float64), labels)
+    return TrainingSamples(windows[cells[:, 0], cells[:, 1]].reshape(-1, 9).astype(np.float64), labels)
 
 
-def logistic_loss(theta: Array, samples: Samples, ridge: float = 0.0) -> float:
+def logistic_loss(theta: Array, samples: TrainingSamples, ridge: float = 0.0) -> float:
     """Return the cost J (eq. 4.10) of the coefficients (10,), the constant first, plus the ridge penalty."""
     margin = _with_constant(samples.patches) @ theta * np.where(samples.labels, 1.0, -1.0)
     return float(np.logaddexp(0.0, -margin).mean() + 0.5 * ridge * np.sum(theta[1:] ** 2))
 
 
-def train_filter(samples: Samples, config: FilterTrainingConfig | None = None) -> FilterConfig:
+def train_filter(samples: TrainingSamples, config: FilterTrainingConfig | None = None) -> FilterConfig:
     """Find the kernel and threshold of the smallest loss.
 
     Raises:
@@ -121,19 +121,19 @@ def train_filter(samples: Samples, config: FilterTrainingConfig | None = None) -
     return FilterConfig(kernel=(rows[0], rows[1], rows[2]), threshold=float(-theta[0]))  # type: ignore[arg-type]
 
 
-def _descend(samples: Samples, config: FilterTrainingConfig) -> Array:
+def _descend(samples: TrainingSamples, config: FilterTrainingConfig) -> Array:
     """Coefficients (10,) of the smallest loss, by gradient descent from 0 with Nesterov's momentum.
 
     The step is the inverse of an upper bound of the curvature of the loss, so that it needs no tuning: the second
     derivative of the logistic loss is at most 1/4, hence the largest singular value squared over 4 n, plus the ridge.
     """
     inputs, labels = _with_constant(samples.patches), samples.labels.astype(np.float64)
-    ridge = np.r_[0.0, np.full(9, config.ridge)]
-    step = 1.0 / (np.linalg.norm(inputs, 2) ** 2 / (4 * len(inputs)) + config.ridge)
+    ridge = np.r_[0.0, np.full(9, config.ridge_weight)]
+    step = 1.0 / (np.linalg.norm(inputs, 2) ** 2 / (4 * len(inputs)) + config.ridge_weight)
     theta = ahead = np.zeros(10)
     for iteration in range(config.max_iterations):
         gradient = inputs.T @ (expit(inputs @ ahead) - labels) / len(inputs) + ridge * ahead
-        if np.abs(gradient).max() <= config.tolerance:
+        if np.abs(gradient).max() <= config.gradient_threshold:
             return ahead
         before, theta = theta, ahead - step * gradient
         ahead = theta + iteration / (iteration + 3) * (theta - before)

@@ -15,7 +15,8 @@ Chance matches lie on no line; matches of a street that is seen from afar lie on
 How the support is computed step by step: docs/math.md. How the numbers were chosen, with figures:
 docs/decisions/sequence_consensus.md.
 
-Delayed decision of every paradigm: candidate beliefs go in, final beliefs come out some images later, in order.
+`DelayedDecision`, which every paradigm ends with, joins the consensus with the `GapFiller`: candidate beliefs go in,
+final beliefs come out some images later, in order.
 """
 
 from collections import deque
@@ -38,7 +39,7 @@ Steps = NDArray[np.int64]
 _SPEED_RATIOS = 2.0 ** np.arange(-0.25, 0.26, 0.125)
 _SLOPES = np.concatenate([_SPEED_RATIOS, -_SPEED_RATIOS])  # negative: the place is driven in the opposite direction
 
-# Images by which the tolerance grows for each image between the two: speeds change along the way.
+# Images by which the tolerance grows for each image between the two: speeds change along the path.
 _TOLERANCE_GROWTH = 0.1
 
 # Support from one side only counts up to this times the image's own evidence: where a revisit begins or ends, the
@@ -69,14 +70,14 @@ class SequenceConsensusConfig:
         window: number of images before and after an image that support or contradict it. The answer is delayed by this
             number of images. Matches of one image closer together than this are reduced to the best one.
         max_image_evidence: cap of the evidence of each supporting image, powers of ten: a single one must not decide.
-        tolerance: images by which a match may lie off the line; one that lies off by more than twice as many
+        tolerance_images: images by which a match may lie off the line; one that lies off by more than twice as many
             contradicts.
         min_total_evidence: evidence of the image and its support from which a match is accepted, powers of ten.
     """
 
     window: int = 15
     max_image_evidence: float = 20.0
-    tolerance: float = 2.0
+    tolerance_images: float = 2.0
     min_total_evidence: float = 100.0
 
     @classmethod
@@ -111,17 +112,17 @@ class CandidateBeliefs:
         return cls(tuple(map(make_belief, results)), results) if results else cls.without_match(query)
 
     def state(self) -> dict[str, Any]:
-        """Beliefs and proofs as plain values and arrays, for a checkpoint."""
+        """Beliefs and results as plain values and arrays, for a checkpoint."""
         return {
             "beliefs": [dict(vars(belief)) for belief in self.beliefs],
-            "proofs": [dict(vars(proof)) for proof in self.results],
+            "results": [dict(vars(result)) for result in self.results],
         }
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> "CandidateBeliefs":
-        """The opinion of a state."""
+        """Return the candidate beliefs of a state."""
         beliefs = tuple(Belief(**belief) for belief in state["beliefs"])
-        return cls(beliefs, tuple(VerificationResult(**proof) for proof in state["proofs"]))
+        return cls(beliefs, tuple(VerificationResult(**result) for result in state["results"]))
 
 
 class SequenceConsensus:
@@ -176,9 +177,9 @@ class SequenceConsensus:
         distance = np.abs(moves[:, None] - _SLOPES[:, None] * steps) - _TOLERANCE_GROWTH * np.abs(steps)
         contradiction = self._contradiction(own, evidence, steps, distance.min(axis=1))
         # A match far away is another place and no contradiction of this line: only near ones count as off it.
-        off_line = (distance > 2 * self.config.tolerance) & (np.abs(moves) <= self.config.window)[:, None]
+        off_line = (distance > 2 * self.config.tolerance_images) & (np.abs(moves) <= self.config.window)[:, None]
         capped = np.minimum(evidence, self.config.max_image_evidence)
-        on_line = distance <= self.config.tolerance
+        on_line = distance <= self.config.tolerance_images
         line_cap = _mean_best_evidence(own, np.where(on_line, evidence, 0.0)) ** 2 / _WEAK_EVIDENCE
         support = _line_support(own, steps, np.where(on_line, capped, 0.0), np.where(off_line, capped, 0.0))
         best: Array = np.minimum(support, line_cap).max(axis=1)
@@ -211,6 +212,30 @@ class SequenceConsensus:
             self._candidates.append(candidates)
             self._witnesses.append(_best_apart(candidates.results, self.config.window))
         self._undecided = state["num_undecided"]
+
+
+class DelayedDecision:
+    """One belief for each query, in order: first the sequence consensus decides, then short gaps are filled."""
+
+    def __init__(self, history: ImageHistory, config: SequenceConsensusConfig) -> None:
+        self._consensus, self._gap_filler = SequenceConsensus(config), GapFiller(history)
+
+    def add(self, candidates: CandidateBeliefs) -> list[Belief]:
+        """Add the candidates of the next query and return the beliefs that are decided now."""
+        return self._gap_filler.add(self._consensus.add(candidates))
+
+    def finish(self) -> list[Belief]:
+        """Return the beliefs about the last images."""
+        return self._gap_filler.add(self._consensus.finish()) + self._gap_filler.finish()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that waits for later images, for a checkpoint."""
+        return {"consensus": self._consensus.state(), "gaps": self._gap_filler.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._consensus.restore(state["consensus"])
+        self._gap_filler.restore(state["gaps"])
 
 
 def _mean_best_evidence(own: Array, on_line: Array) -> Array:
@@ -268,27 +293,3 @@ def _sum_best_per_image(evidence: Array, steps: Steps, selected: NDArray[np.bool
     firsts = np.flatnonzero(np.diff(steps[selected], prepend=steps[selected][0] - 1))
     total: Array = np.maximum.reduceat(evidence[..., selected], firsts, axis=-1).sum(axis=-1)
     return total
-
-
-class DelayedDecision:
-    """One belief for each query, in order: first the sequence consensus decides, then short gaps are filled."""
-
-    def __init__(self, route: ImageHistory, config: SequenceConsensusConfig) -> None:
-        self._consensus, self._gap_filler = SequenceConsensus(config), GapFiller(route)
-
-    def add(self, candidates: CandidateBeliefs) -> list[Belief]:
-        """Add the candidates of the next query and return the beliefs that are decided now."""
-        return self._gap_filler.add(self._consensus.add(candidates))
-
-    def finish(self) -> list[Belief]:
-        """Return the beliefs about the last images."""
-        return self._gap_filler.add(self._consensus.finish()) + self._gap_filler.finish()
-
-    def state(self) -> dict[str, Any]:
-        """Everything that waits for later images, for a checkpoint."""
-        return {"consensus": self._consensus.state(), "gaps": self._gap_filler.state()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a state."""
-        self._consensus.restore(state["consensus"])
-        self._gap_filler.restore(state["gaps"])

@@ -1,15 +1,10 @@
-"""Votes of an image's visual words for places, and their probability by chance (hierarchical places).
+"""Votes of an image's visual words for the locations or places of a map, and their probability by chance.
 
-Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closure Detection', ICRA 2018, equations 5-10.
+* Locations (tracked words): Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6.
+* Places (hierarchical places): Tsintotas, Bampis, Gasteratos, 'Assigning Visual Words to Places for Loop Closure
+  Detection', ICRA 2018, equations 5 to 10.
 
-Votes normalised by a rule of thumb, which section 4.2.3.3 of the chapter compares with the binomial density.
-
-For the chapter; no paradigm uses it.
-
-Votes of an image's visual words for the locations of a map, and their probability by chance (tracked words).
-
-Tsintotas, Bampis, Gasteratos, RA-L 4(2) 2019, section III-C, equations 4 to 6. Derivation of the binomial model:
-docs/math.md.
+Derivation of the binomial model: docs/math.md.
 """
 
 import math
@@ -22,38 +17,8 @@ from scipy.special import gammaln, xlog1py, xlogy
 from place_recognition.map.place_map import PlaceMap
 from place_recognition.vocabulary.tracked_words import WordMap
 
-Indices = NDArray[np.int64]
-
-
-def normalize_votes(votes: Indices, words: Indices, descriptors: int) -> NDArray[np.float64]:
-    """Divide votes by the geometric mean of the number of words and the number of voting descriptors.
-
-    A place of many words draws many votes, and an image of many descriptors gives many: the count alone means little.
-    Where each word and each descriptor votes at most once, the result is the cosine of the angle between the two sets
-    (the coefficient of Ochiai), from 0 to 1. Unlike the binomial density it ignores the other places, so the value that
-    indicates a revisit differs from map to map.
-
-    Args:
-        votes: (L,) number of votes of each place or location.
-        words: (L,) number of words of each; a place without words draws no votes.
-        descriptors: number of descriptors of the voting image.
-
-    Returns:
-        (L,) normalised votes; 0 where there are no words or descriptors.
-
-    Raises:
-        ValueError: `votes` and `words` differ in shape, or a number is negative.
-    """
-    votes, words = np.asarray(votes), np.asarray(words)
-    if votes.shape != words.shape:
-        raise ValueError(f"expected votes and words of one shape, got {votes.shape} and {words.shape}")
-    if descriptors < 0 or (votes < 0).any() or (words < 0).any():
-        raise ValueError("expected no negative number of votes, words or descriptors")
-    possible = np.sqrt(words.astype(np.float64) * descriptors)
-    return np.divide(votes, possible, out=np.zeros(votes.shape), where=possible > 0)
-
-
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -95,8 +60,8 @@ class Votes:
     def neg_log10_probability(self, location: int, radius: int) -> float:
         """Return -log10 of the smallest density of the votes within `radius` locations; 0 if none exceeds chance."""
         first, end = np.searchsorted(self.locations, [location - radius, location + radius + 1])
-        surprising = self.votes[first:end] > self.expected[first:end]
-        return float(max(-self.log_density[first:end][surprising].min(initial=0.0), 0.0)) / math.log(10)
+        is_above = self.votes[first:end] > self.expected[first:end]
+        return float(max(-self.log_density[first:end][is_above].min(initial=0.0), 0.0)) / math.log(10)
 
 
 def count_votes(hit: Indices, words: WordMap) -> Votes:
@@ -113,20 +78,6 @@ def count_votes(hit: Indices, words: WordMap) -> Votes:
     locations, votes = np.unique(expand_spans(words.spans(hit)), return_counts=True)
     share = words.words_at(locations) / max(words.active_count, 1)
     return Votes(locations, votes, len(hit) * share, log_binomial(votes, len(hit), share))
-
-
-def expand_spans(spans: NDArray[np.int32]) -> Indices:
-    """Return all locations of spans (K, 2), both ends included, one span after the other."""
-    lengths = spans[:, 1] - spans[:, 0] + 1
-    begins = np.cumsum(lengths) - lengths
-    return np.arange(lengths.sum(), dtype=np.int64) + np.repeat(spans[:, 0] - begins, lengths)
-
-
-def log_binomial(successes: Indices, trials: int, probability: Array) -> Array:
-    """Return the natural logarithm of C(n, x) p^x (1 - p)^(n - x), elementwise; -inf for an impossible number."""
-    x = np.asarray(successes, dtype=np.float64)
-    choices = gammaln(trials + 1) - gammaln(x + 1) - gammaln(trials - x + 1)
-    return choices + xlogy(x, probability) + xlog1py(trials - x, -probability)
 
 
 @dataclass(frozen=True)
@@ -169,3 +120,46 @@ def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceVotes:
     density = log_binomial(votes[above], len(words), share[above])
     order = np.argsort(density, kind="stable")
     return PlaceVotes(voted[above][order], votes[above][order], density[order])
+
+
+def expand_spans(spans: NDArray[np.int32]) -> Indices:
+    """Return all locations of spans (K, 2), both ends included, one span after the other."""
+    lengths = spans[:, 1] - spans[:, 0] + 1
+    begins = np.cumsum(lengths) - lengths
+    return np.arange(lengths.sum(), dtype=np.int64) + np.repeat(spans[:, 0] - begins, lengths)
+
+
+def log_binomial(successes: Indices, trials: int, probability: Array) -> Array:
+    """Return the natural logarithm of C(n, x) p^x (1 - p)^(n - x), elementwise; -inf for an impossible number."""
+    x = np.asarray(successes, dtype=np.float64)
+    choices = gammaln(trials + 1) - gammaln(x + 1) - gammaln(trials - x + 1)
+    return choices + xlogy(x, probability) + xlog1py(trials - x, -probability)
+
+
+def normalize_votes(votes: Indices, words: Indices, descriptors: int) -> NDArray[np.float64]:
+    """Divide votes by the geometric mean of the number of words and the number of voting descriptors.
+
+    A rule of thumb, which section 4.2.3.3 of the chapter compares with the binomial density; no paradigm uses it.
+    A place of many words draws many votes, and an image of many descriptors gives many: the count alone means little.
+    Where each word and each descriptor votes at most once, the result is the cosine of the angle between the two sets
+    (the coefficient of Ochiai), from 0 to 1. Unlike the binomial density it ignores the other places, so the value that
+    indicates a revisit differs from map to map.
+
+    Args:
+        votes: (L,) number of votes of each place or location.
+        words: (L,) number of words of each; a place without words draws no votes.
+        descriptors: number of descriptors of the voting image.
+
+    Returns:
+        (L,) normalised votes; 0 where there are no words or descriptors.
+
+    Raises:
+        ValueError: `votes` and `words` differ in shape, or a number is negative.
+    """
+    votes, words = np.asarray(votes), np.asarray(words)
+    if votes.shape != words.shape:
+        raise ValueError(f"expected votes and words of one shape, got {votes.shape} and {words.shape}")
+    if descriptors < 0 or (votes < 0).any() or (words < 0).any():
+        raise ValueError("expected no negative number of votes, words or descriptors")
+    possible = np.sqrt(words.astype(np.float64) * descriptors)
+    return np.divide(votes, possible, out=np.zeros(votes.shape), where=possible > 0)

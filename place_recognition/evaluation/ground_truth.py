@@ -15,12 +15,12 @@ from place_recognition.evaluation.ground_truth_files import array_names, read_ar
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
 
-_BLOCK = 256  # rows computed at a time: all N^2 distances of a long drive at once would need a gigabyte
+_BLOCK = 256  # rows computed at a time: all N^2 distances of a long recording at once would need a gigabyte
 
 
 @dataclass(frozen=True)
 class RevisitRule:
-    """The rule by which two poses count as one place, for published drives, runs and simulations alike.
+    """The rule by which two poses count as one place, for published datasets, runs and simulations alike.
 
     The figures of the literature depend on this rule, so it is one object with every number in it.
 

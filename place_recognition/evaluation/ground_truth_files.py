@@ -1,12 +1,10 @@
-"""Arrays of `.npz` files from elsewhere, checked so that a small file cannot claim a large memory.
+"""Matrices of `.npz` and MATLAB files from elsewhere, read so that a damaged file costs an error and never more.
 
-`numpy.load` reserves the memory that an array's header states before it reads a number. Here the header must agree with
-the size of the zip member, and that with the size of the file.
+`numpy.load` reserves the memory that an array's header states before it reads a number, so a small file could claim a
+large memory. Here the header must agree with the size of the zip member, and that with the size of the file.
 
-Matrices of MATLAB files (.mat), read by SciPy in a process of its own.
-
-SciPy trusts the sizes that a file states, and a damaged byte can make it crash the interpreter. A process that crashes,
-hangs or runs out of memory costs one error here, and never the program.
+SciPy, which reads MATLAB files, trusts the sizes that a file states, and a damaged byte can make it crash the
+interpreter. It runs in a process of its own (`matlab_process.py`), which may crash, hang or run out of memory.
 """
 
 import math
@@ -23,6 +21,13 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 MAX_COMPRESSION = 1032  # bytes that one byte of a deflate stream can stand for (zlib's technical details)
+
+READER = Path(__file__).with_name("matlab_process.py")
+# Starting Python and SciPy takes about half a second, and the largest published matrix (4,661 x 4,661) a tenth.
+TIMEOUT_S = 30.0
+# The reader's whole address space. Python, NumPy and SciPy reserve about one gigabyte, most of it never used.
+MAX_MEMORY_BYTES = 4 << 30
+MAX_REASON_LENGTH = 200  # characters of an error of SciPy's: the message stays one line
 
 _HEADER_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
@@ -67,14 +72,6 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[A
         array: NDArray[Any] = npy.read_array(file, allow_pickle=False)
         file.read()  # to the end, where zipfile compares the checksum
     return array
-
-
-READER = Path(__file__).with_name("matlab_process.py")
-# Starting Python and SciPy takes about half a second, and the largest published matrix (4,661 x 4,661) a tenth.
-TIMEOUT_S = 30.0
-# The reader's whole address space. Python, NumPy and SciPy reserve about one gigabyte, most of it never used.
-MAX_MEMORY_BYTES = 4 << 30
-MAX_REASON_LENGTH = 200  # characters of an error of SciPy's: the message stays one line
 
 
 def read_positive(path: Path) -> dict[str, NDArray[np.bool_]]:

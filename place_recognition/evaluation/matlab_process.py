@@ -1,4 +1,4 @@
-"""Reads a MATLAB file with SciPy; `matlab.read_positive` runs this file in a process of its own, which may crash.
+"""Reads a MATLAB file with SciPy; `ground_truth_files.read_positive` runs it in a process of its own, which may crash.
 
     python matlab_process.py FILE MAX_MEMORY_BYTES
 

@@ -88,7 +88,7 @@ def precision_recall(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0
     detected = np.array([b.match is not None and b.verified for b in beliefs], np.bool_)
     scores = np.array([b.score for b in beliefs], np.float64)[detected]
     right = right[detected]
-    # Equal scores cannot be told apart by any threshold: they come in together.
+    # No threshold separates equal scores, so they are counted together.
     thresholds = np.unique(scores)[::-1]
     return _curve(scores, right, thresholds, int(truth.any(axis=1).sum()))
 

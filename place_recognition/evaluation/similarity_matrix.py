@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-MAX_ROWS = 5000  # the longest drive of the chapter has 4,541 images; a lower triangle takes 50 MB a stage
+MAX_ROWS = 5000  # the longest dataset of the chapter has 4,541 images; a lower triangle takes 50 MB a stage
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class SimilarityMatrix:
 class MatrixRecorder:
     """Records the rows of a recogniser's matrix (a MatrixSink).
 
-    Image ids count from 0. A drive of more than `max_rows` images does not outgrow the memory: each time the limit is
-    reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
+    Image ids count from 0. A recording of more than `max_rows` images does not outgrow the memory: each time the limit
+    is reached, the resolution is halved. Two neighbouring images then share a row and a column, where the larger value
     stays.
     """
 
@@ -63,7 +63,7 @@ class MatrixRecorder:
         np.fmax.at(known, cells, np.asarray(values, np.float32))
 
     def matrix(self, images: int, stage: str = "similarity") -> SimilarityMatrix:
-        """Return the matrix of a drive of `images` images so far; NaN throughout where a stage has no rows."""
+        """Return the matrix of the `images` images so far; NaN throughout where a stage has no rows."""
         size = -(-images // self._step)
         values = np.full((size, size), np.nan, np.float32)
         for row, known in self._stages.get(stage, {}).items():

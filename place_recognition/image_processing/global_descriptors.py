@@ -1,16 +1,11 @@
-"""Global descriptors: the contract of a descriptor of a whole image, and a registry by name.
+"""Global descriptors: the contract of a descriptor of a whole image, three of them, and a registry by name.
 
-Global descriptor: the joint colour histogram of an image, or the histogram of a gray one.
-
-Global descriptor: histograms of oriented gradients of cells, normalised over blocks of cells (Figure 4.3).
-
-Dalal, Triggs, 'Histograms of Oriented Gradients for Human Detection', CVPR 2005: gradients by [-1, 0, 1], unsigned
-orientations, blocks of 2 x 2 cells that overlap by one, L2-Hys normalisation.
-
-Global descriptor: a thumbnail whose patches are normalised to one brightness and contrast.
-
-Milford, Wyeth, 'SeqSLAM: Visual Route-Based Navigation for Sunny Summer Days and Stormy Winter Nights', ICRA 2012,
-section III-A.
+* `Hog`: histograms of oriented gradients of cells, normalised over blocks of cells (Figure 4.3). Dalal, Triggs,
+  'Histograms of Oriented Gradients for Human Detection', CVPR 2005: gradients by [-1, 0, 1], unsigned orientations,
+  blocks of 2 x 2 cells that overlap by one, L2-Hys normalisation.
+* `Thumbnail`: a reduced image whose patches are normalised to one brightness and contrast. Milford, Wyeth, 'SeqSLAM:
+  Visual Route-Based Navigation for Sunny Summer Days and Stormy Winter Nights', ICRA 2012, section III-A.
+* `ColorHistogram`: the joint colour histogram of an image, or the histogram of a grey one.
 """
 
 from collections.abc import Callable
@@ -25,10 +20,30 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.local_features import check_gray
 from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
 
-CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
-BLOCK = 2  # cells along each side of a block
-
 Floats = NDArray[np.float32]
+
+ONNX = "onnx:"  # first letters of the name of a learned descriptor, before the path of its file
+HOG_CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
+HOG_BLOCK = 2  # cells along each side of a block
+MIDDLE = 128  # grey level of a pixel as bright as its patch, in a thumbnail
+DEVIATION = 42  # grey levels of one standard deviation in a thumbnail: three fit into a byte on either side
+
+
+class GlobalDescriptor(Protocol):
+    """Describes a whole image by one vector.
+
+    Attributes:
+        kind: name of the descriptor with its settings; vectors of two kinds cannot be compared.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Name of the descriptor, with every setting that makes vectors incomparable."""
+        ...
+
+    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Describe a grey image (H, W) uint8 of any size by a vector (D,); zeros for an image without structure."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -41,18 +56,18 @@ class HogConfig:
         cell: side of a cell, pixels. On two simulated towns R@P100 was 0.41 with 8, 0.41 and 0.43 with 16 and 0.37 with
             32, but with 8 first passes stay further below revisits.
         orientations: number of bins over 180 degrees.
-        noise: length of the vector of a block that is only noise, gray levels.
+        noise_contrast: length of the vector of a block that is only noise, grey levels.
     """
 
     width: int = 128
     height: int = 64
     cell: int = 8
     orientations: int = 9
-    noise: float = 16.0
+    noise_contrast: float = 16.0
 
     def __post_init__(self) -> None:
         """Check that cells fill the picture and that there is a block of them."""
-        if self.width % self.cell or self.height % self.cell or min(self.width, self.height) < BLOCK * self.cell:
+        if self.width % self.cell or self.height % self.cell or min(self.width, self.height) < HOG_BLOCK * self.cell:
             raise ValueError(
                 f"expected an image of whole cells, two or more each way, got {self.width} x {self.height} "
                 f"in cells of {self.cell}"
@@ -71,11 +86,11 @@ class Hog:
         return f"hog-{self.config.width}x{self.config.height}-{self.config.cell}-{self.config.orientations}"
 
     def describe(self, image: NDArray[np.uint8]) -> Floats:
-        """Describe a gray image (H, W) uint8 by its blocks of 2 x 2 cells, one after another; zeros for an even one."""
+        """Describe a grey image (H, W) uint8 by its blocks of 2 x 2 cells, one after another; zeros for an even one."""
         check_gray(image)
         small = cv2.resize(image, (self.config.width, self.config.height), interpolation=cv2.INTER_AREA)
         cells = cell_histograms(small.astype(np.float32), self.config.cell, self.config.orientations)
-        return normalize_blocks(cells, self.config.noise).ravel()
+        return normalize_blocks(cells, self.config.noise_contrast).ravel()
 
 
 def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
@@ -99,20 +114,16 @@ def cell_histograms(image: Floats, cell: int, orientations: int) -> Floats:
     return histograms.reshape(rows, columns, orientations).astype(np.float32)
 
 
-def normalize_blocks(cells: Floats, noise: float) -> Floats:
+def normalize_blocks(cells: Floats, noise_contrast: float) -> Floats:
     """Join cells (rows, columns, orientations) into blocks (rows - 1, columns - 1, 4 orientations) of unit length.
 
-    noise: its square is added to the squared lengths, so that blocks of less gradient than this stay short.
+    noise_contrast: its square is added to the squared lengths, so that blocks of less gradient than this stay short.
     """
     blocks = np.concatenate([cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]], axis=2)
-    blocks = blocks / np.sqrt((blocks * blocks).sum(axis=2, keepdims=True) + np.float32(noise**2))
-    blocks = np.minimum(blocks, np.float32(CLIP))
+    blocks = blocks / np.sqrt((blocks * blocks).sum(axis=2, keepdims=True) + np.float32(noise_contrast**2))
+    blocks = np.minimum(blocks, np.float32(HOG_CLIP))
     length = np.sqrt((blocks * blocks).sum(axis=2, keepdims=True))
-    return np.divide(blocks, length, out=np.zeros_like(blocks), where=length > CLIP)
-
-
-MIDDLE = 128  # gray level of a pixel as bright as its patch
-DEVIATION = 42  # gray levels of one standard deviation: three fit into a byte on either side
+    return np.divide(blocks, length, out=np.zeros_like(blocks), where=length > HOG_CLIP)
 
 
 @dataclass(frozen=True)
@@ -123,7 +134,7 @@ class ThumbnailConfig:
         width: width of the thumbnail, pixels, a multiple of patch.
         height: height of the thumbnail, pixels, a multiple of patch.
         patch: side of the square patches that are normalised, pixels.
-        min_contrast: minimum standard deviation by which a patch is divided, gray levels: it keeps the noise of a wall
+        min_contrast: minimum standard deviation by which a patch is divided, grey levels: it keeps the noise of a wall
             or of the sky small.
     """
 
@@ -141,19 +152,19 @@ class ThumbnailConfig:
 
 
 def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray[np.uint8]:
-    """Make the thumbnail (height, width) uint8 of a gray image (H, W) uint8; that of an even one is all MIDDLE."""
+    """Make the thumbnail (height, width) uint8 of a grey image (H, W) uint8; that of an even one is all MIDDLE."""
     check_gray(image)
     small = cv2.resize(image, (config.width, config.height), interpolation=cv2.INTER_AREA).astype(np.float32)
     side = config.patch
     patches = small.reshape(config.height // side, side, config.width // side, side)
-    centred = patches - patches.mean(axis=(1, 3), keepdims=True)
-    contrast = np.sqrt((centred * centred).mean(axis=(1, 3), keepdims=True))
-    normalised = MIDDLE + DEVIATION * centred / np.maximum(contrast, config.min_contrast)
-    return np.clip(np.round(normalised), 0, 255).astype(np.uint8).reshape(small.shape)
+    centered = patches - patches.mean(axis=(1, 3), keepdims=True)
+    contrast = np.sqrt((centered * centered).mean(axis=(1, 3), keepdims=True))
+    normalized = MIDDLE + DEVIATION * centered / np.maximum(contrast, config.min_contrast)
+    return np.clip(np.round(normalized), 0, 255).astype(np.uint8).reshape(small.shape)
 
 
 def mean_absolute_difference(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
-    """Compute equation 4.1 of the chapter for two thumbnails of one size, gray levels."""
+    """Compute equation 4.1 of the chapter for two thumbnails of one size, grey levels."""
     if first.shape != second.shape:
         raise ValueError(f"expected images of one size, got {first.shape} and {second.shape}")
     return float(np.abs(first.astype(np.int16) - second).mean())
@@ -171,7 +182,7 @@ class Thumbnail:
         return f"thumbnail-{self.config.width}x{self.config.height}-{self.config.patch}"
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a gray image by the deviations (width height,) from each patch's mean; zeros for an even one."""
+        """Describe a grey image by the deviations (width height,) from each patch's mean; zeros for an even one."""
         return (make_thumbnail(image, self.config).astype(np.float32) - MIDDLE).ravel()
 
 
@@ -181,7 +192,7 @@ class ColorHistogramConfig:
 
     Attributes:
         bins: number of bins of each colour channel, up to 256.
-        gray_bins: number of bins of a gray image, up to 256.
+        gray_bins: number of bins of a grey image, up to 256.
     """
 
     bins: int = 8
@@ -205,35 +216,15 @@ class ColorHistogram:
         if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or image.shape[2:] == (3,)):
             raise ValueError(f"expected an image (H, W) or (H, W, 3) uint8, got {image.shape} {image.dtype}")
         if image.ndim == 2:
-            colours, count = _bin(image, self.config.gray_bins), self.config.gray_bins
+            colors, count = _bin(image, self.config.gray_bins), self.config.gray_bins
         else:
             first, second, third = (_bin(image[..., channel], self.config.bins) for channel in range(3))
-            colours, count = (first * self.config.bins + second) * self.config.bins + third, self.config.bins**3
-        return (np.bincount(colours.ravel(), minlength=count) / colours.size).astype(np.float32)
+            colors, count = (first * self.config.bins + second) * self.config.bins + third, self.config.bins**3
+        return (np.bincount(colors.ravel(), minlength=count) / colors.size).astype(np.float32)
 
 
 def _bin(channel: NDArray[np.uint8], bins: int) -> NDArray[np.int64]:
     return channel.astype(np.int64) * bins // 256
-
-
-ONNX = "onnx:"
-
-
-class GlobalDescriptor(Protocol):
-    """Describes a whole image by one vector.
-
-    Attributes:
-        kind: name of the descriptor with its settings; vectors of two kinds cannot be compared.
-    """
-
-    @property
-    def kind(self) -> str:
-        """Name of the descriptor, with every setting that makes vectors incomparable."""
-        ...
-
-    def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a gray image (H, W) uint8 of any size by a vector (D,); zeros for an image without structure."""
-        ...
 
 
 GLOBAL_DESCRIPTORS: dict[str, Callable[[], GlobalDescriptor]] = {

@@ -89,12 +89,12 @@ def _select(
     chosen = np.full(len(positions), -1, np.int64)
     free = np.ones(len(pixels), np.bool_)
     for track in range(len(positions)):
-        nearest, least = -1, limits[0] ** 2
+        nearest, smallest = -1, limits[0] ** 2
         for k in range(len(pixels)):
             dx, dy = pixels[k, 0] - positions[track, 0], pixels[k, 1] - positions[track, 1]
             distance = dx * dx + dy * dy  # NaN is never less
-            if free[k] and distance < least:
-                nearest, least = k, distance
+            if free[k] and distance < smallest:
+                nearest, smallest = k, distance
         if nearest >= 0:
             difference = descriptors[track] - candidates[nearest]
             if np.sum(difference * difference) < limits[1] ** 2:

@@ -15,12 +15,12 @@ class SpreadConfig:
 
     Attributes:
         bucket_px: side of the squares into which the image is divided.
-        max_crowding: maximum number of features of a square, in multiples of its even share, before the other squares
-            have had theirs.
+        max_crowding_ratio: maximum number of features of a square, in multiples of its even share, before the other
+            squares have had theirs.
     """
 
     bucket_px: int = 80
-    max_crowding: float = 4.0
+    max_crowding_ratio: float = 4.0
 
 
 def select_strongest(
@@ -51,7 +51,7 @@ def select_strongest(
     rows, columns = (side // config.bucket_px + 1 for side in shape)
     rank = _rank_in_square(squares[:, 1] * columns + squares[:, 0], rows * columns)
     even_share = count / np.prod(np.ceil(np.array(shape) / config.bucket_px))
-    crowded = rank >= config.max_crowding * even_share
+    crowded = rank >= config.max_crowding_ratio * even_share
     return order[np.sort(np.argsort(crowded, kind="stable")[:count])]
 
 

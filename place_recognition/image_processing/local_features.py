@@ -43,7 +43,7 @@ class FeatureExtractor(Protocol):
         ...
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a gray image (H, W) uint8; an image without structure has none, and is no error."""
+        """Extract the features of a grey image (H, W) uint8; an image without structure has none, and is no error."""
         ...
 
 

@@ -1,9 +1,9 @@
-"""Mutual nearest-neighbour matching of float descriptors, with Lowe's ratio test.
+"""Mutual nearest-neighbour matching of descriptors, with Lowe's ratio test: of floats, or of 8-bit numbers.
 
-Mutual nearest-neighbour matching of 8-bit descriptors: one image against many, in one compiled call.
-
-Finds the same pairs as `mutual_matches` in a tenth of the time. Unit vectors in steps of 1 / 127 have products of at
-most 131^2 (256 components: 135^2), so 16 bits hold the sums: half the width of floats, twice as many at a time.
+`mutual_matches` takes floats. `match_pairs` and `count_matches` take descriptors in steps of 1 / 127 and find the same
+pairs in a tenth of the time; `count_matches` compares one image with many in one compiled call. Products of such unit
+vectors are at most 131^2 (256 components: 135^2), so 16 bits hold the sums: half the width of floats, twice as many at
+a time.
 """
 
 import numpy as np
@@ -11,6 +11,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
+Bytes = NDArray[np.int8]
+Shorts = NDArray[np.int16]
+Indices = NDArray[np.int64]
+
+LANES = 16  # 16-bit numbers in a 256-bit SIMD register; columns are padded to a multiple
+NONE = np.int16(-20000)  # below all products, and far enough from overflow for the products of padding
 
 
 def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray[np.intp]:
@@ -27,7 +33,7 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
     """
     if len(first) == 0 or len(second) == 0:
         return np.empty((0, 2), np.intp)
-    nearest, best, runner_up, back = _nearest_both_ways(first, np.ascontiguousarray(second.T))
+    nearest, best, runner_up, back = _mutual_nearest(first, np.ascontiguousarray(second.T))
     # of unit vectors: distance^2 = 2 - 2 similarity
     clear = np.maximum(1 - best, 0) < ratio**2 * (1 - runner_up)
     keep = np.flatnonzero((back[nearest] == np.arange(len(first))) & clear)
@@ -54,9 +60,7 @@ def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
 
 
 @njit(cache=True)
-def _nearest_both_ways(
-    first: Floats, second_columns: Floats
-) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
+def _mutual_nearest(first: Floats, second_columns: Floats) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
     """Nearest neighbours in both directions.
 
     Args:
@@ -85,19 +89,11 @@ def _nearest_both_ways(
     return nearest, best, runner_up, back
 
 
-Bytes = NDArray[np.int8]
-Shorts = NDArray[np.int16]
-Indices = NDArray[np.int64]
-
-LANES = 16  # 16-bit numbers in a 256-bit SIMD register; columns are padded to a multiple
-NONE = np.int16(-20000)  # below all products, and far enough from overflow for the products of padding
-
-
-def to_columns(quantised: Bytes) -> Bytes:
+def to_columns(quantized: Bytes) -> Bytes:
     """Transpose descriptors (N, D) to columns (D, M), with zeros from column N on; M is a multiple of LANES."""
-    count, dimension = quantised.shape
+    count, dimension = quantized.shape
     columns = np.zeros((dimension, -(-count // LANES) * LANES), np.int8)
-    columns[:, :count] = quantised.T
+    columns[:, :count] = quantized.T
     return columns
 
 
@@ -177,9 +173,9 @@ def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
 @njit(cache=True)
 def _first_largest(values: Shorts) -> int:
     """Index of the first largest value. Two passes that both become SIMD; one pass that keeps an index does not."""
-    most = largest(values)
+    maximum = largest(values)
     for j in range(len(values)):
-        if values[j] == most:
+        if values[j] == maximum:
             return j
     return 0
 
@@ -187,10 +183,10 @@ def _first_largest(values: Shorts) -> int:
 @njit(cache=True)
 def largest(values: Shorts) -> int:
     """Return the largest of values (M,), M > 0."""
-    most = values[0]
+    maximum = values[0]
     for j in range(len(values)):
-        most = max(most, values[j])
-    return most
+        maximum = max(maximum, values[j])
+    return maximum
 
 
 @njit(cache=True)

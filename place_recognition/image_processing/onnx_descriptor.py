@@ -47,7 +47,7 @@ class OnnxDescriptor:
         self.kind = f"onnx-{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Describe a gray image (H, W) uint8 by a vector (D,) of unit length, or by zeros if the network does.
+        """Describe a grey image (H, W) uint8 by a vector (D,) of unit length, or by zeros if the network does.
 
         Raises:
             ValueError: the network fails, or its first output holds anything but finite numbers.

@@ -1,8 +1,8 @@
 """SURF features: blobs found by the determinant of the Hessian, described by Haar wavelets.
 
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008; docs/decisions/own_surf.md tells why it
-is implemented here. Descriptors are upright by default, since the camera of a car does not roll. The compiled parts
-release the interpreter's lock, so that a thread can describe images ahead.
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008; why it is implemented here:
+docs/decisions/own_surf.md. Descriptors are upright by default, since the camera of a car does not roll. The compiled
+parts release the interpreter's lock, so that a thread can describe images ahead.
 """
 
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class SurfConfig:
     Attributes:
         max_features: maximum number of features of an image.
         octaves: number of doublings of scale; two reach sigmas from 1.6 to 6 pixels, three to 12.
-        min_determinant: minimum determinant of the Hessian, (gray levels / pixel^2)^2 over the filter's area.
+        hessian_threshold: minimum determinant of the Hessian, (grey levels / pixel^2)^2 over the filter's area.
         spread: distribution of the features over the image.
         oriented: whether each blob is described in its own direction, for cameras that roll. A level camera then has an
             eighth fewer matches, at twice the time.
@@ -38,7 +38,7 @@ class SurfConfig:
 
     max_features: int = 500
     octaves: int = 2
-    min_determinant: float = 10.0
+    hessian_threshold: float = 10.0
     spread: SpreadConfig = field(default_factory=SpreadConfig)
     oriented: bool = False
 
@@ -57,7 +57,7 @@ class Surf:
         return "surf-64" if self.config.oriented else "surf-upright-64"
 
     def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a gray image (H, W) uint8, strongest first; a blank or tiny one has none."""
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
         check_gray(image)
         integral = cv2.integral(image)
         blobs = self._find_blobs(integral)
@@ -76,7 +76,7 @@ class Surf:
         """Find all blobs of one octave (N, 4): x, y, scale, determinant."""
         # Larger filters change slowly from pixel to pixel: each octave samples every second pixel of the one before.
         sizes, step = layer_sizes(octave), 2**octave
-        found = find_blobs(deinterleave(integral, step), sizes, self.config.min_determinant)
+        found = find_blobs(deinterleave(integral, step), sizes, self.config.hessian_threshold)
         found[:, :2] *= step
         found[:, 2] = SIGMA_PER_SIZE * (sizes[0] + found[:, 2] * (sizes[1] - sizes[0]))
         return found

@@ -1,12 +1,8 @@
-"""Compiled descriptor of SURF: Haar wavelets around a point, summed in 4 x 4 cells.
+"""Compiled descriptor of SURF: Haar wavelets around a point, upright or in its dominant orientation, pooled in cells.
 
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 4; cells that overlap as in
-Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first row and
-column of zeros, as `cv2.integral` returns it.
-
-Compiled parts of oriented SURF: the dominant orientation of a blob, and its rotated descriptor.
-
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, sections 4.1 and 4.2.
+Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, sections 4.1 and 4.2; cells that overlap
+as in Agrawal, Konolige, Blas, 'CenSurE', ECCV 2008, section 4. An integral image is (H + 1, W + 1) int32 with a first
+row and column of zeros, as `cv2.integral` returns it.
 """
 
 import math
@@ -25,19 +21,24 @@ GAUSSIAN_SIGMA = 5.5  # sigma of the weight of a sample, samples
 GRID = SAMPLES + 2  # grid lines of an upright square: a wavelet spans two spaces between them
 MIDDLE = 0.5 * (SAMPLES - 1)  # index of the middle of the square
 
+RADIUS = 6  # radius of the disc whose wavelets determine the orientation, scales
+WEIGHT_SIGMA = 2.5  # sigma of the weight of a wavelet in the disc, scales
+DIRECTIONS = 72  # positions of the sliding window, 5 degrees apart
+WINDOW = DIRECTIONS // 6  # opening of the window, 60 degrees as in the paper
+
 
 def cell_weights() -> Floats:
     """Compute the weight (SAMPLES, CELLS) of each sample along one axis in each cell: linear share times Gaussian."""
     # The weight of a sample in the square is the product of those along both axes, so that 24 x 4 numbers suffice.
     offsets = np.arange(SAMPLES) - MIDDLE
-    centres = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
-    shares = np.clip(1 - np.abs(offsets[:, None] - centres) / CELL_SIZE, 0, None)
+    centers = (np.arange(CELLS) - 0.5 * (CELLS - 1)) * CELL_SIZE
+    shares = np.clip(1 - np.abs(offsets[:, None] - centers) / CELL_SIZE, 0, None)
     gaussian = np.exp(-0.5 * (offsets / GAUSSIAN_SIGMA) ** 2)
     return (shares * gaussian[:, None]).astype(np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints:
+def _grid_lines(center: float, scale: float, limit: int, shares: Floats) -> Ints:
     """Return the integral coordinates (GRID,) below the grid lines of a square along one axis.
 
     shares (GRID,) receives their fractions. A line outside 0 ... limit is moved to the nearer end.
@@ -45,7 +46,7 @@ def _grid_lines(centre: float, scale: float, limit: int, shares: Floats) -> Ints
     below = np.empty(GRID, np.int32)
     for i in range(GRID):
         # the integral coordinate of a pixel's centre is half a pixel more than its index
-        line = min(max(centre + 0.5 + (i - MIDDLE - 1) * scale, 0.0), float(limit))
+        line = min(max(center + 0.5 + (i - MIDDLE - 1) * scale, 0.0), float(limit))
         below[i] = min(int(line), limit - 1)
         shares[i] = line - below[i]
     return below
@@ -101,12 +102,12 @@ def _upright_haar(integral: Ints, point: Floats, haar: Floats, inside: NDArray[n
         inside[0, i] = y + offset - scale >= 0 and y + offset + scale <= height
         inside[1, i] = x + offset - scale >= 0 and x + offset + scale <= width
     for i in range(SAMPLES):
-        top, centre, bottom = grid[i], grid[i + 1], grid[i + 2]
+        top, center, bottom = grid[i], grid[i + 1], grid[i + 2]
         for j in range(SAMPLES):
             # Box sums are differences of these: dx is the right half minus the left, dy the lower minus the upper.
             right, middle, left = bottom[j + 2] - top[j + 2], bottom[j + 1] - top[j + 1], bottom[j] - top[j]
             haar[0, i, j] = right + left - 2 * middle
-            haar[1, i, j] = right - left - 2 * (centre[j + 2] - top[j + 2] - centre[j] + top[j])
+            haar[1, i, j] = right - left - 2 * (center[j + 2] - top[j + 2] - center[j] + top[j])
 
 
 @njit(cache=True, nogil=True)
@@ -126,15 +127,21 @@ def pool_haar(haar: Floats, inside: NDArray[np.bool_], weights: Floats, out: Flo
                 total[1, j] += w * abs(dx[j])
                 total[2, j] += w * dy[j]
                 total[3, j] += w * abs(dy[j])
-    for cell in range(CELLS):
-        for kind in range(4):
-            for j in range(SAMPLES):
-                if inside[1, j]:
-                    for column in range(CELLS):
-                        out[cell, column, kind] += weights[j, column] * sums[cell, kind, j]
+    _pool_columns(sums, inside[1], weights, out)
     norm = np.sqrt(np.sum(out * out))
     if norm > 0:
         out /= norm
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _pool_columns(sums: Floats, inside: NDArray[np.bool_], weights: Floats, out: Floats) -> None:
+    """Add the sums of rows (CELLS, 4, SAMPLES), column by column, to out (CELLS, CELLS, 4)."""
+    for cell in range(CELLS):
+        for kind in range(4):
+            for j in range(SAMPLES):
+                if inside[j]:
+                    for column in range(CELLS):
+                        out[cell, column, kind] += weights[j, column] * sums[cell, kind, j]
 
 
 @njit(cache=True, nogil=True)
@@ -142,7 +149,7 @@ def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
     """Compute upright SURF descriptors.
 
     Args:
-        integral: integral image of the gray image.
+        integral: integral image of the grey image.
         points: (N, 3) float32 x right, y down and sigma, pixels.
         weights: (SAMPLES, CELLS) of `cell_weights`.
 
@@ -155,12 +162,6 @@ def describe_upright(integral: Ints, points: Floats, weights: Floats) -> Floats:
         _upright_haar(integral, points[k], haar, inside)
         pool_haar(haar, inside, weights, out[k])
     return out.reshape(len(points), CELLS * CELLS * 4)
-
-
-RADIUS = 6  # radius of the disc whose wavelets determine the orientation, scales
-WEIGHT_SIGMA = 2.5  # sigma of the weight of a wavelet in the disc, scales
-DIRECTIONS = 72  # positions of the sliding window, 5 degrees apart
-WINDOW = DIRECTIONS // 6  # opening of the window, 60 degrees as in the paper
 
 
 @njit(cache=True, nogil=True)
@@ -198,14 +199,14 @@ def _gradients_by_direction(integral: Ints, point: Floats) -> NDArray[np.float64
 def orientation(integral: Ints, point: Floats) -> float:
     """Compute the orientation of a point (x, y, scale), radians from x towards y: the longest sum in a window."""
     sums = _gradients_by_direction(integral, point)
-    best, longest = 0.0, -1.0
+    best, largest = 0.0, -1.0
     for begin in range(DIRECTIONS):
         x, y = 0.0, 0.0
         for k in range(begin, begin + WINDOW):
             x += sums[k % DIRECTIONS, 0]
             y += sums[k % DIRECTIONS, 1]
-        if x * x + y * y > longest:
-            best, longest = math.atan2(y, x), x * x + y * y
+        if x * x + y * y > largest:
+            best, largest = math.atan2(y, x), x * x + y * y
     return best
 
 

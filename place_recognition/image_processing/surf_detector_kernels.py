@@ -1,8 +1,4 @@
-"""Compiled search of SURF's detector: peaks of the determinant of the Hessian over position and scale.
-
-Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 3.4.
-
-Compiled box filters of SURF's detector: determinants of the Hessian.
+"""Compiled detector of SURF: box filters for the determinant of the Hessian, and its peaks over position and scale.
 
 Bay, Ess, Tuytelaars, Van Gool, 'Speeded-Up Robust Features', CVIU 110(3) 2008, section 3. An integral image is
 (H + 1, W + 1) int32 with a first row and column of zeros, as `cv2.integral` returns it: the sum over any box is four of
@@ -111,7 +107,7 @@ def determinant_row(planes: Ints, y: int, size: int, work: Ints, out: Floats) ->
         y: row of the image, pixels.
         size: side of the filter, odd and divisible by 3, pixels; it acts like a Gaussian of sigma 1.2 size / 9.
         work: (4, W') int32 work space, overwritten.
-        out: (W',) float32, W' = W / step rounded up, receives the determinants, (gray levels / pixel^2)^2 over the
+        out: (W',) float32, W' = W / step rounded up, receives the determinants, (grey levels / pixel^2)^2 over the
             filter's area.
     """
     step, lobe, half, middle = len(planes), size // 3, size // 2, size // 6
@@ -144,11 +140,11 @@ def _mark_row(ring: Floats, level: int, y: int, threshold: np.float32, marks: ND
     """
     n = len(marks)
     above, same, below = ring[(y - 1) % 3, level], ring[y % 3, level], ring[(y + 1) % 3, level]
-    centre, left, right = same[1 : 1 + n], same[:n], same[2 : 2 + n]
+    center, left, right = same[1 : 1 + n], same[:n], same[2 : 2 + n]
     up, down = above[1 : 1 + n], below[1 : 1 + n]
     smaller, larger = ring[y % 3, level - 1, 1 : 1 + n], ring[y % 3, level + 1, 1 : 1 + n]
     for i in range(n):  # no branches, so that the loop becomes SIMD
-        v = centre[i]
+        v = center[i]
         beside = (v > left[i]) & (v >= right[i]) & (v > up[i]) & (v >= down[i])
         marks[i] = (v > threshold) & beside & (v > smaller[i]) & (v >= larger[i])
 
@@ -179,10 +175,10 @@ def fit_peak(cube: NDArray[np.float64]) -> tuple[float, float, float]:
     One Newton step from the middle, -H^-1 g, with gradient and Hessian by central differences (Brown, Lowe, 'Invariant
     Features from Interest Point Groups', BMVC 2002, which the paper follows).
     """
-    centre = 2 * cube[1, 1, 1]
+    center = 2 * cube[1, 1, 1]
     gx, gy, gs = cube[1, 1, 2] - cube[1, 1, 0], cube[1, 2, 1] - cube[1, 0, 1], cube[2, 1, 1] - cube[0, 1, 1]
-    xx, yy = cube[1, 1, 2] + cube[1, 1, 0] - centre, cube[1, 2, 1] + cube[1, 0, 1] - centre
-    ss = cube[2, 1, 1] + cube[0, 1, 1] - centre
+    xx, yy = cube[1, 1, 2] + cube[1, 1, 0] - center, cube[1, 2, 1] + cube[1, 0, 1] - center
+    ss = cube[2, 1, 1] + cube[0, 1, 1] - center
     xy = (cube[1, 2, 2] - cube[1, 2, 0] - cube[1, 0, 2] + cube[1, 0, 0]) / 4
     xs = (cube[2, 1, 2] - cube[2, 1, 0] - cube[0, 1, 2] + cube[0, 1, 0]) / 4
     ys = (cube[2, 2, 1] - cube[2, 0, 1] - cube[0, 2, 1] + cube[0, 0, 1]) / 4

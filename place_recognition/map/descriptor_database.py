@@ -17,7 +17,7 @@ Floats = NDArray[np.float32]
 STEPS = 127  # the largest number of a vector is stored as this many steps, in one byte
 
 
-class DenseMap:
+class DescriptorDatabase:
     """Descriptors of whole images by location (0, 1, 2, ...), one byte a number, compared by their cosine (eq. 4.3)."""
 
     def __init__(self) -> None:

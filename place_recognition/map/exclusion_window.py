@@ -1,4 +1,4 @@
-"""The exclusion window of recognisers that compare whole images: how many of the images so far are past."""
+"""The exclusion window of recognisers that compare whole images: how many of the first images may be matched."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ class ExclusionWindowConfig:
     Attributes:
         min_gap_frames: number of images between the beginning of the present view and the latest match candidate.
         min_distance_m: minimum path length between an image and its match; ignored while no distance is measured.
-        max_thumbnail_difference: maximum mean absolute difference of the thumbnails of two images of one view, gray
+        max_thumbnail_distance: maximum mean absolute difference of the thumbnails of two images of one view, grey
             levels. In simulated streets images one metre apart differ by 23, three metres apart by 32, and unrelated
             ones by 42, only one in twenty of them by less than 36.
         thumbnail: size and normalisation of the thumbnails.
@@ -37,7 +37,7 @@ class ExclusionWindowConfig:
 
     min_gap_frames: int = 10
     min_distance_m: float = 20.0
-    max_thumbnail_difference: float = 32.0
+    max_thumbnail_distance: float = 32.0
     thumbnail: ThumbnailConfig = field(default_factory=ThumbnailConfig)
     exclusion_frames: int = 0
 
@@ -45,8 +45,8 @@ class ExclusionWindowConfig:
 class ExclusionWindow:
     """Ids and distances of all images, by location (0, 1, 2, ...), and how many of them may be matched.
 
-    `ImageHistory` finds the beginning of the present view by local features; this one by thumbnails, which tell a
-    standing camera from a moving one. A fixed number of images and a distance are excluded besides.
+    `ImageHistory` finds the beginning of the present view by local features; this one by thumbnails, which differ
+    between a standing camera and a moving one. A fixed number of images and a distance are excluded besides.
     """
 
     def __init__(self, config: ExclusionWindowConfig | None = None) -> None:
@@ -64,7 +64,7 @@ class ExclusionWindow:
 
         Args:
             image_id: greater than that of the image before.
-            image: (H, W) uint8, gray.
+            image: (H, W) uint8, grey.
             distance_travelled_m: length of the path so far, metres; NaN, or always the same value, where it is not
                 measured.
         """
@@ -88,7 +88,7 @@ class ExclusionWindow:
             return  # a blank image resembles no other, and would end every view
         for _ in range(MAX_VIEW_STEPS):
             begin = self._view[0]
-            limit = self.config.max_thumbnail_difference
+            limit = self.config.max_thumbnail_distance
             is_alike = not is_blank(begin) and mean_absolute_difference(begin, newest) <= limit
             if len(self._view) == 1 or is_alike:
                 return

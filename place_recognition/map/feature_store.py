@@ -23,12 +23,12 @@ class StoredFeatures:
 
     Attributes:
         pixels: (N, 2) float32, x and y to a sixteenth of a pixel (coarser in images of more than 4,096 pixels a side).
-        quantised: (N, D) int8, descriptors in steps of 1 / DESCRIPTOR_STEPS.
+        quantized: (N, D) int8, descriptors in steps of 1 / DESCRIPTOR_STEPS.
         octaves: (N,) float32, logarithm to base 2 of the scales in pixels.
     """
 
     pixels: Floats
-    quantised: Bytes
+    quantized: Bytes
     octaves: Floats
 
     def __len__(self) -> int:
@@ -37,11 +37,11 @@ class StoredFeatures:
     @property
     def descriptors(self) -> Floats:
         """(N, D) float32 of about unit length."""
-        return self.quantised.astype(np.float32) * np.float32(1 / DESCRIPTOR_STEPS)
+        return self.quantized.astype(np.float32) * np.float32(1 / DESCRIPTOR_STEPS)
 
     def strongest(self, count: int) -> "StoredFeatures":
         """Return the `count` strongest features."""
-        return StoredFeatures(self.pixels[:count], self.quantised[:count], self.octaves[:count])
+        return StoredFeatures(self.pixels[:count], self.quantized[:count], self.octaves[:count])
 
 
 class FeatureStore:
@@ -68,16 +68,16 @@ class FeatureStore:
         count = int(record["count"])
         pixels = record["pixels"][:count].astype(np.float32) * record["pixel_step"]
         octaves = record["octaves"][:count] * np.float32(1 / OCTAVE_STEPS) + np.float32(FIRST_OCTAVE)
-        return StoredFeatures(pixels, record["quantised"][:count].copy(), octaves)
+        return StoredFeatures(pixels, record["quantized"][:count].copy(), octaves)
 
     def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
         """Return quantised descriptors (L, count, D) of the strongest features at L locations, and their number."""
-        dimension = self._records.dtype["quantised"].shape[1] if self._records else 0
+        dimension = self._records.dtype["quantized"].shape[1] if self._records else 0
         descriptors, counts = np.zeros((len(locations), count, dimension), np.int8), np.zeros(len(locations), np.int64)
         for k, location in enumerate(locations):
             record = self._record(location)
             counts[k] = min(int(record["count"]), count)
-            descriptors[k, : counts[k]] = record["quantised"][: counts[k]]
+            descriptors[k, : counts[k]] = record["quantized"][: counts[k]]
         return descriptors, counts
 
     def add(self, features: LocalFeatures) -> None:
@@ -90,13 +90,13 @@ class FeatureStore:
         count, dimension = min(len(features), self._limit), features.descriptors.shape[1]
         records = self._records or self._begin(dimension)
         record = np.zeros((), records.dtype)
-        if record["quantised"].shape[1] != dimension:
-            raise ValueError(f"expected descriptors of {record['quantised'].shape[1]} numbers, got {dimension}")
+        if record["quantized"].shape[1] != dimension:
+            raise ValueError(f"expected descriptors of {record['quantized'].shape[1]} numbers, got {dimension}")
         pixels = features.pixels[:count]
         step = max(PIXEL_STEP, float(pixels.max(initial=0)) / np.iinfo(np.uint16).max)
         record["count"], record["pixel_step"] = count, step
         record["pixels"][:count] = np.round(np.maximum(pixels, 0) / step)
-        record["quantised"][:count] = np.round(features.descriptors[:count] * DESCRIPTOR_STEPS)
+        record["quantized"][:count] = np.round(features.descriptors[:count] * DESCRIPTOR_STEPS)
         steps = OCTAVE_STEPS * (np.log2(np.maximum(features.scales[:count], 1e-6)) - FIRST_OCTAVE)
         record["octaves"][:count] = np.clip(np.round(steps), 0, 255)
         records.append(record)
@@ -121,7 +121,7 @@ class FeatureStore:
             ValueError: records of another number of features.
         """
         if records is not None:
-            dimension = records.dtype["quantised"].shape[-1]
+            dimension = records.dtype["quantized"].shape[-1]
             self._begin(dimension).restore(records)
 
 
@@ -132,7 +132,7 @@ def record_dtype(features: int, dimension: int) -> np.dtype[np.void]:
             ("count", np.int32),
             ("pixel_step", np.float32),
             ("pixels", np.uint16, (features, 2)),
-            ("quantised", np.int8, (features, dimension)),
+            ("quantized", np.int8, (features, dimension)),
             ("octaves", np.uint8, features),
         ]
     )

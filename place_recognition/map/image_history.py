@@ -1,4 +1,4 @@
-"""The images observed so far with their features, and which of them are past enough to be matched with the latest."""
+"""The images observed so far with their features, and which of them may be matched with the latest one."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -110,7 +110,7 @@ class ImageHistory:
 
     def _follow_view(self) -> None:
         """Advance the beginning of the view past the images that share nothing with the latest one any more."""
-        newest = self.images[self.latest].strongest(self.config.view_features).quantised
+        newest = self.images[self.latest].strongest(self.config.view_features).quantized
         if len(newest) < self.config.min_shared_features:
             return  # a blank image shares nothing with any other, and would end every view
         for _ in range(MAX_VIEW_STEPS):

@@ -1,4 +1,4 @@
-"""Ids and path lengths of all images, by which the exclusion windows of all recognisers know what is far behind."""
+"""Ids and path lengths of all images, from which every exclusion window derives what is far behind."""
 
 from typing import Any
 

@@ -4,7 +4,7 @@ Sivic, Zisserman, 'Video Google', ICCV 2003. The postings of all words lie in fl
 word's blocks chained: at a million images (about 170,000 sequences of 6 images) six bytes a posting make about one GB.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,6 +19,20 @@ Indices = NDArray[np.int64]
 BLOCK = 512  # postings of a block, read in one go: five times as fast as blocks of 32, and 3 kB for each word in use
 STEPS = 65535  # numbers of unit vectors are stored in two bytes as multiples of 1 / STEPS
 NONE = -1  # in place of the number of a block
+
+
+class Postings(NamedTuple):
+    """Blocks of postings, for the compiled sum.
+
+    Attributes:
+        sequences: (B, BLOCK) sequence of each posting.
+        values: (B, BLOCK) weight of each posting.
+        next_block: (B,) next block of each block.
+    """
+
+    sequences: NDArray[np.uint32]
+    values: NDArray[np.uint16]
+    next_block: Indices
 
 
 class InvertedIndex:
@@ -56,8 +70,8 @@ class InvertedIndex:
         sums = np.zeros(count, np.float32)
         if count and len(query) and len(self._next):
             chains = np.stack([self._first[query.words], self._postings[query.words]], axis=1)
-            postings = (self._next.rows, self._sequences.rows, self._values.rows)
-            _accumulate(chains, query.values / np.float32(STEPS), *postings, sums)
+            postings = Postings(self._sequences.rows, self._values.rows, self._next.rows)
+            _accumulate(chains, query.values / np.float32(STEPS), postings, sums)
         return sums
 
     def _open_blocks(self, words: Indices) -> None:
@@ -103,33 +117,24 @@ class InvertedIndex:
 
 
 @njit(cache=True)
-def _accumulate(
-    chains: Indices,
-    weights: Floats,
-    following: Indices,
-    sequences: NDArray[np.uint32],
-    values: NDArray[np.uint16],
-    sums: Floats,
-) -> None:
+def _accumulate(chains: Indices, weights: Floats, postings: Postings, sums: Floats) -> None:
     """Add the contributions of the words (K,) of a query to the sums (M,) of the first M sequences.
 
     Args:
         chains: (K, 2) first block of each word and its number of postings; sequences rise along a chain.
         weights: (K,) weight of each word in the query.
-        following: (B,) next block of each block.
-        sequences: (B, BLOCK) sequence of each posting.
-        values: (B, BLOCK) weight of each posting.
+        postings: all blocks.
         sums: (M,) to be added to.
     """
     for k in range(len(chains)):
         block, left = chains[k]
         weight = weights[k]
         while left > 0:
-            some, theirs = sequences[block], values[block]
+            some, theirs = postings.sequences[block], postings.values[block]
             count = min(left, BLOCK)
             if some[count - 1] >= len(sums):  # sequences rise, so this is the last block
                 count, left = np.searchsorted(some[:count], np.uint32(len(sums))), 0
             for i in range(count):
                 sums[some[i]] += weight * np.float32(theirs[i])
             left -= BLOCK
-            block = following[block]
+            block = postings.next_block[block]

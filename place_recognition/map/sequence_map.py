@@ -1,6 +1,4 @@
-"""The map of sequences: the images of each sequence, and an inverted index of its words.
-
-Segmentation of a drive into sequences of images: by distance, or by visual word variance.
+"""Sequences of images: where one ends, by distance or by visual word variance, and the map of all that have ended.
 
 Bampis, Amanatiadis, Gasteratos, IROS 2016 (fixed distance) and IJRR 37(1) 2018 (visual word variance).
 """
@@ -19,7 +17,7 @@ Indices = NDArray[np.int64]
 
 
 class SequenceMap:
-    """Sequences of images, numbered from 0 in the order in which they ended; together they are the whole drive.
+    """Sequences of images, numbered from 0 in the order in which they ended; together they are the whole recording.
 
     Attributes:
         index: inverted index of the word vectors of all sequences.
@@ -71,7 +69,7 @@ class SequenceMap:
 
 
 class Segmentation(Protocol):
-    """Divides a drive into sequences that do not overlap."""
+    """Divides a recording into sequences that do not overlap."""
 
     def starts_sequence(self, words: Indices, distance_travelled_m: float) -> bool:
         """Whether the next image starts a new sequence; the very first image does.
@@ -131,7 +129,7 @@ class FixedDistanceSegmentation:
         return bool(starts)
 
     def state(self) -> dict[str, Any]:
-        """Where the drive and the open sequence began, for a checkpoint."""
+        """Where the recording and the open sequence began, for a checkpoint."""
         return {
             "first_distance_m": self._first_distance_m,
             "start_distance_m": self._start_distance_m,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.global_descriptors import GlobalDescriptor
 from place_recognition.image_processing.local_features import check_gray
-from place_recognition.map.descriptor_database import DenseMap
+from place_recognition.map.descriptor_database import DescriptorDatabase
 from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
@@ -24,11 +24,11 @@ class GlobalDescriptorConfig:
     Attributes:
         threshold: smallest cosine of an accepted match. It belongs to the descriptor, here HOG: unrelated images of
             simulated towns reached 0.88, those of random texture 0.92.
-        present: which images are too recent to be matched.
+        exclusion_window: which images are too recent to be matched.
     """
 
     threshold: float = 0.93
-    present: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
+    exclusion_window: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
 
 
 class GlobalDescriptorMatching:
@@ -39,8 +39,8 @@ class GlobalDescriptorMatching:
     ) -> None:
         self.config = config or GlobalDescriptorConfig()
         self._descriptor = descriptor
-        self._present = ExclusionWindow(self.config.present)
-        self._map = DenseMap()
+        self._exclusion_window = ExclusionWindow(self.config.exclusion_window)
+        self._map = DescriptorDatabase()
         self._rows = NullMatrixSink() if rows is None else rows
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
@@ -53,8 +53,8 @@ class GlobalDescriptorMatching:
         """
         check_gray(image)
         vector = self._descriptor.describe(image)
-        self._present.add(image_id, image, distance_travelled_m)
-        ids = self._present.ids[: self._present.count_matchable()]
+        self._exclusion_window.add(image_id, image, distance_travelled_m)
+        ids = self._exclusion_window.ids[: self._exclusion_window.count_matchable()]
         similarities = self._map.similarities(vector, len(ids))
         self._rows.add(image_id, ids, similarities)
         self._map.add(vector)
@@ -69,13 +69,13 @@ class GlobalDescriptorMatching:
             return Belief(image_id, None, 0.0, accepted=False)
         best = int(similarities.argmax())
         score = float(similarities[best])
-        return Belief(image_id, int(self._present.ids[best]), score, accepted=score >= self.config.threshold)
+        return Belief(image_id, int(self._exclusion_window.ids[best]), score, accepted=score >= self.config.threshold)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"history": self._present.state(), "descriptors": self._map.state()}
+        return {"history": self._exclusion_window.state(), "descriptors": self._map.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from the state of another recogniser of this configuration."""
-        self._present.restore(state["history"])
+        self._exclusion_window.restore(state["history"])
         self._map.restore(state["descriptors"])

@@ -7,7 +7,7 @@ of the chapter. Deviations from the paper (reasons and figures: docs/decisions/h
   is sought among every third image; the neighbours of the best ones are candidates too.
 * The candidates go to the verification that all paradigms share. It adds temporal consistency, which the paper
   describes and its program leaves out, and its evidence is added to the score.
-* Each word votes once (`vote_for_places`); the last place ends with the drive.
+* Each word votes once (`vote_for_places`); the last place ends with the recording.
 * Images of the present view are excluded, not those of the last 40 s.
 * Geometry decides what is accepted, not the votes.
 """
@@ -58,7 +58,7 @@ class HierarchicalPlacesConfig:
         seed: seed of the order in which the growing neural gas sees the descriptors.
         place: when a place ends.
         gas: growing neural gas, which makes the words of a place.
-        route: which features are kept of each image, and which images may be matched.
+        history: which features are kept of each image, and which images may be matched.
         verification: how candidates are verified geometrically.
         consistency: which earlier results support a new one.
         consensus: the delayed decision.
@@ -76,7 +76,7 @@ class HierarchicalPlacesConfig:
     seed: int = 0
     place: PlaceSegmentationConfig = field(default_factory=PlaceSegmentationConfig)
     gas: GasConfig = field(default_factory=GasConfig)
-    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
+    history: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     verification: CandidateVerificationConfig = field(
         default_factory=lambda: CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12))
     )
@@ -101,7 +101,7 @@ class HierarchicalPlacesConfig:
             consensus=SequenceConsensusConfig.disabled(),
             verification=CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12)),
             place=PlaceSegmentationConfig(max_images=UNLIMITED),
-            gas=GasConfig(winner_step=0.8, neighbor_step=0.01, max_edge_age=10),
+            gas=GasConfig(winner_step_ratio=0.8, neighbor_step_ratio=0.01, max_edge_age=10),
         )
 
 
@@ -128,11 +128,11 @@ class HierarchicalPlaces:
         """
         self.config = config or HierarchicalPlacesConfig()
         self._features = features
-        self._route = ImageHistory(self.config.route)
+        self._history = ImageHistory(self.config.history)
         self._open = PlaceSegmentation(self.config.place)
         self._places = PlaceMap(index())
-        self._verifier = CandidateVerifier(self._route.images, self.config.verification, self.config.consistency)
-        self._decision = DelayedDecision(self._route, self.config.consensus)
+        self._verifier = CandidateVerifier(self._history.images, self.config.verification, self.config.consistency)
+        self._decision = DelayedDecision(self._history, self.config.consensus)
         self._rows = NullMatrixSink() if rows is None else rows
 
     @property
@@ -155,9 +155,9 @@ class HierarchicalPlaces:
         """
         check_gray(image)
         features = self._features.get(image_id, image)
-        self._route.add(image_id, features, distance_travelled_m)
+        self._history.add(image_id, features, distance_travelled_m)
         descriptors = features.descriptors[: self.config.word_features]
-        self._learn(self._open.add(descriptors), self._route.latest - 1)
+        self._learn(self._open.add(descriptors), self._history.latest - 1)
         if len(descriptors) < self.config.place.min_features:
             # A nearly blank image cannot be matched.
             return self._decision.add(CandidateBeliefs.without_match(image_id))
@@ -165,7 +165,7 @@ class HierarchicalPlaces:
 
     def finish(self) -> list[Belief]:
         """End the last place and return the beliefs about the last images."""
-        self._learn(self._open.flush(), self._route.latest)
+        self._learn(self._open.flush(), self._history.latest)
         return self._decision.finish()
 
     def _learn(self, ended: list[Floats], last: int) -> None:
@@ -177,19 +177,19 @@ class HierarchicalPlaces:
 
     def _match(self, descriptors: Floats) -> CandidateBeliefs:
         """Match the latest image, whose strongest descriptors (N, D) vote, with the images of the likeliest places."""
-        last_matchable = self._route.last_matchable()
+        last_matchable = self._history.last_matchable()
         count = self._places.activate_until(last_matchable)  # places that hold a later image get no votes
         votes = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
         self._record(votes)
-        results = self._verifier.verify(self._route.latest, self._propose(votes, count), last_matchable)
-        query = int(self._route.ids[-1])
+        results = self._verifier.verify(self._history.latest, self._propose(votes, count), last_matchable)
+        query = int(self._history.ids[-1])
         return CandidateBeliefs.from_results(query, results, lambda result: self._make_belief(result, votes))
 
     def _make_belief(self, result: VerificationResult, votes: PlaceVotes) -> Belief:
         vote_evidence = votes.neg_log10_probability(self._places.place_of(result.location))
         return Belief(
-            query=int(self._route.ids[-1]),
-            match=int(self._route.ids[result.location]),
+            query=int(self._history.ids[-1]),
+            match=int(self._history.ids[result.location]),
             score=vote_evidence + result.evidence,
             accepted=result.verified and vote_evidence >= -math.log10(self.config.max_probability),
             inliers=result.inliers,
@@ -202,8 +202,8 @@ class HierarchicalPlaces:
         if len(votes.places) == 0:
             return []
         locations = self._sample_images(votes, count)
-        images, features = self._route.images, self.config.ranking_features
-        query = images[self._route.latest].strongest(features).quantised
+        images, features = self._history.images, self.config.ranking_features
+        query = images[self._history.latest].strongest(features).quantized
         matches = count_matches(query, *images.strongest(locations, features), self.config.ranking_ratio)
         best = [locations[k] for k in np.argsort(-matches, kind="stable")[: self.config.max_candidates]]
         last = self._places.images(count - 1)[-1]
@@ -226,12 +226,12 @@ class HierarchicalPlaces:
         spans = [self._places.images(int(place)) for place in votes.places]
         locations = np.array([location for span in spans for location in span], np.int64)
         values = np.repeat(votes.votes.astype(np.float64), [len(span) for span in spans])
-        self._rows.add(int(self._route.ids[-1]), self._route.ids[locations], values)
+        self._rows.add(int(self._history.ids[-1]), self._history.ids[locations], values)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
         return {
-            "history": self._route.state(),
+            "history": self._history.state(),
             "open_place": self._open.state(),
             "places": self._places.state(),
             "consistency": self._verifier.state(),
@@ -240,7 +240,7 @@ class HierarchicalPlaces:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from the state of another recogniser of this configuration."""
-        self._route.restore(state["history"])
+        self._history.restore(state["history"])
         self._open.restore(state["open_place"])
         self._places.restore(state["places"])
         self._verifier.restore(state["consistency"])

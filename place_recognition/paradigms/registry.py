@@ -1,10 +1,9 @@
 """Registry of the paradigms: makes any of them by its name."""
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.paradigms.seqslam import PixelSequences, PixelSequencesConfig
+from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
 from place_recognition.paradigms.sequences import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,
@@ -56,6 +56,11 @@ class ParadigmsConfig:
     pixel_sequences: PixelSequencesConfig = field(default_factory=PixelSequencesConfig)
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
+
+# Settings that hold those of the exclusion window, directly or one level below.
+SequencesT = TypeVar("SequencesT", SequenceHistogramsConfig, DynamicSequencesConfig)
+HistoryT = TypeVar("HistoryT", HierarchicalPlacesConfig, TrackedWordsConfig, SequenceMatchingConfig)
+WindowT = TypeVar("WindowT", PixelSequencesConfig, GlobalDescriptorConfig)
 
 Builder = Callable[[FeatureCache, ParadigmsConfig, MatrixSink | None], PlaceRecognizer]
 
@@ -132,18 +137,27 @@ def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
 
     It adds to each paradigm's own choice of what is too recent.
     """
-    return _with_exclusion(config, images)
+    return replace(
+        config,
+        sequence_histograms=_exclude_from_matching(config.sequence_histograms, images),
+        dynamic_sequences=_exclude_from_matching(config.dynamic_sequences, images),
+        hierarchical_places=_exclude_from_history(config.hierarchical_places, images),
+        tracked_words=_exclude_from_history(config.tracked_words, images),
+        pixel_sequences=_exclude_from_window(config.pixel_sequences, images),
+        global_descriptor=_exclude_from_window(config.global_descriptor, images),
+    )
 
 
-def _with_exclusion(settings: Any, images: int) -> Any:
-    """The settings with every field named `exclusion` set, at any depth; a new paradigm needs no entry here."""
-    if not dataclasses.is_dataclass(settings) or isinstance(settings, type):
-        return settings
-    inner = {item.name: getattr(settings, item.name) for item in dataclasses.fields(settings)}
-    changed = {
-        name: images if name == "exclusion_frames" else _with_exclusion(value, images) for name, value in inner.items()
-    }
-    return replace(settings, **changed)
+def _exclude_from_matching(settings: SequencesT, images: int) -> SequencesT:
+    return replace(settings, matching=_exclude_from_history(settings.matching, images))
+
+
+def _exclude_from_history(settings: HistoryT, images: int) -> HistoryT:
+    return replace(settings, history=replace(settings.history, exclusion_frames=images))
+
+
+def _exclude_from_window(settings: WindowT, images: int) -> WindowT:
+    return replace(settings, exclusion_window=replace(settings.exclusion_window, exclusion_frames=images))
 
 
 def _load_vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:

@@ -34,18 +34,18 @@ class PixelSequencesConfig:
         speed_ratios: images of the earlier pass for each image of this pass; the paper searches 0.8 to 1.2 or less.
         window: number of images before and after an image by which its difference is normalised (R_window in the
             paper). The best other line must end further away than this.
-        min_std: lower bound of the standard deviation of the differences in a window, grey levels. In two simulated
-            towns R@P100 was 0.42 with 3, and 0.25 and 0.21 with 1, because the matrix is full of small minima.
+        min_contrast: lower bound of the standard deviation of the differences in a window, grey levels. In two
+            simulated towns R@P100 was 0.42 with 3, and 0.25 and 0.21 with 1: the matrix is full of small minima.
         threshold: smallest score of an accepted match. Unrelated images of the simulated towns reached 1.05.
-        present: which images are too recent to be matched, and the size of the thumbnails.
+        exclusion_window: which images are too recent to be matched, and the size of the thumbnails.
     """
 
     sequence_length: int = 10
     speed_ratios: tuple[float, ...] = (0.6, 0.8, 1.0, 1.25, 1.6)
     window: int = 10
-    min_std: float = 3.0
+    min_contrast: float = 3.0
     threshold: float = 1.1
-    present: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
+    exclusion_window: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
 
 
 class PixelSequences:
@@ -57,7 +57,7 @@ class PixelSequences:
 
     def __init__(self, config: PixelSequencesConfig | None = None, rows: MatrixSink | None = None) -> None:
         self.config = config or PixelSequencesConfig()
-        self._present = ExclusionWindow(self.config.present)
+        self._exclusion_window = ExclusionWindow(self.config.exclusion_window)
         self._pictures: GrowingArray[np.uint8] = GrowingArray(np.uint8)
         self._blank: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         length = self.config.sequence_length
@@ -76,7 +76,7 @@ class PixelSequences:
             distance_travelled_m: length of the path so far, metres; NaN, or always the same, where it is not measured.
         """
         check_gray(image)
-        picture = self._present.add(image_id, image, distance_travelled_m)
+        picture = self._exclusion_window.add(image_id, image, distance_travelled_m)
         blank = is_blank(picture)
         self._similarity.appendleft(np.empty(0, np.float32) if blank else self._compare(picture.ravel()))
         self._pictures.extend(picture.reshape(1, -1))
@@ -92,12 +92,12 @@ class PixelSequences:
         if len(self._blank) == 0:
             return np.empty(0, np.float32)
         differences = absolute_differences(picture, self._pictures.rows)
-        similarity = local_contrast(differences, self.config.window, self.config.min_std * len(picture))
+        similarity = local_contrast(differences, self.config.window, self.config.min_contrast * len(picture))
         similarity[self._blank.rows.reshape(-1)] = 0  # all blank images look alike, wherever they are
         return similarity
 
     def _make_belief(self, image_id: int, blank: bool) -> Belief:
-        ids = self._present.ids[: self._present.count_matchable()]
+        ids = self._exclusion_window.ids[: self._exclusion_window.count_matchable()]
         if blank or len(ids) == 0:
             return Belief(image_id, None, 0.0, accepted=False)
         self._rows.add(image_id, ids, self._similarity[0][: len(ids)].astype(np.float64))
@@ -115,10 +115,10 @@ class PixelSequences:
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
         return {
-            "history": self._present.state(),
+            "history": self._exclusion_window.state(),
             "thumbnails": self._pictures.state(),
             "is_blank": self._blank.state(),
-            "likeness": list(self._similarity),
+            "similarity": list(self._similarity),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -127,14 +127,14 @@ class PixelSequences:
         Raises:
             ValueError: of another length of sequences.
         """
-        if len(state["likeness"]) != self.config.sequence_length:
+        if len(state["similarity"]) != self.config.sequence_length:
             raise ValueError(
                 f"expected sequences of {self.config.sequence_length} images, got {len(state['likeness'])}"
             )
-        self._present.restore(state["history"])
+        self._exclusion_window.restore(state["history"])
         self._pictures.restore(state["thumbnails"])
         self._blank.restore(state["is_blank"])
-        self._similarity.extend(state["likeness"])
+        self._similarity.extend(state["similarity"])
 
 
 @njit(cache=True)

@@ -53,12 +53,12 @@ class SequenceMatchingConfig:
         max_query_words: number of words of largest weight of a sequence with which it is compared with earlier ones.
             The time of a query grows with it and with the map.
         score: score of two word vectors: "scaled-l2", "l2" (equation 4.6 as printed) or "cosine".
-        min_divisor: lower bound of the divisor of a row (eq. 4.7).
+        min_previous_score: lower bound of the divisor of a row (eq. 4.7).
         max_sequences: number of best sequences by response, and of best ones by similarity, that propose images.
         max_candidates: number of best images of those that are compared feature by feature.
         response_weight: evidence, in powers of ten, of a response at the filter's threshold.
-        min_response: smallest response of an accepted match; the default accepts any, so that geometry decides.
-        route: which features are kept of each image, and which images may be matched.
+        response_threshold: smallest response of an accepted match; the default accepts any, so that geometry decides.
+        history: which features are kept of each image, and which images may be matched.
         verification: how candidates are verified geometrically.
         consistency: which earlier results support a new one.
         consensus: the delayed decision.
@@ -68,12 +68,12 @@ class SequenceMatchingConfig:
     tf_power: float = 0.5
     max_query_words: int = 256
     score: str = "scaled-l2"
-    min_divisor: float = 0.05
+    min_previous_score: float = 0.05
     max_sequences: int = 4
     max_candidates: int = 8
     response_weight: float = 10.0
-    min_response: float = -100.0
-    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
+    response_threshold: float = -100.0
+    history: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     verification: CandidateVerificationConfig = field(
         default_factory=lambda: CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12))
     )
@@ -95,8 +95,8 @@ def make_published_matching(threshold: float) -> SequenceMatchingConfig:
     return SequenceMatchingConfig(
         tf_power=1.0,
         max_query_words=ALL_WORDS,
-        min_divisor=0.005,
-        min_response=threshold,
+        min_previous_score=0.005,
+        response_threshold=threshold,
         verification=CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=12)),
         consensus=SequenceConsensusConfig.disabled(),
     )
@@ -123,7 +123,7 @@ class _EndedSequence:
         return {
             "first_image": self.images.start,
             "last_image": self.images.stop - 1,
-            "horizons": self.last_matchable,
+            "last_matchable": self.last_matchable,
             "vector": dict(vars(self.vector)),
             "row": self.row,
         }
@@ -132,7 +132,7 @@ class _EndedSequence:
     def from_state(cls, state: dict[str, Any]) -> "_EndedSequence":
         """The sequence of a state."""
         images = range(state["first_image"], state["last_image"] + 1)
-        return cls(images, state["horizons"], WordVector(**state["vector"]), state["row"])
+        return cls(images, state["last_matchable"], WordVector(**state["vector"]), state["row"])
 
 
 class SequenceRecognizer:
@@ -156,11 +156,11 @@ class SequenceRecognizer:
         self._index = HybridWordIndex()  # finds 99.4 % of the words of an exhaustive search in 0.6 of its time
         self._index.add(vocabulary.words)
         self._threshold, self._filter = matrix_filter.threshold, OnlineMatrixFilter(matrix_filter.kernel)
-        self._route = ImageHistory(config.route)
+        self._history = ImageHistory(config.history)
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
-        self._verifier = CandidateVerifier(self._route.images, config.verification, config.consistency)
-        self._decision = DelayedDecision(self._route, config.consensus)
+        self._verifier = CandidateVerifier(self._history.images, config.verification, config.consistency)
+        self._decision = DelayedDecision(self._history, config.consensus)
         self._open: list[int] = []  # latest matchable location of each image of the sequence that has not ended
         self._waiting: _EndedSequence | None = None
         self._rows = NullMatrixSink() if rows is None else rows
@@ -180,17 +180,17 @@ class SequenceRecognizer:
         """
         check_gray(image)
         features = self._features.get(image_id, image)
-        location = self._route.add(image_id, features, distance_travelled_m)
+        location = self._history.add(image_id, features, distance_travelled_m)
         words = self._assign(features.descriptors[: self.config.word_features])
         begins = self._segmentation.starts_sequence(words, distance_travelled_m)
         answered = self._end_sequence(location - 1) if begins else []
         self._words.add(words)  # after the sequence has ended, to which this image does not belong
-        self._open.append(self._route.last_matchable())
+        self._open.append(self._history.last_matchable())
         return self._decide(answered)
 
     def finish(self) -> list[Belief]:
         """Answer for the images of the last two sequences."""
-        answered = self._end_sequence(self._route.latest)
+        answered = self._end_sequence(self._history.latest)
         if self._waiting is not None:
             answered += self._answer(self._waiting, self._filter.finish())
         self._waiting = None
@@ -221,7 +221,7 @@ class SequenceRecognizer:
         scores = score(self._map.index.cosines(heaviest, self._map.count_ended_by(self._open[-1]))).astype(np.float32)
         # The first sequence has no predecessor, and no earlier sequences to compare with either.
         previous = float(score(heaviest.cosine(self._waiting.vector))) if self._waiting else 1.0
-        row = normalize_row(scores, previous, self.config.min_divisor)
+        row = normalize_row(scores, previous, self.config.min_previous_score)
         return _EndedSequence(images, self._open, vector, row)
 
     def _answer(self, sequence: _EndedSequence, response: Floats | None) -> list[CandidateBeliefs]:
@@ -238,13 +238,13 @@ class SequenceRecognizer:
     def _record(self, query: int, row: Floats, stage: str) -> None:
         """Hand a row to the matrix sink; each sequence has the id of its first image."""
         firsts = self._map.first(np.arange(len(row)))
-        self._rows.add(int(self._route.ids[query]), self._route.ids[firsts], row.astype(np.float64), stage)
+        self._rows.add(int(self._history.ids[query]), self._history.ids[firsts], row.astype(np.float64), stage)
 
     def _match(self, query: int, pool: Indices, last_matchable: int, response: Floats) -> CandidateBeliefs:
         """Match the image at location `query` with the most similar images of a pool of locations."""
-        candidates = _most_similar(pool, self._words.correlation(query, pool), self.config.max_candidates)
+        candidates = _rank_by_similarity(pool, self._words.correlation(query, pool), self.config.max_candidates)
         results = self._verifier.verify(query, candidates, last_matchable)
-        query_id = int(self._route.ids[query])
+        query_id = int(self._history.ids[query])
         return CandidateBeliefs.from_results(query_id, results, lambda result: self._make_belief(result, response))
 
     def _response_at(self, location: int, response: Floats) -> float:
@@ -257,10 +257,10 @@ class SequenceRecognizer:
     def _make_belief(self, result: VerificationResult, responses: Floats) -> Belief:
         response = self._response_at(result.location, responses)
         return Belief(
-            query=int(self._route.ids[result.query]),
-            match=int(self._route.ids[result.location]),
+            query=int(self._history.ids[result.query]),
+            match=int(self._history.ids[result.location]),
             score=self.config.response_weight * max(response, 0.0) / self._threshold + result.evidence,
-            accepted=result.verified and response >= self.config.min_response,
+            accepted=result.verified and response >= self.config.response_threshold,
             inliers=result.inliers,
             verified=result.verified,
             pixels=result.pixels,
@@ -271,12 +271,12 @@ class SequenceRecognizer:
         return {
             "segmentation": self._segmentation.state(),
             "filter": self._filter.state(),
-            "history": self._route.state(),
+            "history": self._history.state(),
             "words": self._words.state(),
             "sequences": self._map.state(),
             "consistency": self._verifier.state(),
             "decision": self._decision.state(),
-            "open_horizons": list(self._open),
+            "open_last_matchable": list(self._open),
             "waiting": None if self._waiting is None else self._waiting.state(),
         }
 
@@ -284,12 +284,12 @@ class SequenceRecognizer:
         """Continue from the state of another recogniser of this configuration and vocabulary."""
         self._segmentation.restore(state["segmentation"])
         self._filter.restore(state["filter"])
-        self._route.restore(state["history"])
+        self._history.restore(state["history"])
         self._words.restore(state["words"])
         self._map.restore(state["sequences"])
         self._verifier.restore(state["consistency"])
         self._decision.restore(state["decision"])
-        self._open = list(state["open_horizons"])
+        self._open = list(state["open_last_matchable"])
         self._waiting = None if state["waiting"] is None else _EndedSequence.from_state(state["waiting"])
 
 
@@ -304,7 +304,7 @@ def _best_of_row(row: Floats, max_count: int) -> Indices:
     return best[row[best] > 0].astype(np.int64)
 
 
-def _most_similar(locations: Indices, similarity: Floats, max_count: int) -> list[int]:
+def _rank_by_similarity(locations: Indices, similarity: Floats, max_count: int) -> list[int]:
     """Up to `max_count` of the locations (K,), the most similar first, no two of them adjacent.
 
     Adjacent images show the same, so the better one is enough. Images without any similarity are left out, like those

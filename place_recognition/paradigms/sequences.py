@@ -6,7 +6,7 @@
 * dynamic-sequences (section 4.4.2): sequences that end where the view changes and a learnt filter. Bampis, Amanatiadis,
   Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1) 2018.
 
-How both deviate from the papers: `sequence_matching`.
+How both deviate from the papers: `place_recognition.paradigms.sequence_recognizer`.
 """
 
 from dataclasses import dataclass, field

@@ -40,7 +40,7 @@ class TrackedWordsConfig:
     Attributes:
         max_probability: probability by chance below which the votes of a location are significant (delta in the paper).
         tracks: how tracked features become words.
-        route: which features are kept of each image, and which images may be matched.
+        history: which features are kept of each image, and which images may be matched.
         verification: how candidates are verified geometrically.
         consistency: which earlier results support a new one.
         consensus: the delayed decision.
@@ -50,7 +50,7 @@ class TrackedWordsConfig:
 
     max_probability: float = 2e-11
     tracks: TrackConfig = field(default_factory=TrackConfig)
-    route: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
+    history: ImageHistoryConfig = field(default_factory=ImageHistoryConfig)
     verification: CandidateVerificationConfig = field(
         default_factory=lambda: CandidateVerificationConfig(epipolar=EpipolarConfig(min_inliers=9))
     )
@@ -91,10 +91,10 @@ class TrackedWords:
         self.config = config or TrackedWordsConfig()
         self._features = features
         self._tracks = FeatureTracks(self.config.tracks)
-        self._route = ImageHistory(self.config.route)
+        self._history = ImageHistory(self.config.history)
         self._words = WordMap(index())
-        self._verifier = CandidateVerifier(self._route.images, self.config.verification, self.config.consistency)
-        self._decision = DelayedDecision(self._route, self.config.consensus)
+        self._verifier = CandidateVerifier(self._history.images, self.config.verification, self.config.consistency)
+        self._decision = DelayedDecision(self._history, self.config.consensus)
         self._rows = NullMatrixSink() if rows is None else rows
 
     @property
@@ -112,7 +112,7 @@ class TrackedWords:
         """
         check_gray(image)
         features = self._features.get(image_id, image)
-        self._route.add(image_id, features, distance_travelled_m)
+        self._history.add(image_id, features, distance_travelled_m)
         self._words.add(self._tracks.advance(image, features))
         return self._decision.add(self._match())
 
@@ -125,30 +125,32 @@ class TrackedWords:
         last_matchable = self._last_matchable()
         self._words.activate_until(last_matchable)  # words of later images are not hit yet
         votes = count_votes(self._words.lookup(self._tracks.descriptors), self._words)
-        query = int(self._route.ids[-1])
-        self._rows.add(query, self._route.ids[votes.locations], votes.votes.astype(np.float64))
+        query = int(self._history.ids[-1])
+        self._rows.add(query, self._history.ids[votes.locations], votes.votes.astype(np.float64))
         # Neighbouring images share most of their words: one location of a neighbourhood is enough.
         voted = votes.top_locations(
             self.config.max_places, self.config.neighbor_radius, math.log(self.config.max_probability)
         )
-        results = self._verifier.verify(self._route.latest, self._neighbors(voted, last_matchable), last_matchable)
+        results = self._verifier.verify(self._history.latest, self._neighbors(voted, last_matchable), last_matchable)
         return CandidateBeliefs.from_results(query, results, lambda result: self._make_belief(query, result, votes))
 
     def _last_matchable(self) -> int:
         """The latest location that is far enough behind and of which no feature is still tracked.
 
-        Where the distance is not measured, only the view can tell a slow drive or a stop from one that goes on.
+        Where the distance is not measured, only the view shows whether the camera has moved on.
         """
         behind = (
-            self._route.last_outside_exclusion() if self._route.is_distance_measured else self._route.last_matchable()
+            self._history.last_outside_exclusion()
+            if self._history.is_distance_measured
+            else self._history.last_matchable()
         )
-        return min(behind, self._route.latest - 2 * self._tracks.longest_frames)
+        return min(behind, self._history.latest - 2 * self._tracks.max_length_frames)
 
     def _make_belief(self, query: int, result: VerificationResult, votes: Votes) -> Belief:
         vote_evidence = votes.neg_log10_probability(result.location, self.config.neighbor_radius)
         return Belief(
             query=query,
-            match=int(self._route.ids[result.location]),
+            match=int(self._history.ids[result.location]),
             score=vote_evidence + result.evidence,
             accepted=result.verified,
             inliers=result.inliers,
@@ -166,7 +168,7 @@ class TrackedWords:
         """Everything that changes from image to image, for a checkpoint."""
         return {
             "tracks": self._tracks.state(),
-            "history": self._route.state(),
+            "history": self._history.state(),
             "words": self._words.state(),
             "consistency": self._verifier.state(),
             "decision": self._decision.state(),
@@ -175,7 +177,7 @@ class TrackedWords:
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from the state of another recogniser of this configuration."""
         self._tracks.restore(state["tracks"])
-        self._route.restore(state["history"])
+        self._history.restore(state["history"])
         self._words.restore(state["words"])
         self._verifier.restore(state["consistency"])
         self._decision.restore(state["decision"])

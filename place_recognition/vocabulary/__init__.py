@@ -1,1 +1,1 @@
-"""Visual words: vocabularies trained in advance or grown on the way, and the search for the nearest word."""
+"""Visual words: vocabularies trained in advance or grown online, and the search for the nearest word."""

@@ -74,7 +74,7 @@ class FeatureTracks:
         return self._descriptors
 
     @property
-    def longest_frames(self) -> int:
+    def max_length_frames(self) -> int:
         """Length of the longest track but for the few that outlast all others; 0 without tracks.
 
         The paper takes the very longest. A speck on the lens or a cloud straight ahead never leaves the view, and one
@@ -106,7 +106,7 @@ class FeatureTracks:
         """Return the words of the lost tracks that lasted long enough; they were last seen at the location so far."""
         # Where nothing stays in view for min_length_frames, as in a corridor seen every two seconds, the longest tracks
         # become words; but a single image is no track.
-        word = lost & (self._lengths >= min(self.config.min_length_frames, max(self.longest_frames, 2)))
+        word = lost & (self._lengths >= min(self.config.min_length_frames, max(self.max_length_frames, 2)))
         lengths = self._lengths[word]
         last = np.full(len(lengths), self._location, np.int64)
         means = (self._sums[word] / lengths[:, None]).astype(np.float32)

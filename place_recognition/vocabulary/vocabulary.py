@@ -1,7 +1,7 @@
 """A pre-trained visual vocabulary: some thousand descriptors that represent all (chapter, 4.2.1.2 and Figure 4.4).
 
 The one that ships has 10,000 words. It was trained on simulated towns, photographs and surfaces of games, and on no
-recorded drive (docs/decisions/default_vocabulary.md).
+recording (docs/decisions/default_vocabulary.md).
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,9 @@
-"""Compiled split of a cell of the word tree into two: 2-means from two members far apart, without any chance.
-
-Compiled search and insertion of `WordTree`, a balanced tree of cells of like vectors.
+"""Compiled search and insertion of `WordTree`, a balanced tree of cells of like vectors.
 
 A node holds up to CAPACITY entries: words in a leaf, nodes above. The vectors of a node's entries are the columns of a
 small matrix of bytes, which one compiled product compares with a query. Closeness of query q and vector w is
 q.w - |w|^2 / 2, greatest where the Euclidean distance is least; of unit vectors in steps of 1 / 127 it needs 16 bits.
+A full node is split by 2-means from two members far apart, which needs no random number.
 """
 
 from typing import NamedTuple
@@ -17,71 +16,6 @@ from place_recognition.image_processing.matching import add_integer_products, la
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-
-ROUNDS = 6  # of assignment and mean; further ones move hardly a member
-
-
-@njit(cache=True)
-def split_in_two(members: Floats, min_members: int) -> Flags:
-    """Mark the members (N, D) of the second cluster of 2-means.
-
-    Args:
-        members: (N, D) float32.
-        min_members: minimum number of members of either cluster.
-    """
-    first, second = _far_apart(members)
-    moved = np.empty(len(members), np.bool_)
-    for _ in range(ROUNDS):
-        side = _distances(members, first) - _distances(members, second)
-        nearer = np.count_nonzero(side <= 0)
-        # The clusters are divided at a rank, not at 0: so neither is too small, and the tree stays balanced.
-        border = min(max(nearer, min_members), len(members) - min_members)
-        for k in range(len(members)):
-            moved[k] = _rank(side, k) >= border
-        first, second = _mean_of(members, ~moved), _mean_of(members, moved)
-    return moved
-
-
-@njit(cache=True)
-def _distances(members: Floats, centre: Floats) -> Floats:
-    """Compute the squared Euclidean distance (N,) of members (N, D) from a centre (D,)."""
-    # Not by a BLAS, whose bits depend on its number of threads.
-    distances = np.zeros(len(members), np.float32)
-    for k in range(len(members)):
-        for i in range(len(centre)):
-            difference = members[k, i] - centre[i]
-            distances[k] += difference * difference
-    return distances
-
-
-@njit(cache=True)
-def _rank(values: Floats, index: int) -> int:
-    """Count the values (N,) that come before one in order; the first of equal ones comes first."""
-    # No branch in the loop, so that the compiler can make it SIMD.
-    before, value = 0, values[index]
-    for k in range(len(values)):
-        before += values[k] < value or (values[k] == value and k < index)
-    return before
-
-
-@njit(cache=True)
-def _far_apart(members: Floats) -> tuple[Floats, Floats]:
-    """Find the member farthest from the mean, and the member farthest from that."""
-    mean = _mean_of(members, np.ones(len(members), np.bool_))
-    first = members[_distances(members, mean).argmax()]
-    return first, members[_distances(members, first).argmax()]
-
-
-@njit(cache=True)
-def _mean_of(members: Floats, chosen: Flags) -> Floats:
-    """Average the chosen members (N, D)."""
-    total = np.zeros(members.shape[1], np.float32)
-    for k in range(len(members)):
-        if chosen[k]:
-            total += members[k]
-    return total / np.float32(np.count_nonzero(chosen))
-
-
 Bytes = NDArray[np.int8]
 Shorts = NDArray[np.int16]
 Integers = NDArray[np.int32]
@@ -93,6 +27,7 @@ MAX_LEVELS = 16  # room for MIN_FILL^15 words at least
 REFINED = 8  # candidates compared by two bytes: by one byte alone 8 in 100 queries get a near tie instead
 FINE = 256  # steps of a two-byte number in a step of a one-byte number
 FAR = np.int16(-32767)  # less than any closeness of unit vectors
+ROUNDS = 6  # of assignment and mean when a node is split; further ones move hardly a member
 
 
 class Nodes(NamedTuple):
@@ -153,14 +88,14 @@ def as_bytes(fine: Shorts) -> Bytes:
 @njit(cache=True)
 def _nearest_of(near: Indices, words: Shorts, query: Shorts) -> int:
     """Choose the nearest of a few words by two bytes a number; the first of equally near ones."""
-    nearest, least = 0, np.inf
+    nearest, smallest = 0, np.inf
     for word in near:
         distance = 0.0
         for k in range(len(query)):
             difference = np.float64(words[word, k]) - np.float64(query[k])
             distance += difference * difference
-        if distance < least or (distance == least and word < nearest):
-            nearest, least = word, distance
+        if distance < smallest or (distance == smallest and word < nearest):
+            nearest, smallest = word, distance
     return nearest
 
 
@@ -300,3 +235,64 @@ def _split(nodes: Nodes, node: int) -> int:
     for k in range(CAPACITY):
         _append(nodes, twin if moved[k] else node, members[k], entries[k])
     return twin
+
+
+@njit(cache=True)
+def split_in_two(members: Floats, min_members: int) -> Flags:
+    """Mark the members (N, D) of the second cluster of 2-means.
+
+    Args:
+        members: (N, D) float32.
+        min_members: minimum number of members of either cluster.
+    """
+    first, second = _far_apart(members)
+    moved = np.empty(len(members), np.bool_)
+    for _ in range(ROUNDS):
+        side = _distances(members, first) - _distances(members, second)
+        nearer = np.count_nonzero(side <= 0)
+        # The clusters are divided at a rank, not at 0: so neither is too small, and the tree stays balanced.
+        border = min(max(nearer, min_members), len(members) - min_members)
+        for k in range(len(members)):
+            moved[k] = _rank(side, k) >= border
+        first, second = _mean_of(members, ~moved), _mean_of(members, moved)
+    return moved
+
+
+@njit(cache=True)
+def _distances(members: Floats, center: Floats) -> Floats:
+    """Compute the squared Euclidean distance (N,) of members (N, D) from a centre (D,)."""
+    # Not by a BLAS, whose bits depend on its number of threads.
+    distances = np.zeros(len(members), np.float32)
+    for k in range(len(members)):
+        for i in range(len(center)):
+            difference = members[k, i] - center[i]
+            distances[k] += difference * difference
+    return distances
+
+
+@njit(cache=True)
+def _rank(values: Floats, index: int) -> int:
+    """Count the values (N,) that come before one in order; the first of equal ones comes first."""
+    # No branch in the loop, so that the compiler can make it SIMD.
+    before, value = 0, values[index]
+    for k in range(len(values)):
+        before += values[k] < value or (values[k] == value and k < index)
+    return before
+
+
+@njit(cache=True)
+def _far_apart(members: Floats) -> tuple[Floats, Floats]:
+    """Find the member farthest from the mean, and the member farthest from that."""
+    mean = _mean_of(members, np.ones(len(members), np.bool_))
+    first = members[_distances(members, mean).argmax()]
+    return first, members[_distances(members, first).argmax()]
+
+
+@njit(cache=True)
+def _mean_of(members: Floats, chosen: Flags) -> Floats:
+    """Average the chosen members (N, D)."""
+    total = np.zeros(members.shape[1], np.float32)
+    for k in range(len(members)):
+        if chosen[k]:
+            total += members[k]
+    return total / np.float32(np.count_nonzero(chosen))

@@ -9,7 +9,12 @@ import tomli_w
 from numpy.typing import NDArray
 
 from place_recognition.belief.matrix_filter import FilterConfig
-from place_recognition.belief.matrix_filter_training import Samples, collect_samples, reduce_to_sequences, train_filter
+from place_recognition.belief.matrix_filter_training import (
+    TrainingSamples,
+    collect_samples,
+    reduce_to_sequences,
+    train_filter,
+)
 from place_recognition.evaluation.ground_truth import load_truth
 from place_recognition.evaluation.ground_truth_files import array_names, read_array
 from place_recognition.image_processing.local_features import FeatureExtractor
@@ -147,7 +152,7 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
     return _describe(learned, samples, out)
 
 
-def _load_samples(matrix: Path, truth: Path) -> Samples:
+def _load_samples(matrix: Path, truth: Path) -> TrainingSamples:
     similarities = read_similarities(matrix)
     try:
         return collect_samples(*reduce_to_sequences(similarities, load_truth(truth)))
@@ -181,7 +186,7 @@ def _as_settings(learned: FilterConfig, paradigm: str) -> dict[str, object]:
     return {"places": {paradigm.replace("-", "_"): {"filter": section}}}
 
 
-def _describe(learned: FilterConfig, samples: Samples, out: Path) -> str:
+def _describe(learned: FilterConfig, samples: TrainingSamples, out: Path) -> str:
     kernel = np.array2string(np.array(learned.kernel), precision=2, suppress_small=True)
     response = samples.patches @ np.ravel(learned.kernel) >= learned.threshold
     found, wrong = int((response & samples.labels).sum()), int((response & ~samples.labels).sum())

@@ -49,7 +49,7 @@ def test_information_reduces_the_variance_and_time_brings_it_back():
 
 
 def test_one_track_does_not_count_anew_in_every_frame():
-    config = CalibrationConfig(drift_px=0.0, frames_per_track=4.0)
+    config = CalibrationConfig(drift_px=0.0, frames_per_track=4)
     calibration = Calibration.unknown(CAMERA, config)
     known = np.linalg.inv(calibration.covariance)
     for _ in range(4):  # four frames that show the same tracks give the information of one

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as shifted
 
-from odometry.tracking import TrackingConfig, detect_corners, is_inside, track_points
+from odometry.tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
 
 CONFIG = TrackingConfig(max_corners=200)
 NONE = np.zeros((0, 2))
@@ -68,3 +68,39 @@ def test_nothing_is_followed_into_another_picture():
 def test_following_nothing_gives_nothing():
     image = as_image(texture())
     assert track_points((image, image), NONE, NONE, CONFIG).shape == (0, 2)
+
+
+def test_a_wide_search_follows_what_moved_too_far_for_the_usual_one():
+    coarse = gaussian_filter(np.random.default_rng(5).standard_normal((240, 400)), 12.0)
+    values, move = 0.5 * texture() + 64 + 30 * coarse / coarse.std(), np.array([42.0, 0.0])
+    first, second = as_image(values), as_image(shifted(values, move[::-1], order=1, mode="nearest"))
+    pixels = detect_corners(first, NONE, CONFIG)
+    pixels = pixels[is_inside(pixels, first, 60.0)]
+
+    def found(config):
+        moved = track_points((first, second), pixels, pixels, config) - pixels
+        return np.mean(np.linalg.norm(moved - move, axis=1) < 0.2)
+
+    assert found(CONFIG.widen()) > found(CONFIG) + 0.3
+
+
+def test_a_good_guess_replaces_reach():
+    values, move = texture(), np.array([42.0, 0.0])
+    first, second = as_image(values), as_image(shifted(values, move[::-1], order=1, mode="nearest"))
+    pixels = detect_corners(first, NONE, CONFIG)
+    pixels = pixels[is_inside(pixels, first, 60.0)]
+    moved = track_points((first, second), pixels, pixels + move + 0.7, CONFIG) - pixels
+    assert np.mean(np.linalg.norm(moved - move, axis=1) < 0.2) > 0.9
+
+
+def test_pixels_at_the_margin_are_inside_and_those_beyond_are_not():
+    image = np.zeros((100, 200), np.uint8)
+    corners = np.array([[4.0, 4.0], [195.0, 95.0], [3.9, 50.0], [100.0, 95.1]])
+    assert is_inside(corners, image).tolist() == [True, True, False, False]
+
+
+def test_an_even_image_has_its_brightness_matched_without_amplifying_noise():
+    dark, bright = np.full((20, 20), 10, np.uint8), as_image(texture(shape=(20, 20)))
+    matched = match_brightness(bright, dark)
+    assert matched.std() == 0
+    assert abs(float(matched.mean()) - float(bright.mean())) < 1

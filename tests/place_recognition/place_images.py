@@ -1,10 +1,14 @@
-"""Images that the tests of this folder look at."""
+"""Images that the tests of this folder look at, and an extractor that describes each of them once."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from place_recognition.image_processing.local_features import LocalFeatures
+from place_recognition.image_processing.surf import Surf
 
 Image = NDArray[np.uint8]
 
@@ -39,8 +43,20 @@ def changed(image: Image, seed: int) -> Image:
 
 
 def gaussian_blob(
-    sigma: float, centre: tuple[float, float] = (70.0, 60.0), shape: tuple[int, int] = (128, 144)
+    sigma: float, center: tuple[float, float] = (70.0, 60.0), shape: tuple[int, int] = (128, 144)
 ) -> Image:
     """One bright blob on black, centred at x and y."""
     y, x = np.mgrid[: shape[0], : shape[1]]
-    return np.round(200 * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)
+    return np.round(200 * np.exp(-((x - center[0]) ** 2 + (y - center[1]) ** 2) / (2 * sigma**2))).astype(np.uint8)
+
+
+class CachingSurf(Surf):
+    """Extracts the features of each image once for all tests."""
+
+    extracted: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
+
+    def extract(self, image):
+        key = image.tobytes(), image.shape
+        if key not in self.extracted:
+            self.extracted[key] = super().extract(image)
+        return self.extracted[key]

@@ -118,8 +118,8 @@ def test_exact_views_give_exact_poses_and_depths(camera):
     np.testing.assert_allclose(points[:, :2] / points[:, 2:3], expected[:, :2], atol=1e-3)
 
 
-def test_with_noise_poses_are_near_and_the_noise_is_told(camera):
-    bundle, truth, _ = driven(camera, MonoBundleConfig(error_memory=0.0), noise=0.1)
+def test_with_noise_poses_are_near_and_the_noise_is_estimated(camera):
+    bundle, truth, _ = driven(camera, MonoBundleConfig(error_correlation=0.0), noise=0.1)
     off = se3.log(se3.inverse(truth[-1]) @ bundle.poses[-1])
     assert np.linalg.norm(off[:3]) < 5e-3
     assert np.linalg.norm(off[3:]) < 0.3

@@ -19,11 +19,11 @@ def lefts(pairs):
 
 
 def unit_of(motions, truth):
-    """Length of a metre in the unit of the motions, by the ways of both (N, 4, 4), and the error of the last pose."""
+    """Length of a metre in the unit of the motions, by both paths (N, 4, 4), and the error of the last pose."""
     poses, truth = chained(motions), se3.inverse(truth[0]) @ truth
-    ways = [np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1).sum() for each in (poses, truth)]
-    unit = ways[0] / ways[1]
-    return unit, np.linalg.norm(poses[-1][:3, 3] / unit - truth[-1][:3, 3]) / ways[1]
+    distances = [np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1).sum() for each in (poses, truth)]
+    unit = distances[0] / distances[1]
+    return unit, np.linalg.norm(poses[-1][:3, 3] / unit - truth[-1][:3, 3]) / distances[1]
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +40,8 @@ def test_a_simulated_drive_is_measured_up_to_one_scale(camera, drive, motion_tru
     for motion in motions[4:]:
         off = se3.log(se3.inverse(motion_true) @ motion.T_previous_current)
         assert np.linalg.norm(off[:3]) < 1e-3
-        way = np.linalg.norm(motion.T_previous_current[:3, 3]) / np.linalg.norm(motion_true[:3, 3])
-        assert way == pytest.approx(unit, rel=0.02)
+        distance = np.linalg.norm(motion.T_previous_current[:3, 3]) / np.linalg.norm(motion_true[:3, 3])
+        assert distance == pytest.approx(unit, rel=0.02)
 
 
 def test_depth_of_any_pixels_agrees_with_the_world(camera, drive, true_poses):
@@ -88,7 +88,7 @@ def test_turning_on_the_spot_shows_no_depth_and_says_so(camera, world):
 
 @pytest.mark.parametrize("fault", ["black", "white", "noise"])
 @pytest.mark.parametrize("length", [1, 3])
-def test_bad_images_are_bridged_and_the_way_is_kept(camera, drive, true_poses, fault, length):
+def test_bad_images_are_bridged_and_the_distance_is_kept(camera, drive, true_poses, fault, length):
     bad = {"black": blank(camera, 0), "white": blank(camera, 255), "noise": noise(camera, 1)}[fault]
     images = lefts(drive)
     motions = tracked(camera, images[:5] + [bad] * length + images[5 + length :])
@@ -116,8 +116,8 @@ def test_a_map_that_is_lost_for_good_begins_again_at_the_speed_before(camera, dr
     assert_finite(motions)
     assert motions[6].predicted
     assert not motions[-1].predicted
-    ways = [np.linalg.norm(m.T_previous_current[:3, 3]) for m in motions]
-    assert ways[-1] == pytest.approx(ways[5], rel=0.1)
+    distances = [np.linalg.norm(m.T_previous_current[:3, 3]) for m in motions]
+    assert distances[-1] == pytest.approx(distances[5], rel=0.1)
 
 
 def test_a_lens_that_distorts_is_learned_in_a_bend(camera, world, motion_true):
@@ -142,8 +142,8 @@ def test_real_drives_are_followed_up_to_one_scale(clip, name):
     poses, truth = chained(motions), se3.inverse(truth[0]) @ truth
     unit, _ = unit_of(motions, truth)
     error = np.linalg.norm(poses[:, :3, 3] / unit - truth[:, :3, 3], axis=1).max()
-    way = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
-    assert error < 0.02 * way
+    distance = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
+    assert error < 0.02 * distance
     halves = [unit_of(part, where)[0] for part, where in ((motions[:31], truth[:31]), (motions[31:], truth[30:]))]
     assert halves[0] == pytest.approx(unit, rel=0.03)
 
@@ -182,7 +182,7 @@ def test_the_height_above_the_road_gives_metres(clip, name):
 
 
 def test_a_truck_ahead_that_keeps_its_distance_is_not_followed(camera, world):
-    """It looks infinitely far away, from where no motion is seen: the way goes on, not the truck."""
+    """It looks infinitely far away, from where no motion is seen: the distance goes on, not the truck."""
     ahead = se3.exp(np.array([0.0, 0.0, 0.0, 0.03, -0.01, 0.4]))
     truth = np.array([np.linalg.matrix_power(ahead, k) for k in range(15)])
     images = [world.pair(T)[0] for T in truth]
@@ -202,6 +202,6 @@ def test_scale_survives_a_turn_on_the_spot(camera, world, motion_true):
     for k in range(16):
         poses.append(poses[-1] @ (turn if 6 <= k < 11 else motion_true))
     motions = tracked(camera, [world.pair(T)[0] for T in poses])
-    ways = np.array([np.linalg.norm(m.T_previous_current[:3, 3]) for m in motions])
-    assert ways[7:12].max() < 0.01 * ways[6]
-    np.testing.assert_allclose(ways[12:], ways[6], rtol=0.05)
+    distances = np.array([np.linalg.norm(m.T_previous_current[:3, 3]) for m in motions])
+    assert distances[7:12].max() < 0.01 * distances[6]
+    np.testing.assert_allclose(distances[12:], distances[6], rtol=0.05)

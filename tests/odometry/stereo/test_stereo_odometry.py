@@ -21,10 +21,10 @@ def chained(motions):
 
 
 def drift(motions, truth):
-    """Error of the last position over the way driven."""
-    way = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
+    """Error of the last position over the distance driven."""
+    distance = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
     end = se3.inverse(truth[0]) @ truth[-1]
-    return np.linalg.norm(chained(motions)[-1][:3, 3] - end[:3, 3]) / way
+    return np.linalg.norm(chained(motions)[-1][:3, 3] - end[:3, 3]) / distance
 
 
 def assert_finite(motions):
@@ -90,7 +90,7 @@ def test_dropped_images_are_one_long_motion(camera, drive, motion_true, dropped)
 
 @pytest.mark.parametrize("fault", ["black", "white", "noise", "torn"])
 @pytest.mark.parametrize("length", [1, 2])
-def test_bad_images_are_bridged_and_the_way_is_kept(camera, drive, motion_true, fault, length):
+def test_bad_images_are_bridged_and_the_distance_is_kept(camera, drive, motion_true, fault, length):
     bad = {
         "black": (blank(camera, 0), blank(camera, 0)),
         "white": (blank(camera, 255), blank(camera, 255)),

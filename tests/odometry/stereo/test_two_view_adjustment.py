@@ -52,7 +52,7 @@ def test_errors_stay_so_among_outliers(camera, simulate):
 
 
 @pytest.mark.parametrize("depths", [(6.0, 20.0), (30.0, 300.0)], ids=["near", "far"])
-def test_the_way_has_no_bias_whatever_the_depth(camera, simulate, depths):
+def test_the_distance_has_no_bias_whatever_the_depth(camera, simulate, depths):
     rng = np.random.default_rng(3)
     unknown = Calibration.unknown(camera, EXACT)
     errors = [error(estimate_motion(simulate(camera, MOTION, rng, depths=depths), unknown, MOTION)) for _ in range(150)]
@@ -68,15 +68,15 @@ def test_outliers_are_named(camera, simulate):
     assert np.mean(estimate.inliers[bad]) < 0.1
 
 
-def test_a_rectification_error_is_learned_and_no_longer_stretches_the_way(camera, simulate):
+def test_a_rectification_error_is_learned_and_no_longer_stretches_the_distance(camera, simulate):
     rng, learned = np.random.default_rng(5), Calibration.unknown(camera, OPEN)
     for _ in range(40):
         tracks = simulate(camera, MOTION, rng, offset_px=(0.8, -0.5))
         estimate = estimate_motion(tracks, learned, MOTION)
         learned = learned.update(estimate.calibration, estimate.information, OPEN)
-    centre = np.array([[camera.cx, camera.cy]])
-    np.testing.assert_allclose(learned.rectify(centre, centre)[1], centre - [0.8, -0.5], atol=0.06)
-    np.testing.assert_allclose(learned.correct_disparity(centre, np.array([9.2])), [10.0], atol=0.06)
+    center = np.array([[camera.cx, camera.cy]])
+    np.testing.assert_allclose(learned.rectify(center, center)[1], center - [0.8, -0.5], atol=0.06)
+    np.testing.assert_allclose(learned.correct_disparity(center, np.array([9.2])), [10.0], atol=0.06)
     assert np.linalg.norm(error(estimate)[3:]) < 0.01
     blind = estimate_motion(tracks, Calibration.unknown(camera, EXACT), MOTION)
     assert error(blind)[5] < -0.02  # too long
@@ -107,7 +107,7 @@ def distorted(tracks, lens):
     return StereoTracks(*map(bent, places), tracks.ids)
 
 
-def test_a_distortion_that_both_lenses_share_is_learned_and_no_longer_bends_the_way(camera, simulate):
+def test_a_distortion_that_both_lenses_share_is_learned_and_no_longer_bends_the_path(camera, simulate):
     rng, learned = np.random.default_rng(8), Calibration.unknown(camera, OPEN)
     lens = replace(learned, coefficients=np.concatenate([[-8.0, 3.0, -2.0], np.zeros(12)]))
     errors = []

@@ -33,7 +33,7 @@ def test_without_detections_the_place_is_new():
 
 
 def test_with_false_alarms_one_detection_settles_nothing():
-    config = BayesFilterConfig(persistence=0.9, false_alarm_rate=0.2, detection_rate=0.8)
+    config = BayesFilterConfig(persistence_probability=0.9, false_alarm_probability=0.2, detection_probability=0.8)
     first, second = probabilities([True, True], config)
     assert first == pytest.approx(0.1 * 0.8 / (0.1 * 0.8 + 0.9 * 0.2))
     known = 0.9 * first + 0.1 * (1 - first)
@@ -41,11 +41,11 @@ def test_with_false_alarms_one_detection_settles_nothing():
 
 
 def test_an_impossible_observation_changes_nothing():
-    never = BayesFilterConfig(persistence=1.0, false_alarm_rate=0.0)
+    never = BayesFilterConfig(persistence_probability=1.0, false_alarm_probability=0.0)
     assert probabilities([True, True], never) == [0, 0]
 
 
-@pytest.mark.parametrize("name", ["persistence", "false_alarm_rate", "detection_rate"])
+@pytest.mark.parametrize("name", ["persistence_probability", "false_alarm_probability", "detection_probability"])
 @pytest.mark.parametrize("value", [-0.1, 1.5, float("nan")])
 def test_a_number_that_is_no_probability_is_refused(name, value):
     with pytest.raises(ValueError, match=f"expected {name} between 0 and 1, got {value}"):
@@ -60,13 +60,17 @@ def test_a_number_that_is_no_probability_is_refused(name, value):
 def test_the_filter_agrees_with_a_sum_over_all_histories(detections, numbers):
     config = BayesFilterConfig(*numbers)
     emission = np.array(
-        [[1 - config.false_alarm_rate, config.false_alarm_rate], [1 - config.detection_rate, config.detection_rate]]
+        [
+            [1 - config.false_alarm_probability, config.false_alarm_probability],
+            [1 - config.detection_probability, config.detection_probability],
+        ]
     )
     weight = np.zeros(2)
     for history in np.ndindex(*[2] * len(detections)):
         w, before = 1.0, 0  # the way is new before the first image
         for state, detected in zip(history, detections, strict=True):
-            w *= (config.persistence if state == before else 1 - config.persistence) * emission[state, int(detected)]
+            stays = config.persistence_probability
+            w *= (stays if state == before else 1 - stays) * emission[state, int(detected)]
             before = state
         weight[before] += w
     assert probabilities(detections, config)[-1] == pytest.approx(weight[1] / weight.sum())

@@ -14,17 +14,17 @@ IMAGES = 120
 MAX_GAP_IMAGES = 2  # of the gap filler
 
 
-def make_route() -> ImageHistory:
-    """A route of images with twenty features each."""
+def make_history() -> ImageHistory:
+    """A history of images with twenty features each."""
     ones = np.ones(20, np.float32)
     features = LocalFeatures(np.zeros((20, 2), np.float32), ones, ones, np.full((20, 4), 0.5, np.float32))
-    route = ImageHistory()
+    history = ImageHistory()
     for k in range(IMAGES):
-        route.add(k, features, float("nan"))
-    return route
+        history.add(k, features, float("nan"))
+    return history
 
 
-ROUTE = make_route()
+HISTORY = make_history()
 
 
 def candidates(query: int, evidence: list[float]) -> CandidateBeliefs:
@@ -39,7 +39,7 @@ def candidates(query: int, evidence: list[float]) -> CandidateBeliefs:
 
 def decide(evidence: list[list[float]], config: SequenceConsensusConfig) -> tuple[list[Belief], list[int]]:
     """All beliefs about the images from 60 on, and how many there were after each image."""
-    decision, beliefs, counts = DelayedDecision(ROUTE, config), [], []
+    decision, beliefs, counts = DelayedDecision(HISTORY, config), [], []
     for query, values in enumerate(evidence, start=60):
         beliefs += decision.add(candidates(query, values))
         counts.append(len(beliefs))

@@ -18,7 +18,7 @@ def features(count: int) -> LocalFeatures:
     return LocalFeatures(pixels, ones, ones, np.full((count, 4), 0.5, np.float32))
 
 
-def route(images: int, step: int = 1, blank: tuple[int, ...] = ()) -> ImageHistory:
+def history(images: int, step: int = 1, blank: tuple[int, ...] = ()) -> ImageHistory:
     made = ImageHistory()
     for k in range(images):
         made.add(k * step, features(0 if k in blank else 20), float("nan"))
@@ -34,7 +34,7 @@ def rejected(query: int) -> Belief:
 
 
 def fill(beliefs: list[Belief], step: int = 1, blank: tuple[int, ...] = ()) -> list[Belief]:
-    filler = GapFiller(route(100, step, blank))
+    filler = GapFiller(history(100, step, blank))
     return [b for belief in beliefs for b in filler.add([belief])] + filler.finish()
 
 
@@ -90,7 +90,7 @@ def test_pixels_are_kept_with_their_own_match_and_dropped_with_another():
 
 @given(st.lists(st.booleans(), max_size=40))
 def test_every_belief_is_returned_once_in_order_and_at_most_two_images_late(is_accepted):
-    filler, out = GapFiller(route(100), GapFillerConfig(max_gap_images=2)), []
+    filler, out = GapFiller(history(100), GapFillerConfig(max_gap_images=2)), []
     for k, one in enumerate(is_accepted, start=50):
         out += filler.add([accepted(k, k - 50) if one else rejected(k)])
         assert len(out) >= k - 50 + 1 - 2

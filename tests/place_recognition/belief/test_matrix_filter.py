@@ -17,7 +17,7 @@ from place_recognition.belief.matrix_filter import (
 )
 from place_recognition.belief.matrix_filter_training import (
     FilterTrainingConfig,
-    Samples,
+    TrainingSamples,
     collect_samples,
     logistic_loss,
     reduce_to_sequences,
@@ -95,8 +95,8 @@ def test_a_filter_without_rows_has_no_response():
 
 def test_a_row_is_divided_by_the_score_with_its_predecessor_and_by_no_less_than_the_minimum():
     row = np.array([0.1, 0.4], np.float32)
-    np.testing.assert_allclose(normalize_row(row, 0.2, min_divisor=0.05), [0.5, 2])
-    np.testing.assert_allclose(normalize_row(row, 0.0, min_divisor=0.05), [2, 8])
+    np.testing.assert_allclose(normalize_row(row, 0.2, min_previous_score=0.05), [0.5, 2])
+    np.testing.assert_allclose(normalize_row(row, 0.0, min_previous_score=0.05), [2, 8])
 
 
 def test_a_filter_of_another_size_is_refused():
@@ -115,7 +115,7 @@ def test_the_learnt_filter_separates_revisits_of_a_drive_it_has_not_seen():
 
 def test_gradient_descent_finds_the_minimum_that_scipy_finds():
     samples, ridge = collect_samples(*diagonal_matrix(seed=3)), 1e-2
-    learnt = train_filter(samples, FilterTrainingConfig(ridge=ridge, tolerance=1e-9))
+    learnt = train_filter(samples, FilterTrainingConfig(ridge_weight=ridge, gradient_threshold=1e-9))
     theta = np.r_[-learnt.threshold, np.ravel(learnt.kernel)]
     reference = minimize(logistic_loss, np.zeros(10), (samples, ridge), method="BFGS", options={"gtol": 1e-9})
     assert logistic_loss(theta, samples, ridge) == pytest.approx(reference.fun, rel=1e-9)
@@ -123,7 +123,7 @@ def test_gradient_descent_finds_the_minimum_that_scipy_finds():
 
 
 def test_the_loss_is_the_cross_entropy_of_the_chapter():
-    samples = Samples(np.random.default_rng(0).random((20, 9)), np.arange(20) < 8)
+    samples = TrainingSamples(np.random.default_rng(0).random((20, 9)), np.arange(20) < 8)
     theta = np.random.default_rng(1).normal(size=10)
     h = 1 / (1 + np.exp(-(theta[0] + samples.patches @ theta[1:])))
     assert logistic_loss(theta, samples) == pytest.approx(-np.mean(np.where(samples.labels, np.log(h), np.log(1 - h))))

@@ -40,7 +40,7 @@ def test_the_prediction_starts_at_the_match_of_the_most_evidence():
 
 
 def test_old_results_neither_predict_nor_support():
-    consistency = after([result(100, 20)], ConsistencyConfig(history=10))
+    consistency = after([result(100, 20)], ConsistencyConfig(history_images=10))
     assert consistency.predict_locations(110)[0] == 30
     assert consistency.predict_locations(111) == []
     assert consistency.sum_agreeing_evidence(result(110, 30)) == 30.0
@@ -49,7 +49,7 @@ def test_old_results_neither_predict_nor_support():
 
 @pytest.mark.parametrize(("location", "supports"), [(20, True), (25, True), (26, False), (15, True), (14, False)])
 def test_a_result_within_the_speed_and_the_tolerance_supports(location, supports):
-    consistency = after([result(100, 20)], ConsistencyConfig(max_speed_ratio=3.0, tolerance=2))
+    consistency = after([result(100, 20)], ConsistencyConfig(max_speed_ratio=3.0, tolerance_images=2))
     assert consistency.sum_agreeing_evidence(result(101, location)) == (30.0 if supports else 0.0)
 
 

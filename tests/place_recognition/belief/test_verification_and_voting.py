@@ -127,7 +127,7 @@ def test_mutual_matches_agree_with_a_plain_search():
     np.testing.assert_array_equal(mutual_matches(first, second, ratio=0.8), clear)
 
 
-def quantised(rng, n, d):
+def quantized(rng, n, d):
     return np.round(127 * unit(rng, n, d)).astype(np.int8)
 
 
@@ -143,9 +143,9 @@ def plain_pairs(first, second):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 70), st.integers(1, 70), st.sampled_from([2, 3, 8, 13, 64, 256]))
-def test_quantised_descriptors_match_as_in_plain_integers(seed, n, m, d):
+def test_quantized_descriptors_match_as_in_plain_integers(seed, n, m, d):
     rng = np.random.default_rng(seed)
-    first, second = quantised(rng, n, d), quantised(rng, m, d)
+    first, second = quantized(rng, n, d), quantized(rng, m, d)
     shared = min(n, m) // 2
     second[:shared] = first[shared : 2 * shared]
     expected = np.reshape(plain_pairs(first, second), (-1, 2))
@@ -159,7 +159,7 @@ def test_the_largest_products_of_unit_vectors_do_not_overflow():
 
 def test_one_image_is_matched_with_many_as_with_each():
     rng = np.random.default_rng(8)
-    query, others, counts = quantised(rng, 40, 64), quantised(rng, 90, 64).reshape(3, 30, 64), np.array([30, 0, 17])
+    query, others, counts = quantized(rng, 40, 64), quantized(rng, 90, 64).reshape(3, 30, 64), np.array([30, 0, 17])
     others[0, 5:20], others[2, 10:20] = query[:15], query[20:30]
     expected = [len(match_pairs(query, other[:count], 0.8)) for other, count in zip(others, counts, strict=True)]
     np.testing.assert_array_equal(count_matches(query, others, counts, 0.8), expected)
@@ -207,9 +207,9 @@ def test_random_matches_rarely_look_rigid():
     assert all(epipolar_inliers(first, second, config) is None for first, second in pixels)
 
 
-def test_quantised_descriptors_of_real_size_match_as_floats_do():
+def test_quantized_descriptors_of_real_size_match_as_floats_do():
     rng = np.random.default_rng(9)
-    first, second = quantised(rng, 300, 64), quantised(rng, 280, 64)
+    first, second = quantized(rng, 300, 64), quantized(rng, 280, 64)
     second[:90] = np.clip(first[100:190].astype(int) + rng.integers(-9, 10, (90, 64)), -127, 127)
     expected = mutual_matches(first / np.float32(127), second / np.float32(127), 0.8)
     np.testing.assert_array_equal(match_pairs(first, second, 0.8), expected)

@@ -33,7 +33,7 @@ def test_a_second_lap_sees_the_places_of_the_first():
     np.testing.assert_array_equal(np.argwhere(truth), [[i, i - 100] for i in range(100, 200)])
 
 
-def test_the_way_back_is_the_same_place_only_if_headings_do_not_matter():
+def test_the_return_path_is_the_same_place_only_if_headings_do_not_matter():
     poses = circle(0.25, 30, 50)
     back = poses[::-1].copy()
     back[:, :3, 2] *= -1
@@ -59,12 +59,12 @@ def test_truth_agrees_with_a_plain_loop_over_all_pairs(seed):
     poses[:, 0, 3], poses[:, 2, 3] = rng.uniform(0, 9, (2, len(poses)))
     poses[:, 0, 2], poses[:, 2, 2] = np.sin(angles), np.cos(angles)
     rule = RevisitRule(max_distance_m=4, max_angle_deg=50, min_time_gap_s=3, min_path_length_m=15)
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+    path = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
     truth = truth_from_poses(poses, times, rule)
     for q, m in np.ndindex(truth.shape):
         near = np.linalg.norm(poses[q, :3, 3] - poses[m, :3, 3]) <= 4
         aligned = np.cos(angles[q] - angles[m]) >= np.cos(np.radians(50))
-        assert truth[q, m] == (m < q and near and aligned and way[q] - way[m] >= 15 and times[q] - times[m] >= 3)
+        assert truth[q, m] == (m < q and near and aligned and path[q] - path[m] >= 15 and times[q] - times[m] >= 3)
 
 
 def test_blocks_of_rows_join_without_a_seam():

@@ -45,7 +45,7 @@ def test_images_in_colour_are_refused_by_all_extractors(name):
 @pytest.mark.parametrize("name", ["surf", "sift"])
 def test_features_keep_to_the_middle_of_a_blob_as_it_grows(name):
     for sigma in (4.0, 6.0):
-        features = make_extractor(name).extract(gaussian_blob(sigma, centre=(70.3, 59.8)))
+        features = make_extractor(name).extract(gaussian_blob(sigma, center=(70.3, 59.8)))
         assert np.abs(features.pixels[0] - [70.3, 59.8]).max() < 0.12
 
 

@@ -95,7 +95,7 @@ def test_the_top_of_a_parabola_is_found_and_a_plane_has_none():
 
 @pytest.mark.parametrize("sigma", [2.3, 3.0, 3.6, 5.0])
 def test_a_gaussian_blob_is_found_where_it_is(sigma):
-    features = Surf().extract(gaussian_blob(sigma, centre=(70.3, 59.8)))
+    features = Surf().extract(gaussian_blob(sigma, center=(70.3, 59.8)))
     assert np.abs(features.pixels[0] - [70.3, 59.8]).max() < 0.1
 
 
@@ -160,7 +160,7 @@ def test_oriented_features_survive_a_turn_that_upright_ones_do_not(test_data, de
 
 
 @pytest.mark.parametrize("degrees", [0, 33, 90, 135, -120])
-def test_the_orientation_of_a_ramp_is_the_way_it_rises(degrees):
+def test_the_orientation_of_a_ramp_is_the_direction_in_which_it_rises(degrees):
     y, x = np.mgrid[-64:64, -64:64]
     angle = np.deg2rad(degrees)
     ramp = np.round(128 + np.cos(angle) * x + np.sin(angle) * y).astype(np.uint8)

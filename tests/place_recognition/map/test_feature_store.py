@@ -48,7 +48,7 @@ def test_images_on_disk_are_the_same_as_images_in_memory(images):
     assert large.disk_bytes == 0
     for location in range(len(images)):
         np.testing.assert_array_equal(small[location].pixels, large[location].pixels)
-        np.testing.assert_array_equal(small[location].quantised, large[location].quantised)
+        np.testing.assert_array_equal(small[location].quantized, large[location].quantized)
 
 
 def test_memory_counts_what_was_kept_there_and_not_the_room_for_more(images):
@@ -64,7 +64,7 @@ def test_the_strongest_features_of_several_images_come_together(images):
     assert descriptors.shape == (4, 6, 8)
     np.testing.assert_array_equal(counts, [6, 3, 0, 5])
     for rows, count, location in zip(descriptors, counts, (9, 0, 2, 10), strict=True):
-        np.testing.assert_array_equal(rows[:count], store[location].strongest(6).quantised)
+        np.testing.assert_array_equal(rows[:count], store[location].strongest(6).quantized)
 
 
 def test_pixels_of_a_very_wide_image_are_kept_coarsely_rather_than_wrongly():
@@ -76,11 +76,11 @@ def test_pixels_of_a_very_wide_image_are_kept_coarsely_rather_than_wrongly():
 def test_what_was_read_stays_when_its_place_in_memory_is_taken(images):
     store = filled_store(images[:4], in_memory=4)
     before = store[0]
-    pixels = before.pixels.copy(), before.quantised.copy()
+    pixels = before.pixels.copy(), before.quantized.copy()
     for features in images[4:]:
         store.add(features)
     np.testing.assert_array_equal(before.pixels, pixels[0])
-    np.testing.assert_array_equal(before.quantised, pixels[1])
+    np.testing.assert_array_equal(before.quantized, pixels[1])
 
 
 def test_a_location_that_was_not_added_is_named(images):

@@ -26,9 +26,9 @@ def dense(words, power=1.0):
     return np.bincount(words, minlength=WORDS) ** power * WEIGHTS
 
 
-def begins_of(segmentation, words, ways):
+def begins_of(segmentation, words, distances):
     return [
-        i for i, (w, way) in enumerate(zip(words, ways, strict=True)) if segmentation.starts_sequence(np.array(w), way)
+        i for i, (w, d) in enumerate(zip(words, distances, strict=True)) if segmentation.starts_sequence(np.array(w), d)
     ]
 
 
@@ -91,17 +91,19 @@ def test_likeness_is_the_correlation_of_words_written_out():
 
 
 def test_fixed_sequences_are_as_long_as_they_should_be():
-    ways = np.arange(30) * 1.0
-    assert begins_of(FixedDistanceSegmentation(), 30 * [[]], ways) == [0, *range(5, 30, 5)][:6]
+    distances = np.arange(30) * 1.0
+    assert begins_of(FixedDistanceSegmentation(), 30 * [[]], distances) == [0, *range(5, 30, 5)][:6]
 
 
 def test_a_fast_car_may_have_sequences_of_one_image():
     assert begins_of(FixedDistanceSegmentation(), 4 * [[]], [0, 7, 14, 21]) == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("way", [0.0, 12.5, NAN])
-def test_where_no_way_is_measured_the_number_of_images_decides(way):
-    assert begins_of(FixedDistanceSegmentation(FixedDistanceConfig(unmeasured_images=4)), 10 * [[]], 10 * [way]) == [
+@pytest.mark.parametrize("distance", [0.0, 12.5, NAN])
+def test_where_no_distance_is_measured_the_number_of_images_decides(distance):
+    assert begins_of(
+        FixedDistanceSegmentation(FixedDistanceConfig(unmeasured_images=4)), 10 * [[]], 10 * [distance]
+    ) == [
         0,
         4,
         8,
@@ -109,8 +111,8 @@ def test_where_no_way_is_measured_the_number_of_images_decides(way):
 
 
 def test_a_stop_does_not_make_an_endless_sequence():
-    ways = [0, 1, 2, *(40 * [3])]
-    begins = begins_of(FixedDistanceSegmentation(FixedDistanceConfig(max_images=20)), 43 * [[]], ways)
+    distances = [0, 1, 2, *(40 * [3])]
+    begins = begins_of(FixedDistanceSegmentation(FixedDistanceConfig(max_images=20)), 43 * [[]], distances)
     assert max(np.diff(begins)) == 20
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from place_images import changed, kitti_images, sliding_view, textured_world
+from place_images import CachingSurf, changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.local_features import FeatureCache
-from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.vocabulary.word_index import ExactWordIndex
 
@@ -17,21 +16,7 @@ class Rows(dict):
         self[query] = (matches, values)
 
 
-class RememberedSurf(Surf):
-    """Looks at each image once, however many drives it occurs in."""
-
-    def __init__(self):
-        super().__init__()
-        self.known = {}
-
-    def extract(self, image):
-        key = image.tobytes()
-        if key not in self.known:
-            self.known[key] = super().extract(image)
-        return self.known[key]
-
-
-SURF = RememberedSurf()
+SURF = CachingSurf()
 
 
 class CountingIndex(ExactWordIndex):

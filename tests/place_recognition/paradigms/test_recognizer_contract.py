@@ -1,13 +1,10 @@
 """The contract of every recogniser. A new paradigm joins by its line in the registry."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
-from place_images import sliding_view, textured_world
+from place_images import CachingSurf, sliding_view, textured_world
 
-from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
-from place_recognition.image_processing.surf import Surf
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
 from place_recognition.recognizer import Belief
 
@@ -22,22 +19,10 @@ def drive(recognizer, images, first_id=0, id_step=1):
     return beliefs + recognizer.finish()
 
 
-class RememberingSurf(Surf):
-    """Extracts the features of each image once for all tests."""
-
-    known: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
-
-    def extract(self, image):
-        key = image.tobytes(), image.shape
-        if key not in self.known:
-            self.known[key] = super().extract(image)
-        return self.known[key]
-
-
 @pytest.fixture(scope="module", params=PARADIGMS)
 def make(request):
     """Makes a recogniser that has seen nothing."""
-    return lambda: make_recognizer(request.param, FeatureCache(RememberingSurf()))
+    return lambda: make_recognizer(request.param, FeatureCache(CachingSurf()))
 
 
 @pytest.fixture(scope="module")

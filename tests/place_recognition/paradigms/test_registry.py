@@ -1,14 +1,13 @@
 """The registry makes every paradigm by its name and passes on an exclusion to each."""
 
 from dataclasses import fields, is_dataclass
-from typing import ClassVar
 
 import numpy as np
 import pytest
-from place_images import sliding_view, textured_world
+from place_images import CachingSurf, sliding_view, textured_world
 
 from place_recognition.evaluation.memory import count_array_bytes, map_size
-from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_recognizer, with_exclusion
 from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
@@ -71,18 +70,6 @@ def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
     assert with_exclusion(changed, 0) == config
 
 
-class RememberingSurf(Surf):
-    """Extracts the features of each image once for all tests."""
-
-    known: ClassVar[dict[bytes, LocalFeatures]] = {}
-
-    def extract(self, image):
-        key = image.tobytes()
-        if key not in self.known:
-            self.known[key] = super().extract(image)
-        return self.known[key]
-
-
 @pytest.fixture(scope="module")
 def two_laps():
     lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
@@ -92,7 +79,7 @@ def two_laps():
 @pytest.mark.parametrize("name", PARADIGMS)
 def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two_laps, name):
     def beliefs(images):
-        recognizer = make_recognizer(name, FeatureCache(RememberingSurf()), with_exclusion(ParadigmsConfig(), images))
+        recognizer = make_recognizer(name, FeatureCache(CachingSurf()), with_exclusion(ParadigmsConfig(), images))
         found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
         return found + recognizer.finish()
 
@@ -104,7 +91,7 @@ def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two
 
 @pytest.mark.parametrize("name", PARADIGMS)
 def test_a_map_grows_with_the_images(two_laps, name):
-    recognizer = make_recognizer(name, FeatureCache(RememberingSurf()))
+    recognizer = make_recognizer(name, FeatureCache(CachingSurf()))
     sizes = []
     for i, image in enumerate(two_laps):
         recognizer.observe(i, image, float("nan"))

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from place_images import changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.global_descriptors import Hog
-from place_recognition.map.descriptor_database import DenseMap, absolute_differences, dot_products
+from place_recognition.map.descriptor_database import DescriptorDatabase, absolute_differences, dot_products
 from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.seqslam import PixelSequences, best_lines, local_contrast
 
-WAY = float("nan")
+DISTANCE_M = float("nan")
 
 
 class Collected:
@@ -26,7 +26,7 @@ class Collected:
 
 
 def drive(recognizer, images):
-    return [b for i, image in enumerate(images) for b in recognizer.observe(i, image, WAY)]
+    return [b for i, image in enumerate(images) for b in recognizer.observe(i, image, DISTANCE_M)]
 
 
 @settings(max_examples=30, deadline=None)
@@ -40,10 +40,10 @@ def test_compiled_products_and_differences_agree_with_numpy(seed, size, count):
     np.testing.assert_array_equal(absolute_differences(one, many), expected)
 
 
-def test_a_dense_map_gives_the_cosine_whatever_the_lengths():
+def test_a_descriptor_database_gives_the_cosine_whatever_the_lengths():
     rng = np.random.default_rng(0)
     vectors = rng.normal(size=(50, 300)).astype(np.float32) * rng.uniform(1e-6, 1e6, (50, 1)).astype(np.float32)
-    dense = DenseMap()
+    dense = DescriptorDatabase()
     for vector in vectors:
         dense.add(vector)
     unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def test_a_dense_map_gives_the_cosine_whatever_the_lengths():
 
 
 def test_vectors_of_zeros_are_like_nothing():
-    dense = DenseMap()
+    dense = DescriptorDatabase()
     for vector in np.eye(3, 4, dtype=np.float32) * [[1], [0], [1]]:
         dense.add(vector.astype(np.float32))
     np.testing.assert_array_equal(dense.similarities(np.float32([1, 0, 0, 0]), 3), [1, 0, 0])
@@ -60,15 +60,15 @@ def test_vectors_of_zeros_are_like_nothing():
     assert dense.similarities(np.zeros(4, np.float32), 0).shape == (0,)
 
 
-def test_a_dense_map_refuses_other_sizes_and_what_is_no_number():
-    dense = DenseMap()
+def test_a_descriptor_database_refuses_other_sizes_and_what_is_no_number():
+    dense = DescriptorDatabase()
     dense.add(np.ones(5, np.float32))
     with pytest.raises(ValueError, match=r"expected a descriptor \(5,\), got \(4,\)"):
         dense.add(np.ones(4, np.float32))
     with pytest.raises(ValueError, match="expected a descriptor of finite numbers"):
         dense.similarities(np.full(5, np.nan, np.float32), 1)
     with pytest.raises(ValueError, match=r"expected a descriptor \(D,\), got \(2, 2\)"):
-        DenseMap().add(np.ones((2, 2), np.float32))
+        DescriptorDatabase().add(np.ones((2, 2), np.float32))
 
 
 def test_local_contrast_agrees_with_a_plain_loop():
@@ -144,14 +144,14 @@ def test_the_present_ends_where_the_view_has_changed_and_waits_where_it_has_not(
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     past = []
     for k, image in enumerate(views[:15] + 30 * [views[15]] + views[16:]):
-        present.add(k, image, WAY)
+        present.add(k, image, DISTANCE_M)
         past.append(present.count_matchable())
     assert past[14] > 5
     assert len(set(past[20:45])) == 1
     assert past[-1] > 50
 
 
-def test_the_present_reaches_as_far_back_as_the_way_demands():
+def test_the_present_reaches_as_far_back_as_the_distance_demands():
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3, min_distance_m=20.0))
     for k, image in enumerate(sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))):
         present.add(k, image, 0.5 * k)
@@ -162,5 +162,5 @@ def test_a_blank_image_does_not_end_the_present():
     views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
     present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
     for k, image in enumerate(20 * [views[0]] + 5 * [np.zeros_like(views[0])] + 5 * [views[0]]):
-        present.add(k, image, WAY)
+        present.add(k, image, DISTANCE_M)
         assert present.count_matchable() == 0

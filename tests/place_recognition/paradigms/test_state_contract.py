@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from place_images import sliding_view, textured_world
-from test_recognizer_contract import STEP, RememberingSurf
+from place_images import CachingSurf, sliding_view, textured_world
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from place_recognition.growing_array import GrowingArray
@@ -19,6 +18,8 @@ from place_recognition.recognizer import Belief
 from place_recognition.vocabulary.tf_idf import WordVector
 from place_recognition.vocabulary.word_index import ExactWordIndex
 from place_recognition.vocabulary.word_tree import HybridWordIndex, WordTree
+
+STEP_M = 2.0  # metres from image to image
 
 
 def bits(state):
@@ -42,11 +43,11 @@ def name(request):
 
 
 def make(name, rows=None):
-    return make_recognizer(name, FeatureCache(RememberingSurf()), rows=rows)
+    return make_recognizer(name, FeatureCache(CachingSurf()), rows=rows)
 
 
 def observe(recognizer, images, first=0):
-    return [b for i, image in enumerate(images, first) for b in recognizer.observe(i, image, STEP * i)]
+    return [b for i, image in enumerate(images, first) for b in recognizer.observe(i, image, STEP_M * i)]
 
 
 @pytest.mark.parametrize("stop", [0, 1, 23, 44, 70])
@@ -68,7 +69,7 @@ def test_reading_a_state_changes_nothing(name, two_laps):
     beliefs: list[Belief] = []
     for i, image in enumerate(two_laps[:50]):
         read.state()
-        beliefs += read.observe(i, image, STEP * i)
+        beliefs += read.observe(i, image, STEP_M * i)
     assert beliefs == expected
 
 
@@ -134,7 +135,7 @@ def test_a_restored_store_has_the_same_features_in_memory_and_on_disk(images):
     assert len(other) == images
     assert other.disk_bytes == one.disk_bytes
     for k in range(images):
-        np.testing.assert_array_equal(other[k].quantised, one[k].quantised)
+        np.testing.assert_array_equal(other[k].quantized, one[k].quantized)
         np.testing.assert_array_equal(other[k].pixels, one[k].pixels)
 
 

@@ -56,10 +56,10 @@ def test_no_edge_crosses_the_hole_of_a_ring():
 @pytest.mark.parametrize("seed", range(3))
 def test_blobs_far_apart_get_components_of_their_own(seed):
     rng = np.random.default_rng(seed)
-    centres = np.array([[0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
+    centers = np.array([[0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
     blob = rng.integers(4, size=12000)
-    gas = gas_of(centres[blob] + rng.normal(size=(12000, 3)))
-    owner = cdist(gas.nodes, centres).argmin(axis=1)
+    gas = gas_of(centers[blob] + rng.normal(size=(12000, 3)))
+    owner = cdist(gas.nodes, centers).argmin(axis=1)
     assert set(owner) == {0, 1, 2, 3}
     assert (owner[gas.edges[:, 0]] == owner[gas.edges[:, 1]]).all()
 

@@ -100,7 +100,7 @@ def test_one_track_that_never_ends_does_not_count_as_the_longest():
     for _ in range(12):
         passing = rng.uniform(0, 90, (40, 2))
         tracks.advance(image, features_at([[150, 150], *passing], np.eye(41)))
-    assert tracks.longest_frames < 12
+    assert tracks.max_length_frames < 12
 
 
 def test_words_are_found_once_the_horizon_has_passed_them():

@@ -30,24 +30,24 @@ print(hashlib.sha256(vocabulary.words.tobytes() + vocabulary.weights.tobytes()).
 def groups(count: int, members: int, noise: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (count * members, 16) around as many centres as count, and the centres."""
     rng = np.random.default_rng(count)
-    centres = rng.normal(size=(count, 16))
-    centres /= np.linalg.norm(centres, axis=1, keepdims=True)
-    spread = np.repeat(centres, members, axis=0) + rng.normal(0, noise, (count * members, 16))
-    return spread.astype(np.float32), centres.astype(np.float32)
+    centers = rng.normal(size=(count, 16))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    spread = np.repeat(centers, members, axis=0) + rng.normal(0, noise, (count * members, 16))
+    return spread.astype(np.float32), centers.astype(np.float32)
 
 
 def binary_groups(count: int, members: int, flips: float) -> tuple[np.ndarray, np.ndarray]:
     """Bits (count * members, 256), each flipped with a chance, and the groups' own (count, 256)."""
     rng = np.random.default_rng(count)
-    centres = rng.random((count, 256)) < 0.5
-    return np.repeat(centres, members, axis=0) ^ (rng.random((count * members, 256)) < flips), centres
+    centers = rng.random((count, 256)) < 0.5
+    return np.repeat(centers, members, axis=0) ^ (rng.random((count * members, 256)) < flips), centers
 
 
 def test_each_group_of_descriptors_becomes_a_word():
-    descriptors, centres = groups(12, 40)
+    descriptors, centers = groups(12, 40)
     vocabulary = train_vocabulary("test", descriptors, VocabularyTrainingConfig(words=60))
     assert len(vocabulary) == 60
-    assert np.linalg.norm(vocabulary.words[vocabulary.assign(centres)] - centres, axis=1).max() < 0.06
+    assert np.linalg.norm(vocabulary.words[vocabulary.assign(centers)] - centers, axis=1).max() < 0.06
 
 
 def test_weights_are_the_logarithm_of_how_rare_a_word_is():
@@ -82,11 +82,11 @@ def test_another_seed_gives_other_words():
 
 
 def test_binary_descriptors_get_binary_words_of_the_groups():
-    bits, centres = binary_groups(25, 30, flips=0.1)
+    bits, centers = binary_groups(25, 30, flips=0.1)
     signs = np.where(bits, 1 / 16, -1 / 16).astype(np.float32)
     vocabulary = train_vocabulary("orb-256", signs, VocabularyTrainingConfig(words=100))
     assert set(np.unique(vocabulary.words)) == {np.float32(-1 / 16), np.float32(1 / 16)}
-    distances = (centres[:, None] != (vocabulary.words > 0)[None]).sum(axis=2)
+    distances = (centers[:, None] != (vocabulary.words > 0)[None]).sum(axis=2)
     assert (distances.min(axis=1) < 8).mean() > 0.9  # the tree may part a group at its root
 
 

@@ -110,8 +110,8 @@ def test_the_shipped_words_tell_real_streets_apart(test_data: Path):
 @settings(deadline=None, max_examples=40)
 def test_of_binary_words_at_one_hamming_distance_the_first_is_taken(seed: int, words: int, count: int):
     rng = np.random.default_rng(seed)
-    bits, centres = rng.random((count, 256)) < 0.5, rng.random((words, 256)) < 0.5
-    signs = [np.where(rows, 1 / 16, -1 / 16).astype(np.float32) for rows in (bits, centres)]
+    bits, centers = rng.random((count, 256)) < 0.5, rng.random((words, 256)) < 0.5
+    signs = [np.where(rows, 1 / 16, -1 / 16).astype(np.float32) for rows in (bits, centers)]
     assigned = Vocabulary("orb-256", signs[1], np.ones(words, np.float32)).assign(signs[0])
-    distances = (bits[:, None] != centres[None]).sum(axis=2)
+    distances = (bits[:, None] != centers[None]).sum(axis=2)
     np.testing.assert_array_equal(assigned, distances.argmin(axis=1) if count else np.empty(0, np.int64))

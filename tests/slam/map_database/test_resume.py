@@ -208,6 +208,6 @@ def test_the_state_of_another_recogniser_is_refused_in_one_line(drive: Every, tm
     with kept(path, drive, RunConfig(paradigm="global-descriptor")) as (_, recorder):
         drive_on(drive, RunConfig(paradigm="global-descriptor"), recorder, 3)
     other = RunConfig(paradigm="pixel-sequences")
-    with kept(path, drive, other) as (_, recorder), pytest.raises(DataError, match=r"thumbnails|likeness") as error:
+    with kept(path, drive, other) as (_, recorder), pytest.raises(DataError, match=r"thumbnails|similarity") as error:
         drive_on(drive, other, recorder)
     assert "\n" not in str(error.value)
