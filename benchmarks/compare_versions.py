@@ -9,8 +9,8 @@ The set: a simulated drive by stereo and by one camera, place recognition with a
 midway and resumed, a run reprocessed from its map, and a dense map. `--real DIR` adds recordings in KITTI layout.
 
 The comparison is exact, or to a `--tolerance`, with the largest difference printed. It leaves out what no two runs
-share (times, memory, paths, versions) and pictures. Columns and keys that have been renamed are mapped by the tables below;
-of texts that give a reason the numbers are compared.
+share (times, memory, paths, versions) and pictures. Columns and keys that have been renamed are mapped by the tables
+below; of texts that give a reason the numbers are compared.
 """
 
 import argparse
