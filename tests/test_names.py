@@ -37,7 +37,7 @@ RETIRED = {
     "eavesdrop": "listen",
 }
 # Bounds are min_ and max_.
-BOUNDS = re.compile(r"(^|_)(least|most|fewest|longest|shortest)(_|$)")
+BOUNDS = re.compile(r"(^|_)(least(?!_squares)|most|fewest|longest|shortest)(_|$)")
 UNITS = {
     "m", "px", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent", "sigma",
     "per_m", "deg_per_m", "m_per_s", "per_360m",
@@ -134,7 +134,7 @@ def config_numbers(path: Path) -> Iterator[tuple[str, str]]:
 # Numbers of a configuration that have no unit: ratios, shares, probabilities and weights.
 DIMENSIONLESS = re.compile(
     r"ratio|share|fraction|probability|weight|score|similarity|factor|evidence|power|confidence|threshold|quality|overlap"
-    r"|correlation|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|distance$"
+    r"|correlation|chi2|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|distance$"
 )
 
 

@@ -56,10 +56,10 @@ def simulate(
     laps: Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)] = SimulationConfig.laps,
     length: Annotated[
         float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)
-    ] = SimulationConfig.length,
+    ] = SimulationConfig.length_m,
     speed: Annotated[
         float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)
-    ] = SimulationConfig.speed,
+    ] = SimulationConfig.speed_m_per_s,
     lateral_offset: Annotated[
         float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
     ] = 0.0,
@@ -87,21 +87,21 @@ def simulate(
     ] = SimulationConfig.cars_per_360m,
     frame_rate: Annotated[
         float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)
-    ] = SimulationConfig.frame_rate,
+    ] = SimulationConfig.frame_rate_hz,
     width: Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)] = SimulationConfig.width,
     height: Annotated[
         int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)
     ] = SimulationConfig.height,
     rectification_error: Annotated[
         float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
-    ] = SimulationConfig.rectification_error,
+    ] = SimulationConfig.rectification_error_px,
     lens_error: Annotated[
         float,
         typer.Option(
             help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
             rich_help_panel=_CAMERA,
         ),
-    ] = SimulationConfig.lens_error,
+    ] = SimulationConfig.lens_error_px,
     ideal_sensor: Annotated[
         bool,
         typer.Option(
@@ -125,19 +125,19 @@ def simulate(
     spec = SimulationConfig(
         shape=shape,
         laps=laps,
-        length=length,
+        length_m=length,
         seed=seed,
-        speed=speed,
-        frame_rate=frame_rate,
+        speed_m_per_s=speed,
+        frame_rate_hz=frame_rate,
         width=width,
         height=height,
-        lateral_offset=lateral_offset,
+        lateral_offset_m=lateral_offset,
         reverse=reverse,
         change_illumination=change_illumination,
         perceptual_aliasing=perceptual_aliasing,
         cars_per_360m=cars_per_360m,
-        rectification_error=rectification_error,
-        lens_error=lens_error,
+        rectification_error_px=rectification_error,
+        lens_error_px=lens_error,
         max_frames=max_frames,
         ideal_sensor=ideal_sensor,
         depth=save_depth,

@@ -58,18 +58,18 @@ def _run_check(topic: str, check: Check, store: MapDatabase) -> Finding:
 
 
 def _file(store: MapDatabase) -> CheckResult:
-    said = [row[0] for row in store.ask("PRAGMA integrity_check(3)")]
+    said = [row[0] for row in store.query("PRAGMA integrity_check(3)")]
     if said != ["ok"]:
         return Status.FAULT, f"{store.path}: expected a sound file, SQLite finds {said[0]}; copy it again or run again"
-    size = sum(row[0] for row in store.ask("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
+    size = sum(row[0] for row in store.query("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
     return Status.OK, f"sound, {size / 1e6:.1f} MB"
 
 
 def _tables(store: MapDatabase) -> CheckResult:
-    lost = schema.missing_columns(store.ask)
+    lost = schema.missing_columns(store.query)
     if lost:
         return Status.FAULT, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
-    stray = store.ask("PRAGMA foreign_key_check")
+    stray = store.query("PRAGMA foreign_key_check")
     if stray:
         return Status.FAULT, f"{len(stray)} rows of {stray[0]['table']} belong to no {stray[0]['parent']}; run again"
     return Status.OK, f"version {schema.VERSION}, all rows belong together"
@@ -85,7 +85,7 @@ def _drives(store: MapDatabase) -> CheckResult:
         return Status.FAULT, f"expected drives that follow one another, found them begin at images {firsts}; run again"
     unfinished = [session.name for session in sessions if not session.finished]
     if unfinished:
-        return Status.WARNING, f"{', '.join(unfinished)} did not end, no pose is corrected yet; go on with --resume"
+        return Status.WARNING, f"{', '.join(unfinished)} did not end, no pose is corrected yet; continue with --resume"
     return Status.OK, f"{len(sessions)}, all driven to their end"
 
 
@@ -129,13 +129,13 @@ def _is_pose(T: Array) -> bool:
 
 def _loops(store: MapDatabase) -> CheckResult:
     images = store.images()
-    for number, candidate in enumerate(store.candidates()):
-        belief = candidate.belief
+    for number, loop in enumerate(store.loops()):
+        belief = loop.belief
         match = belief.query - 1 if belief.match is None else belief.match
         if not -1 <= match < belief.query < images:
             found = f"{belief.query} and {belief.match}"
-            return Status.FAULT, f"candidate {number}: expected two of {images} images, found {found}; run again"
-    (row,) = store.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
+            return Status.FAULT, f"loop {number}: expected two of {images} images, found {found}; run again"
+    (row,) = store.query("SELECT count(*), total(outcome = 'closed'), total(kept) FROM loop")
     return Status.OK, f"{row[0]} answers of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
 
 

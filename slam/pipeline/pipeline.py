@@ -150,7 +150,7 @@ def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: 
     if stopped is not None:
         return Pipeline.resumed(options, settings, stopped).run(messages, results)
     if options.resume and is_complete(options.out):
-        messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
+        messages.print(f"{options.out}: this run is complete, nothing is left to resume", markup=False)
         return False
     if options.map_file is not None:
         return Pipeline.on_map(options, settings, options.map_file).run(messages, results)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class IncrementalConfig:
     """Settings of iSAM2."""
 
-    huber_width: float = 4.0  # of a loop, sigmas
+    huber_width_sigma: float = 4.0  # of a loop, sigmas
     relinearize_threshold: float = 0.1  # change of a pose after which it is linearised again, rad or m
 
 
@@ -72,7 +72,7 @@ class IncrementalPoseGraph:
         """Use registered loops from the next `step` on."""
         for number, loop in loops.items():
             self._pending_loops.append((number, self._graph.size()))
-            self._graph.add(factors.huber_factor(loop, self._config.huber_width))
+            self._graph.add(factors.huber_factor(loop, self._config.huber_width_sigma))
 
     def remove_loops(self, numbers: Iterable[int]) -> None:
         """Stop using loops from the next `step` on; their effect is undone."""

@@ -154,15 +154,15 @@ class Traffic:
         count = round(config.cars_per_360m * trajectory.path.length_m / _LAP_M)
         self.trajectory, self.config, self.cars = trajectory, config, cars
         self.met_at = rng.uniform(0.0, max(trajectory.path.length_m, _LAP_M), count)
-        self.speeds = config.speed * rng.uniform(0.6, 1.3, count)
+        self.speeds = config.speed_m_per_s * rng.uniform(0.6, 1.3, count)
         self.kinds = rng.integers(0, len(cars), count + 1)
 
     def meshes_at(self, frame: int) -> list[Mesh]:
         """Return the cars around the camera at a frame, in the town frame."""
         distance_m = float(self.trajectory.distance_m[frame])
-        time = distance_m / self.config.speed
+        time = distance_m / self.config.speed_m_per_s
         # A car that is met at s is at s when the camera is there, and approaches it before.
-        places = self.met_at - self.speeds * (time - self.met_at / self.config.speed)
+        places = self.met_at - self.speeds * (time - self.met_at / self.config.speed_m_per_s)
         seen = np.flatnonzero(np.abs(places - distance_m) < _MAX_DISTANCE_M)
         out = [self._car_at(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in seen]
         if len(self.met_at) and distance_m % (2 * _LEAD_M) < _LEAD_M:

@@ -112,7 +112,7 @@ def test_what_does_not_fit_is_said_in_one_line(
         assert words in said
         assert said.count("\n") == 1
     assert run(monkeypatch, "locate", tmp_path / "no.db", photos) == 1
-    assert "expected a map store, found none" in capsys.readouterr().err
+    assert "expected a map database, found none" in capsys.readouterr().err
 
 
 def test_another_camera_is_refused(

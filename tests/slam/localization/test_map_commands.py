@@ -38,7 +38,7 @@ def change(path: Path, statement: str, *values: object) -> None:
 def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
     summary = summarize(map_path)
     with MapDatabase.open(map_path) as store:
-        frames, candidates = list(store.frames()), list(store.candidates())
+        frames, candidates = list(store.frames()), list(store.loops())
     (drive,) = summary.sessions
     keys = [frame for frame in frames if frame.is_key_frame]
     assert (drive.frames, drive.key_frames) == (len(frames), len(keys))
@@ -103,14 +103,14 @@ UNTRUE: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "session",
     ),
     "an answer about nothing": (
-        lambda path: change(path, "UPDATE candidate SET query = 999 WHERE number = 0"),
+        lambda path: change(path, "UPDATE loop SET query = 999 WHERE number = 0"),
         "loops",
         "found 999",
     ),
     "a lost column": (
-        lambda path: change(path, "ALTER TABLE candidate DROP COLUMN weight"),
+        lambda path: change(path, "ALTER TABLE loop DROP COLUMN weight"),
         "tables",
-        "candidate.weight",
+        "loop.weight",
     ),
     "settings of another kind": (lambda path: change(path, "UPDATE session SET camera = '[1]'"), "drives", "damaged"),
     "no drive": (lambda path: change(path, "DELETE FROM session"), "drives", "expected a drive, found none"),
@@ -127,8 +127,8 @@ def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
 
 
 def test_a_damaged_checkpoint_forbids_no_more_than_going_on(damaged: Path) -> None:
-    change(damaged, "UPDATE piece SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
-    assert "piece of the checkpoint" in faults(damaged)["checkpoint"]
+    change(damaged, "UPDATE chunk SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
+    assert "chunk of the checkpoint" in faults(damaged)["checkpoint"]
     assert inspect_map(damaged).possible_uses == (MapUse.LOCATE,)
 
 
@@ -142,7 +142,7 @@ NO_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda path: (path.unlink(), change(path, "CREATE TABLE mine (x)")),
         "found another SQLite database",
     ),
-    "another version": (lambda path: change(path, "PRAGMA user_version = 99"), "expected a map store of version"),
+    "another version": (lambda path: change(path, "PRAGMA user_version = 99"), "expected a map database of version"),
 }
 
 
@@ -190,7 +190,7 @@ def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeyp
             writer.delete_loops_from(0)
         monkeypatch.setattr("os.access", lambda path, mode: False)
         with MapDatabase.open(damaged) as store:
-            assert store.count("candidate") == 0  # what still waits in the log is read
+            assert store.count("loop") == 0  # what still waits in the log is read
 
 
 def test_commands_print_a_table_or_json(

@@ -163,12 +163,12 @@ def test_a_transaction_that_fails_leaves_nothing(drive: Every, tmp_path: Path):
     config = RunConfig()
     with kept(tmp_path / "map.db", drive, config) as (store, recorder):
         drive_on(drive, config, recorder, 20)
-        answers = store.count("candidate")
+        answers = store.count("loop")
         with contextlib.suppress(RuntimeError), store.writing():
             store.delete_loops_from(0)
-            assert store.count("candidate") == 0
+            assert store.count("loop") == 0
             raise RuntimeError
-        assert store.count("candidate") == answers > 0
+        assert store.count("loop") == answers > 0
         with pytest.raises(OutputError, match="cannot be written"), store.writing():
             store.add_frame(next(store.frames()), 0)  # there is one of this number
         assert store.images() == 20
@@ -180,7 +180,8 @@ def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Pa
     with kept(path, drive, config) as (store, recorder):
         drive_on(drive, config, recorder, 3)
         store._connection.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO damaged")
-    with MapDatabase.open(path) as store, pytest.raises(DataError, match="expected a map store, found a damaged one"):
+    fault = "expected a map database, found a damaged one"
+    with MapDatabase.open(path) as store, pytest.raises(DataError, match=fault):
         _ = store.sessions(), list(store.frames())
 
 
@@ -188,7 +189,7 @@ def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Pa
     ("change", "found"),
     [
         ("UPDATE checkpoint SET structure = replace(structure, 'history', 'other')", "the structure of the checkpoint"),
-        ("UPDATE piece SET bytes = zeroblob(length(bytes))", "a piece of the checkpoint"),
+        ("UPDATE chunk SET bytes = zeroblob(length(bytes))", "a chunk of the checkpoint"),
         ("DELETE FROM checkpoint_array WHERE number = 0", "IndexError"),
     ],
 )

@@ -96,7 +96,7 @@ def test_only_the_same_recogniser_and_camera_go_on(circle_drive: Path, first: Pa
     calibration.write_text(calibration.read_text().replace("P1: 3", "P1: 4", 1).replace("P0: 3", "P0: 4", 1))
     with pytest.raises(DataError):
         run(source, tmp_path / "out", first)
-    with pytest.raises(DataError, match="expected a map store, found none"):
+    with pytest.raises(DataError, match="expected a map database, found none"):
         run(source, tmp_path / "out", tmp_path / "nothing.db")
 
 

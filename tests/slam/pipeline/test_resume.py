@@ -1,4 +1,4 @@
-"""Runs that are killed, stopped or lose their source, and go on with --resume."""
+"""Runs that are killed, stopped or lose their source, and continue with --resume."""
 
 import json
 import os
@@ -105,7 +105,7 @@ def test_a_killed_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path):
     process.wait()
     assert 100 <= _frames(out) <= FRAMES
     assert not (out / "metrics.json").exists()
-    with pytest.raises(OutputError, match=r"stopped after .* go on with --resume"):
+    with pytest.raises(OutputError, match=r"stopped after .* continue it with --resume"):
         run(drive, out)
     run(drive, out, resume=True)
     assert_as_undisturbed(out, undisturbed)
@@ -126,7 +126,7 @@ def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed:
     there = image.readlink()
     image.unlink()
     image.write_bytes(b"gone")
-    with pytest.raises(DataError, match=r"000120.png.* 100 frames are kept in .*out: go on with --resume"):
+    with pytest.raises(DataError, match=r"000120.png.* 100 frames are kept in .*out: continue with --resume"):
         run(source, out)
     image.unlink()
     image.symlink_to(there)
@@ -167,10 +167,10 @@ def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive:
     shutil.copy(undisturbed / "map.db", left)
     with pytest.raises(ConfigError, match="other settings"):
         run(drive, out, resume=True, paradigm="global-descriptor")
-    with pytest.raises(DataError, match="expected the drive that it was made of"):
+    with pytest.raises(DataError, match="expected the dataset from which it was made"):
         run(circle_drive, out, resume=True)
     (left / "map.db").write_bytes(b"SQLite format 3\0 and then nothing")
-    with pytest.raises(DataError, match=r"map\.db: expected a map store, found a damaged one"):
+    with pytest.raises(DataError, match=r"map\.db: expected a map database, found a damaged one"):
         run(drive, out, resume=True)
 
 
@@ -197,5 +197,5 @@ def test_other_loops_are_found_with_another_paradigm(undisturbed: Path, circle_d
     name = "trajectory_odometry.txt"
     assert (tmp_path / "other" / name).read_bytes() == (undisturbed / name).read_bytes()
     elsewhere = RunOptions(source=circle_drive, out=tmp_path / "never", reuse_map=undisturbed)
-    with pytest.raises(DataError, match="expected the drive that it was made of"):
+    with pytest.raises(DataError, match="expected the dataset from which it was made"):
         run_pipeline(elsewhere, WITHOUT_RECORDING, QUIET, QUIET)

@@ -22,7 +22,7 @@ from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, s
 CREDULOUS = LoopSelectionConfig(1e9, 1e9, LoopClusterConfig(max_agreement_chi2=1e9))
 PLAIN = PoseGraphConfig(
     nodes=NodeSpacing(min_distance_m=0.0),
-    incremental=IncrementalConfig(huber_width=1e6, relinearize_threshold=1e-6),
+    incremental=IncrementalConfig(huber_width_sigma=1e6, relinearize_threshold=1e-6),
     loop_selection=CREDULOUS,
 )
 

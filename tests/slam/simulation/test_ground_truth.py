@@ -29,12 +29,12 @@ def test_the_images_just_before_are_no_revisits():
 
 def test_the_opposite_way_is_not_the_same_place():
     truth = truth_of(length=300, reverse=True)
-    lap = plan_trajectory(SimulationConfig(length=300, reverse=True)).lap
+    lap = plan_trajectory(SimulationConfig(length_m=300, reverse=True)).lap
     assert not truth[np.flatnonzero(lap == 1)[60:-60]].any()
 
 
 def test_the_rule_does_not_depend_on_the_frame_of_the_poses():
-    poses = plan_trajectory(SimulationConfig(length=300)).T_town_camera
+    poses = plan_trajectory(SimulationConfig(length_m=300)).T_town_camera
     np.testing.assert_array_equal(loop_truth(poses), loop_truth(np.linalg.inv(poses[0]) @ poses))
 
 

@@ -8,7 +8,7 @@ import pytest
 from slam.errors import OutputError
 from slam.simulation import SimulationConfig, simulate
 
-SMALL = SimulationConfig(width=320, height=96, max_frames=4, length=200, depth=True)
+SMALL = SimulationConfig(width=320, height=96, max_frames=4, length_m=200, depth=True)
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +94,6 @@ def test_a_broken_off_drive_leaves_nothing_behind(tmp_path):
 
 def test_progress_counts_to_the_end(tmp_path):
     calls = []
-    config = SimulationConfig(width=64, height=32, max_frames=3, length=200)
+    config = SimulationConfig(width=64, height=32, max_frames=3, length_m=200)
     simulate(config, tmp_path / "e", lambda done, total: calls.append((done, total)))
     assert calls == [(1, 3), (2, 3), (3, 3)]

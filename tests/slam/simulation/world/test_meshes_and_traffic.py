@@ -65,7 +65,7 @@ def test_cars_have_the_size_of_cars_and_stand_on_the_road(car_type: str) -> None
     assert 0.0 <= corners[:, 2].min() < 0.1
 
 
-CONFIG = SimulationConfig(length=720, laps=1, cars_per_360m=6)
+CONFIG = SimulationConfig(length_m=720, laps=1, cars_per_360m=6)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def centres(traffic: Traffic, frame: int) -> np.ndarray:
 
 def test_the_number_of_cars_is_per_360_m(traffic: Traffic) -> None:
     assert len(traffic.met_at) == 12
-    none = SimulationConfig(length=720, cars_per_360m=0)
+    none = SimulationConfig(length_m=720, cars_per_360m=0)
     trajectory = plan_trajectory(none)
     assert all(Traffic(none, trajectory, fleet(none.rng(3))).meshes_at(frame) == [] for frame in (0, 100, 400))
 
@@ -90,7 +90,7 @@ def test_each_car_is_met_where_it_was_drawn_to_be(traffic: Traffic) -> None:
     for met_at in traffic.met_at:
         if not 5.0 < met_at < trajectory.distance_m[-1] - 5.0:
             continue
-        frame = round(met_at / CONFIG.spacing)
+        frame = round(met_at / CONFIG.spacing_m)
         camera = trajectory.T_town_camera[frame, :2, 3]
         assert np.linalg.norm(centres(traffic, frame) - camera, axis=1).min() < 2 * LANE + 2.5
 
