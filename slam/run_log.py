@@ -1,7 +1,13 @@
-"""Log of a run: what is known of each frame and of each loop candidate, in numbers; never an image."""
+"""Logs of a run: what is known of each frame and of each loop candidate, in numbers, and the messages of `run.log`.
 
-from collections.abc import Iterable
+Neither holds an image.
+"""
+
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +18,8 @@ from slam.io.csv_tables import FrameTable
 from slam.system import FrameResult, LoopCandidate
 
 Array = NDArray[np.float64]
+
+log = logging.getLogger("revisit")
 
 
 @dataclass
@@ -72,3 +80,40 @@ class RunLog:
 def _summary(motion: Motion) -> tuple[bool, str, int, int, float]:
     inliers = int(motion.inliers.sum())
     return motion.predicted, motion.reason, inliers, len(motion.inliers), motion.residual_px
+
+
+def log_frame(result: FrameResult) -> None:
+    """Log what is out of the ordinary about a frame."""
+    if result.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
+    log_loops(result.candidates)
+
+
+def log_loops(candidates: Iterable[LoopCandidate]) -> None:
+    """Log what became of each loop that was proposed."""
+    for candidate in candidates:
+        if candidate.reason:
+            outcome = "closed" if candidate.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
+
+
+@contextmanager
+def log_to_file(path: Path) -> Iterator[None]:
+    """Send the log to a file while the block runs."""
+    handler = _LogFile(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log file that a full disk cuts short; the results need room too and report the full disk."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Ignore that a line could not be written."""

@@ -137,6 +137,21 @@ def open_dataset(source: DatasetSpec | Path | str, sequence: str | None = None) 
     return FORMATS[detect_format(spec)].open_dataset(spec)
 
 
+def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
+    """Open a calibrated dataset for odometry with two cameras or one.
+
+    Raises:
+        DataError: as `open_dataset`, or there are no right images and two cameras are needed.
+        ConfigError: the format does not exist.
+    """
+    dataset = open_dataset(spec)
+    if not dataset.has_right and not mono:
+        raise DataError(
+            f"{spec.path}: expected left and right images, found left ones only; use one camera with --mono"
+        )
+    return dataset
+
+
 def open_images(spec: DatasetSpec) -> ImageDataset:
     """Open the left camera's images of a dataset. They are undistorted if there is a calibration; none is needed.
 

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from place_recognition.growing_array import SpillFile
+from slam import run_log
 from slam.cli import app
 from slam.errors import OutputError
 from slam.io.metrics import read_metrics
@@ -61,7 +62,7 @@ def test_a_recording_that_goes_midway_is_named_and_the_earlier_run_stays(
         driven.append(processed)
         shutil.rmtree(drive, ignore_errors=True)
 
-    monkeypatch.setattr(pipeline, "note", pull_out_the_disk)
+    monkeypatch.setattr(pipeline, "log_frame", pull_out_the_disk)
     assert revisit(drive, "--out", out, "--no-record", "--overwrite") == 1
     assert 0 < len(driven) < FRAMES
     assert only_line(capsys).endswith(
@@ -149,9 +150,9 @@ def test_other_errors_of_the_system_keep_their_traceback() -> None:
 
 
 def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with largest_file(2000), pipeline.log_to_file(tmp_path / "run.log"):
+    with largest_file(2000), run_log.log_to_file(tmp_path / "run.log"):
         for _ in range(100):
-            pipeline.log.info("frame 1: motion predicted")
+            run_log.log.info("frame 1: motion predicted")
     assert (tmp_path / "run.log").stat().st_size <= 2000
     assert capsys.readouterr().err == ""
 
