@@ -155,7 +155,7 @@ def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, conf
 
 
 def _point_noise(camera: StereoCamera, points: Array, sigma_px: float) -> Array:
-    """Covariance (K, 3, 3) of triangulated points (K, 3): from the pixel across the ray, from the disparity along it."""
+    """Covariance (K, 3, 3) of triangulated points (K, 3): pixel noise across the ray, disparity noise along it."""
     depth = points[:, 2]
     across = np.stack([depth / camera.fx * sigma_px, depth / camera.fy * sigma_px, np.zeros_like(depth)], axis=1)
     along = points * (depth / (camera.fx * camera.baseline) * sigma_px)[:, None]

@@ -129,15 +129,13 @@ class Localizer:
 
     def _candidates(self, features: LocalFeatures) -> Iterator[int]:
         """The most similar key frames that are not neighbours of one another, best first."""
-        similarity = self._index.similarity(features.descriptors)
+        similarity, gap = self._index.similarity(features.descriptors), self._config.min_keyframe_gap
         for _ in range(self._config.max_candidates):
-            best = int(np.argmax(likeness))
+            best = int(np.argmax(similarity))
             if similarity[best] <= 0:
                 return
             yield best
-            similarity[
-                max(best - self._config.min_keyframe_gap, 0) : best + self._config.min_keyframe_gap + 1
-            ] = -np.inf
+            similarity[max(best - gap, 0) : best + gap + 1] = -np.inf
 
     def _verify(self, features: LocalFeatures, places: Iterable[int], offsets: Sequence[int]) -> list[Hypothesis]:
         """Verify places by the key frames around them; the one with most inliers first."""

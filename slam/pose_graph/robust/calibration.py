@@ -18,7 +18,7 @@ from slam.pose_graph.robust.problem import LoopProblem
 Array = NDArray[np.float64]
 
 # Errors of odometry that persist add up: over a long path the variance is up to this many times what the
-# noise of single steps shows. Measured: 15 to 70 on real drives, 1 to 5 in simulated graphs.
+# noise of single steps shows. Measured: 15 to 70 on real recordings, 1 to 5 in simulated graphs.
 _MAX_PERSISTENCE = 100.0
 _MAX_ROUGHNESS = 100.0  # real motion may look like this many times the noise there is
 _MARGIN = np.log(1.5)  # width of the soft ends of that range

@@ -9,13 +9,13 @@ from odometry import se3
 from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.loop_closing.relative_pose import ScaleRatio
-from slam.pose_graph.odometry_chain import OdometryDriftModel, chained
+from slam.pose_graph.odometry_chain import OdometryDriftModel, chain_motions
 from slam.pose_graph.optimization.sim3 import SimilarityEdge, estimate_log_scales, optimize_sim3, with_scale_variance
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 LAP, COUNT = 100, 200
 STEP = se3.exp(np.array([0.0, 2 * np.pi / LAP, 0.0, 0.0, 0.0, 1.0]))
-TRUTH = chained([STEP] * (COUNT - 1))
+TRUTH = chain_motions([STEP] * (COUNT - 1))
 MOTION_COVARIANCE = np.diag([1e-7] * 3 + [1e-5] * 3)
 LOOP_COVARIANCE = np.diag([4e-6] * 3 + [1e-3] * 3)
 
