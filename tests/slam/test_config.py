@@ -15,7 +15,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_what_is_written_is_read_back(tmp_path: Path):
+def test_a_written_configuration_is_read_back(tmp_path: Path):
     config = replace(RunConfig(), seed=7, robust="none", save_recording=False)
     assert read_config(written(tmp_path, to_toml(config))) == config
 
@@ -40,7 +40,7 @@ def test_one_nested_setting_changes_only_itself(tmp_path: Path):
         ("seed = = 1", r"settings\.toml: expected a TOML file"),
     ],
 )
-def test_a_wrong_file_is_named_with_the_setting(tmp_path: Path, text: str, message: str):
+def test_the_error_for_a_wrong_setting_names_file_and_setting(tmp_path: Path, text: str, message: str):
     with pytest.raises(ConfigError, match=message):
         read_config(written(tmp_path, text))
 

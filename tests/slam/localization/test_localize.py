@@ -58,7 +58,7 @@ def test_a_folder_gives_a_table_and_a_file(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
-def test_a_name_that_is_no_text_is_refused(
+def test_a_file_name_with_invalid_characters_is_refused(
     map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     image = tmp_path / os.fsdecode(b"a\xff\n[b].png")
@@ -94,7 +94,7 @@ def test_an_image_alone_gives_the_same_as_in_the_drive(
     assert alone | {"image": ""} == within | {"image": ""}
 
 
-def test_what_does_not_fit_is_said_in_one_line(
+def test_wrong_input_is_refused_in_one_line(
     map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "empty").mkdir()

@@ -35,7 +35,7 @@ def change(path: Path, statement: str, *values: object) -> None:
         connection.execute(statement, values)
 
 
-def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
+def test_the_summary_counts_the_rows(map_path: Path) -> None:
     summary = summarize(map_path)
     with MapDatabase.open(map_path) as store:
         frames, candidates = list(store.frames()), list(store.loops())
@@ -53,7 +53,7 @@ def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
     assert json.loads(as_json(summary))["sessions"][0]["versions"] == {"revisit-slam": "0"}
 
 
-def test_a_sound_map_serves_for_everything(map_path: Path) -> None:
+def test_a_sound_map_passes_every_check(map_path: Path) -> None:
     for path in (map_path, map_path.parent):
         assert is_map(path)
         inspection = inspect_map(path)
@@ -118,7 +118,7 @@ UNTRUE: dict[str, tuple[Callable[[Path], None], str, str]] = {
 
 
 @pytest.mark.parametrize("fault", UNTRUE)
-def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
+def test_impossible_values_are_found(damaged: Path, fault: str) -> None:
     harm, topic, words = UNTRUE[fault]
     assert faults(damaged) == {}
     harm(damaged)
@@ -126,7 +126,7 @@ def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
     assert MapUse.LOCATE not in inspect_map(damaged).possible_uses
 
 
-def test_a_damaged_checkpoint_forbids_no_more_than_going_on(damaged: Path) -> None:
+def test_a_damaged_checkpoint_prevents_resuming_only(damaged: Path) -> None:
     change(damaged, "UPDATE chunk SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
     assert "chunk of the checkpoint" in faults(damaged)["checkpoint"]
     assert inspect_map(damaged).possible_uses == (MapUse.LOCATE,)
@@ -147,7 +147,7 @@ NO_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("kind", NO_MAPS)
-def test_what_is_no_map_is_told_in_a_line(damaged: Path, kind: str) -> None:
+def test_files_that_are_no_map_are_refused_in_one_line(damaged: Path, kind: str) -> None:
     harm, words = NO_MAPS[kind]
     harm(damaged)
     path = damaged / "map.db" if damaged.is_dir() else damaged

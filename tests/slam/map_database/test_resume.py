@@ -84,7 +84,7 @@ def said(log: RunLog) -> list[tuple[object, ...]]:
 
 
 @pytest.mark.parametrize("paradigm", PARADIGMS)
-def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_path: Path, paradigm: str):
+def test_a_session_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_path: Path, paradigm: str):
     config = RunConfig(paradigm=paradigm)
     whole = drive_on(drive, config, NullSessionRecorder())
     for stop in (45, 110):
@@ -106,7 +106,7 @@ def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_pa
         )
 
 
-def test_one_camera_goes_on_with_the_same_bits(circle_drive: Path, tmp_path: Path):
+def test_a_resumed_run_with_one_camera_gives_the_same_bits(circle_drive: Path, tmp_path: Path):
     drive, config = Every(open_dataset(DatasetSpec(circle_drive)), 1), RunConfig(mono=True)
     first = Every(replace_length(drive.drive, 70), 1)
     whole = drive_on(first, config, NullSessionRecorder())
@@ -131,7 +131,7 @@ def replace_length(drive: Dataset, frames: int) -> Dataset:
     return Shorter()  # type: ignore[return-value]
 
 
-def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
+def test_every_frame_is_restored(drive: Every, tmp_path: Path):
     config, seen = RunConfig(), []
 
     class Spy(MapSessionRecorder):
@@ -175,7 +175,7 @@ def test_a_transaction_that_fails_leaves_nothing(drive: Every, tmp_path: Path):
 
 
 @pytest.mark.parametrize(("table", "column"), [("frame", "reason"), ("session", "camera"), ("landmark", "grey")])
-def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
+def test_a_missing_column_is_reported_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
     config, path = RunConfig(paradigm="global-descriptor"), tmp_path / "map.db"
     with kept(path, drive, config) as (store, recorder):
         drive_on(drive, config, recorder, 3)

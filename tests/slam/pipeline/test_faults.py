@@ -51,7 +51,7 @@ def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     return line
 
 
-def test_a_recording_that_goes_midway_is_named_and_the_earlier_run_stays(
+def test_the_error_for_a_dataset_that_disappears_names_it_and_keeps_the_earlier_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive, out, driven = shutil.copytree(recording, tmp_path / "drive"), tmp_path / "out", []
@@ -90,7 +90,7 @@ def disk_of(free: int) -> Callable[[object], tuple[int, int, int]]:
     return lambda _folder: usage._replace(free=free)
 
 
-def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
+def test_without_room_for_the_recording_the_run_goes_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert revisit(recording, "--out", tmp_path / "whole", "--no-map") == 0
@@ -103,7 +103,7 @@ def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
     assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
 
 
-def test_a_disk_that_fills_up_ends_the_recording_and_what_there_is_can_be_read(
+def test_a_full_disk_ends_the_recording_and_its_beginning_can_be_read(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     free = iter([2, 2, 2, 2])  # of the reserve: at the start, then for each frame
@@ -158,7 +158,7 @@ def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: p
 
 
 @pytest.mark.parametrize("out", ["file/out", 300 * "x", "nobody/out"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_drive(
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str
 ) -> None:
     (tmp_path / "file").write_text("")

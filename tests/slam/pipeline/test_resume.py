@@ -86,7 +86,7 @@ def assert_as_undisturbed(out: Path, undisturbed: Path) -> None:
     assert unfinished(out) == []
 
 
-def test_a_killed_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path):
+def test_a_killed_run_can_be_resumed(drive: Path, undisturbed: Path, tmp_path: Path):
     out = tmp_path / "o'ut <b> 街"
     command = [
         sys.executable,
@@ -119,7 +119,7 @@ def _frames(out: Path) -> int:
     return stopped.frames if stopped else 0
 
 
-def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed: Path, tmp_path: Path):
+def test_a_run_whose_source_disappeared_can_be_resumed_once_it_is_back(drive: Path, undisturbed: Path, tmp_path: Path):
     source, out = tmp_path / "drive", tmp_path / "out"
     shutil.copytree(drive, source, symlinks=True)
     image = source / "sequences" / "00" / "image_1" / "000120.png"
@@ -134,7 +134,9 @@ def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed:
     assert_as_undisturbed(out, undisturbed)
 
 
-def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_interrupted_run_can_be_resumed(
+    drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     out, show = tmp_path / "out", "slam.pipeline.visualization.RunVisualizer.show"
     from slam.pipeline.visualization import RunVisualizer
 
@@ -154,13 +156,15 @@ def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Pa
     assert_as_undisturbed(out, undisturbed)
 
 
-def test_a_complete_run_has_nothing_to_go_on_with(drive: Path, undisturbed: Path):
+def test_a_complete_run_has_nothing_to_resume(drive: Path, undisturbed: Path):
     before = results(undisturbed)
     assert not run(drive, undisturbed, resume=True)
     assert results(undisturbed) == before
 
 
-def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive: Path, tmp_path: Path):
+def test_a_run_is_resumed_with_its_own_settings_and_dataset_only(
+    drive: Path, undisturbed: Path, circle_drive: Path, tmp_path: Path
+):
     out = tmp_path / "out"
     left = out / ".unfinished-1"
     left.mkdir(parents=True)
@@ -174,7 +178,7 @@ def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive:
         run(drive, out, resume=True)
 
 
-def test_without_a_map_nothing_is_kept(drive: Path, tmp_path: Path):
+def test_without_a_map_nothing_can_be_resumed(drive: Path, tmp_path: Path):
     run(drive, tmp_path / "out", save_map=False)
     assert not (tmp_path / "out" / "map.db").exists()
 

@@ -27,7 +27,7 @@ def test_the_images_just_before_are_no_revisits():
     assert len(queries) == 0 or (queries - matches).min() >= 500
 
 
-def test_the_opposite_way_is_not_the_same_place():
+def test_the_opposite_direction_is_not_the_same_place():
     truth = truth_of(length=300, reverse=True)
     lap = plan_trajectory(SimulationConfig(length_m=300, reverse=True)).lap
     assert not truth[np.flatnonzero(lap == 1)[60:-60]].any()

@@ -50,7 +50,9 @@ def test_city_centre_takes_the_images_of_one_camera_at_seven_hertz(tmp_path: Pat
 
 
 @pytest.mark.parametrize("opener", OPENERS)
-def test_a_missing_recording_says_where_to_get_it(tmp_path: Path, opener: Callable[[Path], ImageSequence]) -> None:
+def test_the_error_for_a_missing_dataset_says_where_to_get_it(
+    tmp_path: Path, opener: Callable[[Path], ImageSequence]
+) -> None:
     with pytest.raises(DataError, match=r"nowhere: expected the .* recording, found nothing; get it from http"):
         opener(tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"expected images such as .*, found none; get them from http"):

@@ -9,13 +9,13 @@ from slam.simulation.scenario.config import SimulationConfig
 CONFIG = SimulationConfig(width=160, height=64)
 
 
-def test_a_standing_camera_does_not_smear():
+def test_a_standing_camera_does_not_blur():
     image = np.random.default_rng(0).random((64, 160), dtype=np.float32)
     out = blur_motion(image, np.full_like(image, 5.0), np.zeros((3, 4)), intrinsics_of(CONFIG.camera))
     np.testing.assert_array_equal(out, image)
 
 
-def test_near_things_smear_more_than_far_ones():
+def test_near_objects_blur_more_than_far_ones():
     stripes = np.tile((np.arange(160) % 16 < 8).astype(np.float32), (64, 1))
     step = np.zeros((3, 4))
     step[0, 3] = 0.2  # sideways
@@ -25,7 +25,7 @@ def test_near_things_smear_more_than_far_ones():
     assert near[:, 20:140].std() < 0.8 * far[:, 20:140].std()
 
 
-def test_a_clean_camera_only_counts_light():
+def test_an_ideal_camera_only_measures_light():
     sensor = build_sensor_model(dataclasses.replace(CONFIG, ideal_sensor=True), 0)
     light = np.linspace(0, 1, 64 * 160, dtype=np.float32).reshape(64, 160)
     grey = sensor.expose(light, np.full_like(light, 9.0), np.eye(4), 1.0, 0)

@@ -31,7 +31,7 @@ def test_a_smaller_image_keeps_the_field_of_view():
         ({"width": 8}, "width .* got 8"),
     ],
 )
-def test_a_spec_that_cannot_work_says_what_was_expected(wrong, message):
+def test_the_error_for_an_invalid_configuration_says_what_was_expected(wrong, message):
     with pytest.raises(ConfigError, match=message):
         SimulationConfig(**wrong)
 

@@ -72,7 +72,7 @@ def test_distance_along_the_line_is_distance_driven(start: float, step: float) -
     assert np.linalg.norm(positions[1] - positions[0]) == pytest.approx(chord, rel=2e-3, abs=1e-4)
 
 
-def test_points_that_coincide_are_no_trouble() -> None:
+def test_coinciding_points_are_resampled() -> None:
     line = resample(np.array([[0.0, 0.0], [0.0, 0.0], [4.0, 0.0], [4.0, 0.0]]), False)
     assert isinstance(line, Polyline)
     assert line.length_m == pytest.approx(4.0)

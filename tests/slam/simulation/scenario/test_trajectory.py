@@ -14,7 +14,7 @@ def plan(trajectory):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_frames_are_as_far_apart_as_speed_and_rate_say(shape):
+def test_frames_are_as_far_apart_as_speed_and_frame_rate_require(shape):
     trajectory = plan_trajectory(SimulationConfig(shape=shape, length_m=600, speed_m_per_s=12, frame_rate_hz=8, laps=1))
     steps = np.linalg.norm(np.diff(plan(trajectory), axis=0), axis=1)
     assert np.median(steps) == pytest.approx(1.5, rel=5e-3)
@@ -36,7 +36,7 @@ def test_the_circle_is_round():
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_headings_follow_the_way_without_jumps(shape):
+def test_headings_follow_the_path_without_jumps(shape):
     config = SimulationConfig(shape=shape, length_m=600, reverse=True, laps=3, lateral_offset_m=0.7)
     turns = np.abs(np.diff(plan_full_path(config)[0].headings))
     assert turns.max() < np.radians(6)  # over a quarter of a metre, in the tightest turn
@@ -57,7 +57,7 @@ def test_a_later_lap_is_offset_to_the_right():
     assert (there[0] - nearest) @ right == pytest.approx(1.2, abs=0.05)
 
 
-def test_the_opposite_way_is_driven_in_the_other_lane():
+def test_the_opposite_direction_is_driven_in_the_other_lane():
     trajectory = plan_trajectory(SimulationConfig(length_m=360, laps=2, reverse=True))
     forward = trajectory.T_town_camera[:, :3, 2]
     late = np.flatnonzero(trajectory.lap == 1)[120]
@@ -66,7 +66,7 @@ def test_the_opposite_way_is_driven_in_the_other_lane():
     assert forward[gaps.argmin()] @ forward[late] < -0.99
 
 
-def test_poses_are_rigid_and_look_along_the_way():
+def test_poses_are_rigid_and_look_along_the_path():
     trajectory = plan_trajectory(SimulationConfig(max_frames=50))
     R = trajectory.T_town_camera[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-12)

@@ -109,7 +109,7 @@ def test_bounding_spheres_contain_their_clusters(stream: SceneStream) -> None:
 
 
 @pytest.mark.parametrize("urban", [True, False])
-def test_houses_fill_their_measures_and_stand_on_the_ground(urban: bool) -> None:
+def test_houses_have_their_size_and_stand_on_the_ground(urban: bool) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         house = draw_house(rng, 12.0, urban)

@@ -54,7 +54,7 @@ def test_the_town_of_a_seed_is_always_the_same_and_another_seed_has_another():
     assert corners(1) != corners(2)
 
 
-def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
+def test_similar_streets_have_houses_of_the_same_design(monkeypatch):
     def designs(alike):
         drawn = []
         monkeypatch.setattr(town, "build_house", lambda house, *rest: drawn.append(house) or build_house(house, *rest))
@@ -67,7 +67,7 @@ def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
     assert len(others) == len(set(others))
 
 
-def test_a_street_driven_twice_is_laid_once():
+def test_a_street_driven_twice_is_built_once():
     config = SimulationConfig(shape="blocks", length_m=800)
     streets = TownBuilder(config, plan_trajectory(config)).streets
     assert streets.joined.sum() < 0.8 * len(streets.points)
