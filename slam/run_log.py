@@ -1,7 +1,4 @@
-"""Logs of a run: what is known of each frame and of each loop candidate, in numbers, and the messages of `run.log`.
-
-Neither holds an image.
-"""
+"""Logs of a run: numbers of each frame and each loop candidate, and the messages of `run.log`."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -24,12 +21,12 @@ log = logging.getLogger("revisit")
 
 @dataclass
 class RunLog:
-    """Grows by one entry a frame.
+    """Numbers of a run; one entry is added for each frame.
 
     Attributes:
         timestamps: seconds.
         odometry, online: T_world_camera (4, 4), metres, at the moment when the frame was processed.
-        candidates: every belief, and what came of it.
+        candidates: all loop candidates, in the order in which they became ready.
         stage_ms: milliseconds by stage.
     """
 
@@ -53,11 +50,11 @@ class RunLog:
         self.add_loops(candidates)
 
     def add_loops(self, candidates: Iterable[LoopCandidate]) -> None:
-        """Add what became of beliefs."""
+        """Add loop candidates."""
         self.candidates.extend(candidates)
 
     def table(self) -> FrameTable:
-        """Everything that `frames.csv` holds."""
+        """Contents of `frames.csv`."""
         predicted, reasons, inliers, tracks, residuals = zip(*self._motions, strict=True)
         stages = dict.fromkeys(stage for spent in self.stage_ms for stage in spent)
         return FrameTable(
@@ -83,14 +80,14 @@ def _summary(motion: Motion) -> tuple[bool, str, int, int, float]:
 
 
 def log_frame(result: FrameResult) -> None:
-    """Log what is out of the ordinary about a frame."""
+    """Log a predicted motion and the loop candidates of a frame."""
     if result.motion.predicted:
         log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
     log_loops(result.candidates)
 
 
 def log_loops(candidates: Iterable[LoopCandidate]) -> None:
-    """Log what became of each loop that was proposed."""
+    """Log the outcome of each loop candidate."""
     for candidate in candidates:
         if candidate.reason:
             outcome = "closed" if candidate.closed else "not closed"

@@ -48,7 +48,7 @@ def _encode(value: object, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(value, np.ndarray | np.generic):  # before float, which numpy's float64 is
         arrays.append(np.asarray(value))
         return {"array" if isinstance(value, np.ndarray) else "scalar": len(arrays) - 1}
-    if isinstance(value, float) and not math.isfinite(value):  # JSON knows no NaN
+    if isinstance(value, float) and not math.isfinite(value):  # JSON has no NaN
         return {"float": repr(value)}
     if isinstance(value, (float, *_PLAIN)):
         return value

@@ -1,6 +1,6 @@
-"""The map database: one SQLite file, written while a run goes on, open to any number of readers.
+"""The map database: one SQLite file, written during a run, which other processes may read at any time.
 
-A checkpoint and the frames up to it are committed together: however its writer ended, the database holds a session
+A checkpoint and the frames up to it are committed together: if the writer is killed, the database holds a session
 that stopped at its last checkpoint. Decision record: docs/decisions/map_database.md.
 """
 
@@ -243,7 +243,7 @@ class MapDatabase:
         return self._count("frame", session)
 
     def frames(self, first_image: int = 0) -> Iterator[FrameRecord]:
-        """All frames from an image on with their landmarks, in order, read as they are asked for."""
+        """All frames from an image on with their landmarks, in order, read on demand."""
         with self.reading():
             joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
             for row in self._connection.execute(f"{joined} WHERE image >= ? ORDER BY image", (first_image,)):

@@ -85,8 +85,8 @@ class SessionLoopCloser:
 class SessionRecognizer:
     """The recogniser of a map, addressed by the frames of one session (a PlaceRecognizer).
 
-    A belief about a match with an earlier session is verified and collected here; the system is told that the frame
-    has no match in its own session.
+    A belief about a match with an earlier session is verified and collected here; for the system, the frame has no
+    match.
     """
 
     def __init__(self, recognizer: PlaceRecognizer, loop_closer: LoopVerifier, start: SessionStart) -> None:

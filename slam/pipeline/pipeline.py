@@ -283,7 +283,7 @@ def process_dataset(
 def _finish(
     slam: Slam, config: RunConfig, run_log: RunLog, recorder: SessionRecorder, interrupted: bool
 ) -> SessionResult:
-    """Process the beliefs still open, optimise the trajectory and record the end of the session."""
+    """Process late beliefs, optimise the trajectory and record the end of the session."""
     recorder.write_checkpoint()
     late, optimized = slam.finish(config.robust)
     log_loops(late)

@@ -12,7 +12,7 @@ from place_recognition.evaluation.memory import count_array_bytes, map_size
 from slam.system import Components
 
 # Reasons for values that are unknown, as they stand in metrics.json.
-UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}
+UNKNOWN = {"memory_mb.pose graph": "GTSAM does not report its memory"}
 _LIBRARIES = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
 
 

@@ -85,9 +85,7 @@ def open_malaga(root: Path) -> ImageSequence:
         DataError: there are no such images.
     """
     if not root.is_dir():
-        raise DataError(
-            f"{root}: expected the Malaga 6L recording, found nothing; get it from {_MALAGA_ORIGIN}"
-        )
+        raise DataError(f"{root}: expected the Malaga 6L recording, found nothing; get it from {_MALAGA_ORIGIN}")
     # If the raw images were unpacked too, the rectified ones are in a folder with this word in its name.
     rectified = next((item for item in sorted(root.rglob("*rectified*")) if item.is_dir()), root)
     pattern = r".*left.*\.(jpg|jpeg|png|bmp)"

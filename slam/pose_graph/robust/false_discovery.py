@@ -1,4 +1,4 @@
-"""False discovery control: which kept loops could be false by chance, judged by the loops that were left out.
+"""False discovery control: which kept loops could be false by chance, estimated from the loops that were left out.
 
 Where nothing but odometry tells of a place, its drift may explain a false loop as well as a true one. One false
 loop in exp(e) has a log likelihood ratio of e or more; how many false loops that makes follows from the best of
@@ -21,7 +21,7 @@ _MAX_TRUE_LEFT_OUT = 0.02  # of the kept loops
 
 
 def not_significant(kept: Mask, false_positives: Array, rate: float = RATE) -> Mask:
-    """(L,) kept loops that cannot be told from chance.
+    """(L,) kept loops that may have been kept by chance.
 
     Args:
         kept: (L,) bool, the loops to test.
