@@ -52,7 +52,7 @@ def _no_pixels() -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class LoopClosure:
-    """A revisit with a relative pose that the landmarks of both images agree on.
+    """A revisit with a relative pose, on which the landmarks of the two images agree.
 
     Attributes:
         query, match: frame indices; the match is the earlier one.
@@ -77,7 +77,7 @@ class LoopClosure:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A proposed revisit without a relative pose that landmarks agree on.
+    """A proposed revisit for which no relative pose was accepted.
 
     Attributes:
         reason: why it was rejected, a sentence with the numbers.

@@ -43,7 +43,7 @@ class RelativePoseConfig:
     systematic_m: float = 0.005  # of translation, metres
     systematic_m_per_m: float = 0.01  # and for each metre between the cameras
     systematic_log_scale: float = 0.01  # of the log scale of one camera
-    systematic_disparity_px: float = 0.2  # of all disparities alike; what it does depends on how far landmarks are
+    systematic_disparity_px: float = 0.2  # of all disparities alike; its effect depends on the depths of the landmarks
 
     def systematic(self, T_a_b: Array) -> Array:
         """Covariance (6, 6), rotation first, of these errors in a pose (4, 4)."""

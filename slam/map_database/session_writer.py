@@ -46,7 +46,7 @@ class SessionInfo:
 
 
 class SessionRecorder(Protocol):
-    """Records a session: what is known of each frame, and checkpoints from which a run resumes."""
+    """Records a session: each frame with its loops, and checkpoints from which a run can be resumed."""
 
     def components_in_session(self, components: Components) -> Components:
         """The components for a system that counts the frames of this session only."""

@@ -77,7 +77,7 @@ def summarize(path: Path) -> Summary:
     """Contents of a map database, or of that of the run in a folder.
 
     Raises:
-        DataError: there is none, or it is damaged.
+        DataError: there is no map, or it is damaged.
     """
     file = map_file(path)
     with MapDatabase.open(file) as store:
@@ -123,7 +123,7 @@ def _session_summary(store: MapDatabase, session: Session) -> SessionSummary:
 
 
 def _bytes_by_table(store: MapDatabase) -> dict[str, int]:
-    """Bytes of what the rows hold: the lengths of all values, without SQLite's own pages."""
+    """Bytes of each table's content: the lengths of all values, without the overhead of SQLite."""
     tables: dict[str, list[str]] = {}
     for name in schema.columns(store.query):
         table, column = name.split(".")

@@ -1,4 +1,4 @@
-"""The loop log: one row for each belief of the recogniser, with what became of it and why."""
+"""The loop log: one row for each belief of the recogniser, with its outcome and the reason."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace

@@ -40,7 +40,7 @@ _MIN_BLEND = 0.05  # share of the coarser level below which it is not read, to s
 
 
 class Footprint(NamedTuple):
-    """What a pixel covers of a texture, in tiles.
+    """Area of a texture that a pixel covers, in tiles.
 
     Attributes:
         u, v: centre.
@@ -199,7 +199,7 @@ def sample_anisotropic(texels: Buffer, start: int, power: int, footprint: Footpr
         texels: (B,) uint8, the levels of all textures one after the other.
         start: index of the first texel of the texture's finest level.
         power: binary logarithm of the side of the finest level.
-        footprint: what the pixel covers.
+        footprint: area of the texture that the pixel covers.
     """
     u, v, du, dv, short, long = footprint
     blur = max(short, long / _MAX_TAPS) * (1 << power)
@@ -233,7 +233,7 @@ def sample_isotropic(texels: Buffer, start: int, power: int, footprint: Footprin
         texels: (B,) uint8, as for `sample_anisotropic`.
         start: index of the first texel of the finest level.
         power: binary logarithm of the side of the finest level.
-        footprint: what the pixel covers.
+        footprint: area of the texture that the pixel covers.
     """
     blur = np.sqrt(footprint.short * footprint.long) * (1 << power)
     # Levels change half way between powers of two. There is no blending: details are too faint for a seam to show.

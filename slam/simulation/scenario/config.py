@@ -1,4 +1,4 @@
-"""Configuration of a simulated dataset: every pixel follows from it."""
+"""Configuration of a simulated dataset: it determines every pixel."""
 
 import math
 from dataclasses import dataclass
