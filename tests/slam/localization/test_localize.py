@@ -66,7 +66,7 @@ def test_a_file_name_with_invalid_characters_is_refused(
     for images in (image, tmp_path):
         assert run(monkeypatch, "locate", map_path, images) == 1
         said = capsys.readouterr().err
-        assert "a? [b].png: expected a file name of characters" in said
+        assert "a? [b].png: expected a file name in Unicode" in said
         assert said.count("\n") == 1
 
 

@@ -72,7 +72,7 @@ def results(out: Path) -> dict[str, object]:
 
 def map_of(out: Path) -> list[bytes]:
     with MapDatabase.open(out / "map.db") as store:
-        tables = ("frame", "landmark", "candidate", "checkpoint_array")
+        tables = ("frame", "landmark", "loop", "checkpoint_array")
         columns = "image, T_previous_camera, T_world_camera, covariance", "*", "*", "*"
         return [repr([tuple(row) for row in store._connection.execute(f"SELECT {some} FROM {table}")]).encode()
                 for table, some in zip(tables, columns, strict=True)]  # fmt: skip
