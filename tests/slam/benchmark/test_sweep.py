@@ -31,7 +31,7 @@ def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
     first, last = jobs[0], jobs[-1]
     assert first.name == "kitti-05.tracked-words.gnc.0"
     assert first.source == DatasetSpec(tmp_path / "kitti", "05")
-    assert last.name == "blocks-laps-2-length-300.pixel-sequences.pcm+gnc.7"
+    assert last.name == "blocks-laps-2-length_m-300.pixel-sequences.pcm+gnc.7"
     assert (last.config.paradigm, last.config.robust, last.config.seed) == ("pixel-sequences", "pcm+gnc", 7)
 
 
