@@ -26,7 +26,7 @@ def test_a_smaller_image_keeps_the_field_of_view():
     [
         ({"shape": "spiral"}, "shape .spiral.: expected circle, figure-eight, blocks or the path"),
         ({"laps": 0}, "laps of a simulated drive: expected 1 to 1000, got 0"),
-        ({"speed": float("nan")}, "speed .* got nan"),
+        ({"speed_m_per_s": float("nan")}, "speed_m_per_s .* got nan"),
         ({"lateral_offset_m": 3.0}, "lateral_offset_m .* expected -1.5 to 1.5, got 3"),
         ({"width": 8}, "width .* got 8"),
     ],
