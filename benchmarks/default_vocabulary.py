@@ -99,7 +99,9 @@ def _town_views(folder: Path) -> Iterator[Image]:
         drive = folder / f"t{seed}"
         if not drive.exists():
             shape = SHAPES[(seed - TOWNS[0]) % len(SHAPES)]
-            spec = SimulationConfig(shape=shape, length=500, laps=1, speed=9, frame_rate=1, max_frames=40, seed=seed)
+            spec = SimulationConfig(
+                shape=shape, length_m=500, laps=1, speed_m_per_s=9, frame_rate_hz=1, max_frames=40, seed=seed
+            )
             simulate(spec, drive, lambda done, total: None)
         for side in STEREO:
             for file in sorted((drive / "sequences" / "00" / side).glob("*.png")):

@@ -1,5 +1,7 @@
 """The components of the system, built from a configuration: the one place where names become classes."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from odometry.camera import StereoCamera
@@ -18,6 +20,9 @@ from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
 from slam.system import Components, VisualOdometry
 from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
+
+_PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor")
+_CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
 
 
 def check_paradigm(name: str) -> None:
@@ -57,6 +62,33 @@ def read_checked_config(path: Path) -> RunConfig:
         raise ConfigError(f"{path}: {error}") from None
 
 
+def override_config(base: RunConfig, settings: Mapping[str, object]) -> RunConfig:
+    """A configuration with some settings replaced, as the command line names them.
+
+    Args:
+        base: the configuration.
+        settings: fields of `RunConfig`, or names of place recognition or odometry settings, to their values.
+
+    Raises:
+        ConfigError: an unknown name, or a value that cannot work.
+    """
+    own = {k: v for k, v in settings.items() if k not in (*_PLACE_RECOGNITION_SETTINGS, _CAMERA_HEIGHT)}
+    places = {k: v for k, v in settings.items() if k in _PLACE_RECOGNITION_SETTINGS}
+    changed = replace(base, **own, place_recognition=replace(base.place_recognition, **places))  # type: ignore[arg-type]
+    return check_names(_with_height(changed, settings[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in settings else changed)
+
+
+def _with_height(config: RunConfig, height: object) -> RunConfig:
+    """Set the height above the road, metres, of a single camera."""
+    if not config.mono:
+        raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
+    try:
+        odometry = replace(config.mono_odometry.odometry, camera_height_m=float(height))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ConfigError(f"--camera-height: {error}") from error
+    return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
+
+
 def build_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
@@ -67,14 +99,17 @@ def build_recognizer(
     """
     try:
         return make_recognizer(name, features, config, rows)
-    except (OSError, ValueError) as error:  # place_recognition knows nothing of this family
+    except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
         raise DataError(str(error)) from error
 
 
 def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
     """All components for one camera, of a configuration whose names have been checked.
 
-    The rows of the recogniser's similarity matrix go to `rows`, where there is one.
+    Args:
+        camera: camera of the dataset.
+        config: the configuration.
+        rows: receives the rows of the recogniser's similarity matrix; None where nobody needs them.
     """
     features = FeatureCache(make_feature_extractor(config.place_recognition))
     odometry = build_odometry(camera, config)

@@ -1,6 +1,6 @@
-"""One configuration for a run, composed of those of the components; every default works.
+"""The configuration of a run, composed of the configurations of its components; the defaults work for any dataset.
 
-Written beside the results as `config.toml` and read back from it.
+It is written beside the results as `config.toml` and can be read from it again.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ class MonoConfig:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that decides the result of a run.
+    """All settings that decide the result of a run.
 
     Attributes:
         paradigm: name of the place recogniser.
@@ -58,7 +58,7 @@ class RunConfig:
         place_recognition: settings of the place recognisers.
         loop_closing: settings of the geometric verification of loops.
         pose_graph: noise model and loop selection of the pose graph, for a stereo pair.
-        key_frames: when a frame joins the map.
+        key_frames: when a frame becomes a key frame of the map.
         landmarks: settings of the landmark map.
     """
 
@@ -84,12 +84,12 @@ class RunConfig:
 
 
 def to_toml(config: RunConfig) -> str:
-    """Configuration as TOML text; what is None is left out."""
+    """Configuration as TOML text; settings that are None are left out."""
     return tomli_w.dumps(_without_none(dataclasses.asdict(config)))
 
 
 def read_config(path: Path) -> RunConfig:
-    """Configuration from a TOML file; what it does not name keeps its default.
+    """Configuration from a TOML file; settings that it does not name keep their defaults.
 
     Raises:
         ConfigError: the file is missing or damaged, or holds an unknown name or a value of the wrong type.
@@ -102,12 +102,12 @@ def parse_config(text: str, where: str) -> RunConfig:
 
     Args:
         text: the settings.
-        where: they stand, for messages.
+        where: name of their source, for messages.
 
     Raises:
-        ConfigError: it is no TOML, or holds an unknown name or a value of the wrong type.
+        ConfigError: the text is no TOML, or holds an unknown name or a value of the wrong type.
     """
-    return from_values(RunConfig, _parsed(text, where), where)
+    return from_values(RunConfig, _parse_toml(text, where), where)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -119,24 +119,24 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: expected a TOML file, {error}; mend that line") from error
-    return _parsed(text, str(path))
+        raise ConfigError(f"{path}: expected a TOML file, {error}; correct that line") from error
+    return _parse_toml(text, str(path))
 
 
-def _parsed(text: str, where: str) -> dict[str, Any]:
+def _parse_toml(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # besides its own, what Python thinks too long or too deep
-        raise ConfigError(f"{where}: expected a TOML file, {error}; mend that line") from error
+    except (ValueError, RecursionError) as error:  # also for numbers that are too long and tables that are too deep
+        raise ConfigError(f"{where}: expected a TOML file, {error}; correct that line") from error
 
 
 def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
-    """An object of a frozen dataclass, nested ones too, from the values of a TOML table.
+    """A frozen dataclass, nested ones too, from the values of a TOML table.
 
     Args:
-        kind: the dataclass; fields that are not named keep their defaults.
-        values: by the names of its fields.
-        where: what the table is, for messages.
+        kind: the dataclass; fields without a value keep their defaults.
+        values: values by the names of the fields.
+        where: name of the table, for messages.
 
     Raises:
         ConfigError: an unknown name, or a value of the wrong type.
@@ -145,7 +145,7 @@ def from_values(kind: type[T], values: dict[str, Any], where: str) -> T:
     unknown = sorted(set(values) - set(hints))
     if unknown:
         raise ConfigError(f"{where}: unknown setting {unknown[0]!r}; known here: {', '.join(sorted(hints))}")
-    settings = {name: _checked(hints[name], value, f"{where}: {name}") for name, value in values.items()}
+    settings = {name: _check_value(hints[name], value, f"{where}: {name}") for name, value in values.items()}
     try:
         return kind(**settings)
     except (ValueError, ConfigError) as error:
@@ -160,29 +160,35 @@ def _without_none(value: Any) -> Any:
     return value
 
 
-def _checked(kind: Any, value: Any, where: str) -> Any:
+def _check_value(kind: Any, value: Any, where: str) -> Any:
+    """The value of a setting, nested settings too, as the type `kind` of its field."""
     if dataclasses.is_dataclass(kind) and isinstance(value, dict):
         return from_values(kind, value, where)  # type: ignore[arg-type]
     if get_origin(kind) is tuple:
-        return _tuple(get_args(kind), value, where)
-    if get_origin(kind) is UnionType:  # with None, which TOML cannot say
-        return _checked(get_args(kind)[0], value, where)
+        return _check_list(get_args(kind), value, where)
+    if get_origin(kind) is UnionType:  # a type or None, and TOML has no None
+        return _check_value(get_args(kind)[0], value, where)
     if kind is Any:
         return _as_tuple(value) if isinstance(value, list) else value
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    return _check_scalar(kind, value, where) if isinstance(kind, type) else value
+
+
+def _check_scalar(kind: type, value: Any, where: str) -> Any:
+    is_bool = isinstance(value, bool)  # Python counts it among the integers, a setting does not
+    if kind is float and isinstance(value, int) and not is_bool:
         return _as_float(value, where)
-    if isinstance(kind, type) and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+    if not isinstance(value, kind) or (is_bool and kind is not bool):
         raise ConfigError(f"{where}: expected {kind.__name__}, found {value!r}")
     return value
 
 
-def _tuple(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+def _check_list(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
         raise ConfigError(f"{where}: expected a list, found {value!r}")
     wanted = kinds[:1] * len(value) if kinds[1:] == (...,) else kinds
     if len(value) != len(wanted):
         raise ConfigError(f"{where}: expected a list of {len(wanted)}, found {len(value)}")
-    return tuple(_checked(kind, item, where) for kind, item in zip(wanted, value, strict=True))
+    return tuple(_check_value(kind, item, where) for kind, item in zip(wanted, value, strict=True))
 
 
 def _as_float(value: int, where: str) -> float:
@@ -193,5 +199,5 @@ def _as_float(value: int, where: str) -> float:
 
 
 def _as_tuple(values: list[Any]) -> tuple[Any, ...]:
-    """TOML knows only lists."""
+    """Lists as tuples, nested ones too: TOML has no tuples."""
     return tuple(_as_tuple(value) if isinstance(value, list) else value for value in values)

@@ -21,7 +21,7 @@ class RevisitError(Exception):
 
 
 class DataError(RevisitError):
-    """A recording, or one of its files, is missing, damaged or inconsistent."""
+    """A dataset, or one of its files, is missing, damaged or inconsistent."""
 
 
 class OutputError(RevisitError):

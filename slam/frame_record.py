@@ -1,4 +1,4 @@
-"""What is recorded of a frame and of the loops found with it: enough to restore a run without its images."""
+"""Records of frames and loop candidates, from which a run is restored without its images."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """What is recorded of one frame.
+    """Record of one frame.
 
     Attributes:
         image: number of the image; in a map database counted through all sessions.
         timestamp: seconds.
-        motion: motion since the previous frame; the tracks are counted, their pixels are not recorded.
+        motion: motion since the previous frame, with the number of its tracks but not their pixels.
         T_world_odometry: (4, 4) pose by odometry alone.
         T_world_online: (4, 4) online estimate at the moment when the frame was processed.
         landmarks: features with depth, in the camera's frame.
-        is_key_frame: True where the landmarks joined the map.
+        is_key_frame: whether the frame is a key frame of the map.
         stage_ms: milliseconds by stage.
         T_world_camera: (4, 4) corrected pose; None until the session has ended.
         unit: unit of length of the frame, as a multiple of that of the first frame.
@@ -44,11 +44,11 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class LoopRecord:
-    """What is recorded of one belief of the recogniser and of its geometric verification.
+    """Record of one belief of the recogniser and of its geometric verification.
 
     Attributes:
-        at_image: number of the image with which the belief came; None where it came at the end of the session.
-        belief: answer of the recogniser.
+        at_image: number of the image with which the belief became ready; None at the end of the session.
+        belief: belief of the recogniser.
         geometry: relative pose, or why there is none; None for a belief that was not accepted.
     """
 

@@ -16,8 +16,8 @@ class KeyFrameConfig:
     """When a frame becomes a key frame.
 
     Attributes:
-        min_distance_m: minimum distance from the last key frame, metres, or
-        min_angle_deg: minimum angle to it, degrees.
+        min_distance_m: distance from the last key frame after which a frame becomes one, metres.
+        min_angle_deg: angle to the last key frame after which a frame becomes one, degrees.
     """
 
     min_distance_m: float = 1.0
@@ -48,5 +48,5 @@ class KeyFrameSelector:
         return {"T_world_key_frame": self._last}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a state."""
+        """Continue from a state that `state` returned."""
         self._last = state["T_world_key_frame"]

@@ -1,7 +1,10 @@
-"""Log of a run: what is known of each frame and of each loop candidate, in numbers; never an image."""
+"""Logs of a run: numbers of each frame and each loop candidate, and the messages of `run.log`."""
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +16,17 @@ from slam.system import FrameResult, LoopCandidate
 
 Array = NDArray[np.float64]
 
+log = logging.getLogger("revisit")
+
 
 @dataclass
 class RunLog:
-    """Grows by one entry a frame.
+    """Numbers of a run; one entry is added for each frame.
 
     Attributes:
         timestamps: seconds.
         odometry, online: T_world_camera (4, 4), metres, at the moment when the frame was processed.
-        candidates: every belief, and what came of it.
+        candidates: all loop candidates, in the order in which they became ready.
         stage_ms: milliseconds by stage.
     """
 
@@ -45,11 +50,11 @@ class RunLog:
         self.add_loops(candidates)
 
     def add_loops(self, candidates: Iterable[LoopCandidate]) -> None:
-        """Add what became of beliefs."""
+        """Add loop candidates."""
         self.candidates.extend(candidates)
 
     def table(self) -> FrameTable:
-        """Everything that `frames.csv` holds."""
+        """Contents of `frames.csv`."""
         predicted, reasons, inliers, tracks, residuals = zip(*self._motions, strict=True)
         stages = dict.fromkeys(stage for spent in self.stage_ms for stage in spent)
         return FrameTable(
@@ -72,3 +77,40 @@ class RunLog:
 def _summary(motion: Motion) -> tuple[bool, str, int, int, float]:
     inliers = int(motion.inliers.sum())
     return motion.predicted, motion.reason, inliers, len(motion.inliers), motion.residual_px
+
+
+def log_frame(result: FrameResult) -> None:
+    """Log a predicted motion and the loop candidates of a frame."""
+    if result.motion.predicted:
+        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
+    log_loops(result.candidates)
+
+
+def log_loops(candidates: Iterable[LoopCandidate]) -> None:
+    """Log the outcome of each loop candidate."""
+    for candidate in candidates:
+        if candidate.reason:
+            outcome = "closed" if candidate.closed else "not closed"
+            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
+
+
+@contextmanager
+def log_to_file(path: Path) -> Iterator[None]:
+    """Send the log to a file while the block runs."""
+    handler = _LogFile(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        with suppress(OSError):
+            handler.close()
+
+
+class _LogFile(logging.FileHandler):
+    """A log file that a full disk cuts short; the results need room too and report the full disk."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Ignore that a line could not be written."""

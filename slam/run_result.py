@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LoopRow:
-    """One row of the loop log `loops.csv`: what became of the belief about one query image.
+    """One row of the loop log `loops.csv`: the belief about one query image and its outcome.
 
     Attributes:
         query, match: frame indices.
         score: score of the recogniser, on its own scale.
-        accepted: the recogniser took the match for a revisit.
+        accepted: whether the recogniser accepted the match as a revisit.
         matches, inliers: number of landmark matches, and of those that agree with the relative pose; 0 where none
-            were sought.
-        verified: geometric verification found a relative pose.
-        in_graph: the loop stands in the corrected graph.
+            were searched.
+        verified: whether geometric verification found a relative pose.
+        in_graph: whether the loop is in the corrected graph.
         weight: weight that the robust back end gave it, 0 to 1; NaN where the loop never entered the graph.
         residual: square root of chi-square (6 degrees of freedom) after optimisation; NaN likewise.
-        truth: whether it is a true revisit, by ground truth; None where there is none.
-        reason: why it was kept or rejected, in words.
+        truth: whether it is a true revisit by ground truth; None without ground truth.
+        reason: reason why it was kept or rejected, in words.
     """
 
     query: int
@@ -50,7 +50,7 @@ class StageRow:
 
     Attributes:
         query, match: frame indices.
-        epipolar_inliers: number of matches that agree with one epipolar geometry; None where none was sought.
+        epipolar_inliers: number of matches that agree with one epipolar geometry; None where none was searched.
         epipolar_verified: False where that was tried and failed.
         x_m, y_m, z_m: position of the query's camera in the match's camera frame (right, down, forward), metres.
         rotation_deg: angle between the two cameras, degrees.
@@ -125,7 +125,7 @@ class PointCloud:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """Everything known after a run.
+    """Everything that the files and the report of a run are written from.
 
     Attributes:
         name: name of the dataset.
@@ -139,10 +139,10 @@ class RunRecord:
         loops: the loop log, by query.
         stage_ms: milliseconds of each stage for each frame, stage name to (N,).
         map_before, map_after: the landmarks on the odometry and on the corrected trajectory.
-        metrics: what goes into metrics.json, nested.
+        metrics: contents of metrics.json, nested.
         stages: what each stage measured of each row of the loop log.
         events: decisions of the online pose graph about the verified loops, by query.
-        matched: of the rows whose images agree somewhere.
+        matched: matched pixels of the rows whose images agree somewhere.
         curve: precision over recall of the recogniser; None without ground truth.
         matrices: similarity matrices of the recogniser by stage, "similarity" and "filtered".
         odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the

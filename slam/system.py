@@ -35,7 +35,7 @@ class VisualOdometry(Protocol):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Calibration error of a stereo pair as learned so far; None where none is learned."""
+        """Calibration error of a stereo pair as estimated so far; None where it is not estimated."""
         ...
 
     def track(self, frame: Frame) -> Motion:
@@ -55,12 +55,12 @@ class VisualOdometry(Protocol):
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from the state that another odometry of the same configuration has given."""
+        """Continue from a state of another odometry with the same configuration."""
         ...
 
 
 class LoopVerifier(Protocol):
-    """Keeps the landmarks of frames and verifies loops between them: see `slam.loop_closing.loop_closer.LoopCloser`."""
+    """Keeps the landmarks of frames and verifies loops between them, as `slam.loop_closing.loop_closer` does."""
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Extract and keep the landmarks of a frame."""
@@ -77,7 +77,7 @@ class LoopVerifier(Protocol):
 
 @dataclass(frozen=True)
 class Components:
-    """The interchangeable components of the system."""
+    """The interchangeable components of the system, built by `slam.components.build_components`."""
 
     odometry: VisualOdometry
     features: FeatureCache
@@ -90,10 +90,10 @@ class Components:
 
 @dataclass(frozen=True)
 class LoopCandidate:
-    """What became of one belief.
+    """A belief of the recogniser, with its geometric verification and the decision of the pose graph.
 
     Attributes:
-        belief: answer of the recogniser about one frame.
+        belief: belief of the recogniser about one frame.
         geometry: the relative pose, or why there is none; None for a belief that was not accepted.
         admission: decision of the pose graph about the closure; None where there was no closure.
     """
@@ -111,22 +111,22 @@ class LoopCandidate:
 
     @property
     def closed(self) -> bool:
-        """Whether the online graph used the loop from that moment on."""
+        """Whether the online graph has used the loop since it was proposed."""
         return self.admission is not None and self.admission.used
 
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What the system knows the moment a frame has been processed.
+    """Result of processing one frame.
 
     Attributes:
         frame: the images.
         motion: motion since the previous frame.
         T_world_camera_odometry: (4, 4) pose by odometry alone, metres.
-        T_world_camera: (4, 4) online estimate, loops so far included.
+        T_world_camera: (4, 4) online estimate, with the loops so far.
         landmarks: features with depth, in the camera's frame.
-        is_key_frame: whether the landmarks joined the map.
-        candidates: the beliefs that became ready with this frame, and what came of them.
+        is_key_frame: whether the frame is a key frame of the map: its landmarks are added to it.
+        candidates: the beliefs that became ready with this frame, with their verification.
         stage_ms: milliseconds by stage.
     """
 
@@ -141,7 +141,7 @@ class FrameResult:
 
 
 class Slam:
-    """Processes frames one by one; knows no files, no sessions, no ground truth and no viewer."""
+    """The SLAM system: processes frames one by one. Files, sessions, ground truth and viewers are outside of it."""
 
     def __init__(self, components: Components) -> None:
         self.components = components
@@ -158,7 +158,7 @@ class Slam:
         """Process the next frame of a dataset.
 
         Args:
-            frame: `frame.index` counts from 0 without gaps; features that it lacks are extracted here.
+            frame: the next frame: `frame.index` counts from 0 without gaps. Its features are extracted if it has none.
         """
         motion = self._track(frame)
         landmarks = self._extract_landmarks(frame)
@@ -178,7 +178,7 @@ class Slam:
         )
 
     def restore_frame(self, record: FrameRecord, loops: Iterable[LoopRecord]) -> tuple[LoopCandidate, ...]:
-        """Take over the next frame of an earlier run from its record, without its images.
+        """Restore the next frame of an earlier run from its record, without its images.
 
         Restores the pose graph, the landmarks and the loop closer. Odometry, recogniser and key frame selector are
         restored from a checkpoint.
@@ -191,7 +191,7 @@ class Slam:
         return candidates
 
     def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], OptimizationResult]:
-        """Process the beliefs still open, then optimise everything with the named robust back end."""
+        """Process the late beliefs of the recogniser, then optimise everything with a robust back end."""
         candidates = self._verify_all(self.components.recognizer.finish())
         return candidates, self.components.graph.optimize(robust)
 

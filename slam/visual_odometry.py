@@ -31,12 +31,12 @@ class StereoVisualOdometry:
 
     @property
     def calibration(self) -> Calibration:
-        """Calibration error of the pair as learned so far."""
+        """Calibration error of the pair as estimated so far."""
         return self._odometry.calibration
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous pair."""
-        assert frame.right is not None  # the run refuses recordings without right images
+        assert frame.right is not None  # a run refuses datasets without right images
         return self._odometry.track(frame.left, frame.right, frame.timestamp)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:

@@ -39,7 +39,7 @@ RETIRED = {
 # Terms of the field that have one of these words in them.
 COMPOUNDS = re.compile(r"birds?_?eye", re.IGNORECASE)
 # Bounds are min_ and max_.
-BOUNDS = re.compile(r"(^|_)(least|most|fewest|longest|shortest)(_|$)")
+BOUNDS = re.compile(r"(^|_)(least(?!_squares)|most|fewest|longest|shortest)(_|$)")
 UNITS = {
     "m", "px", "voxels", "rad", "deg", "s", "ms", "frames", "images", "hz", "fps", "mb", "gb", "bytes", "percent",
     "sigma", "per_m", "deg_per_m", "m_per_s", "per_360m",
@@ -137,7 +137,7 @@ def config_numbers(path: Path) -> Iterator[tuple[str, str]]:
 # Numbers of a configuration that have no unit: ratios, shares, probabilities and weights.
 DIMENSIONLESS = re.compile(
     r"ratio|share|fraction|probability|weight|score|similarity|factor|evidence|power|confidence|threshold|quality|overlap"
-    r"|correlation|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|slope|quantile|distance$"
+    r"|correlation|chi2|log10|decay|variance|scale|gain|contrast|significance|cosine|precision|recall|slope|quantile|distance$"
 )
 
 

@@ -20,7 +20,9 @@ def cache_folder() -> Path:
 
 def demo_dataset(seed: int, messages: Console) -> Path:
     """Render the dataset of the demo, or find it in the cache; its root, in KITTI layout."""
-    spec = SimulationConfig(shape="circle", laps=DEMO_LAPS, length=DEMO_LENGTH_M, speed=DEMO_SPEED_M_S, seed=seed)
+    spec = SimulationConfig(
+        shape="circle", laps=DEMO_LAPS, length_m=DEMO_LENGTH_M, speed_m_per_s=DEMO_SPEED_M_S, seed=seed
+    )
     with progress_bar(messages, "Rendering the town") as progress:
         return simulate(spec, cache_folder() / f"demo-{seed}", progress)
 

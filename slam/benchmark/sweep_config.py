@@ -14,7 +14,7 @@ Every combination of them is a run. Paths are relative to the file:
     [[sources]]
     simulate = "blocks"
     laps = 2
-    length = 300
+    length_m = 300
 """
 
 import re

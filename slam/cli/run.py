@@ -32,20 +32,20 @@ def simulate(
     shape: option.Shape,
     out: option.Out,
     laps: option.Laps = SimulationConfig.laps,
-    length: option.LapLength = SimulationConfig.length,
-    speed: option.Speed = SimulationConfig.speed,
-    lateral_offset: option.LateralOffset = SimulationConfig.lateral_offset,
+    length: option.LapLength = SimulationConfig.length_m,
+    speed: option.Speed = SimulationConfig.speed_m_per_s,
+    lateral_offset: option.LateralOffset = SimulationConfig.lateral_offset_m,
     reverse: option.Reverse = False,
     max_frames: option.MaxFrames = SimulationConfig.max_frames,
     seed: option.TownSeed = SimulationConfig.seed,
     change_illumination: option.ChangeIllumination = False,
     perceptual_aliasing: option.PerceptualAliasing = False,
     cars_per_360m: option.CarsPer360m = SimulationConfig.cars_per_360m,
-    frame_rate: option.StereoFrameRate = SimulationConfig.frame_rate,
+    frame_rate: option.StereoFrameRate = SimulationConfig.frame_rate_hz,
     width: option.Width = SimulationConfig.width,
     height: option.Height = SimulationConfig.height,
-    rectification_error: option.RectificationError = SimulationConfig.rectification_error,
-    lens_error: option.LensError = SimulationConfig.lens_error,
+    rectification_error: option.RectificationError = SimulationConfig.rectification_error_px,
+    lens_error: option.LensError = SimulationConfig.lens_error_px,
     ideal_sensor: option.IdealSensor = False,
     save_depth: option.SaveDepth = False,
 ) -> None:
@@ -56,12 +56,12 @@ def simulate(
     from slam.pipeline.progress import progress_bar
     from slam.simulation import simulate as render
 
-    route = SimulationConfig(shape, laps, length=length, speed=speed, max_frames=max_frames)
-    route = replace(route, lateral_offset=lateral_offset, reverse=reverse)
+    route = SimulationConfig(shape, laps, length_m=length, speed_m_per_s=speed, max_frames=max_frames)
+    route = replace(route, lateral_offset_m=lateral_offset, reverse=reverse)
     scene = replace(route, seed=seed, change_illumination=change_illumination, cars_per_360m=cars_per_360m)
     scene = replace(scene, perceptual_aliasing=perceptual_aliasing)
-    camera = replace(scene, frame_rate=frame_rate, width=width, height=height, ideal_sensor=ideal_sensor)
-    errors = replace(camera, rectification_error=rectification_error, lens_error=lens_error)
+    camera = replace(scene, frame_rate_hz=frame_rate, width=width, height=height, ideal_sensor=ideal_sensor)
+    errors = replace(camera, rectification_error_px=rectification_error, lens_error_px=lens_error)
     with progress_bar(Console(stderr=True), "Rendering") as progress:
         folder = render(replace(errors, depth=save_depth), out, progress)
     message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"

@@ -1,8 +1,7 @@
-"""The interface of a dataset: what every format provides once it is opened.
+"""The interface of a dataset: what every format provides once it is opened, and what a user asks for.
 
-The user's request for a dataset: path, format and the values that the files do not contain.
-
-Finds the folder of one sequence below the folder that the user named.
+`DatasetSpec` is the request: path, format and the values that the files do not contain. Every format finds the folder
+of one sequence below the path with `find_dataset`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -17,6 +16,9 @@ from odometry.camera import StereoCamera
 from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
 from slam.errors import ConfigError, DataError
 
+# Frames per second that a recording can have: from one image in eleven days to beyond any camera.
+_MIN_FPS, _MAX_FPS = 1e-6, 1e6
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -27,7 +29,7 @@ class Frame:
         timestamp: time of exposure, seconds.
         left: (H, W) uint8, grey, rectified.
         right: (H, W) uint8, or None in a dataset with one camera.
-        features: local features of the left image; None until somebody has extracted them.
+        features: local features of the left image; None until they are extracted.
     """
 
     index: int
@@ -79,10 +81,6 @@ class Dataset(Protocol):
     def __getitem__(self, index: int) -> Frame: ...
 
     def __iter__(self) -> Iterator[Frame]: ...
-
-
-# Frames per second that a recording can have: from one image in eleven days to beyond any camera.
-_MIN_FPS, _MAX_FPS = 1e-6, 1e6
 
 
 def is_valid_fps(fps: float) -> bool:

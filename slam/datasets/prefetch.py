@@ -13,7 +13,7 @@ ItemRead = TypeVar("ItemRead", covariant=True)
 
 
 class Recording(Protocol[ItemRead]):
-    """Frames, or images alone, that are read when asked for by their index."""
+    """Frames, or images alone, that are read on demand by their index."""
 
     def __len__(self) -> int: ...
 

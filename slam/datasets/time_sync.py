@@ -48,7 +48,7 @@ class InterpolatedTrajectory:
     Attributes:
         frames: range of the images that have a pose: those between the first and the last measured pose.
         poses: T_world_camera (N, 4, 4) of these images, metres; world is the first pose. None where unknown.
-        remark: what was left out, or why the poses are unknown; empty if neither.
+        remark: which images were left out, or why the poses are unknown; empty otherwise.
     """
 
     frames: slice

@@ -1,6 +1,6 @@
-"""Reads video files with OpenCV: any image by its index, at the time of its exposure.
+"""Videos with random access to their images, which can only be decoded forwards; decoded with OpenCV.
 
-Random access to images in files that can only be decoded forwards: videos and bags.
+`SequentialReader` serves any container of that kind, such as a bag.
 """
 
 import threading
@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from slam.errors import DataError
 
+Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# One cursor follows the current frame, the other re-reads the images that loops were closed with.
+VIDEO_SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
+# One cursor follows the current frame, the other reads the matched images of loops again.
 _MAX_CURSORS = 2
+_DEFAULT_FPS = 30.0  # of a video without frame times and without a frame rate
 
 
 @dataclass
@@ -73,13 +76,6 @@ class SequentialReader:
         if len(self._cursors) == _MAX_CURSORS:
             self._cursors.pop(0)  # dropping its generator closes the file
         return _Cursor(self.open_at(index), index)
-
-
-Array = NDArray[np.float64]
-
-VIDEO_SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
-
-_DEFAULT_FPS = 30.0  # of a video without frame times and without a frame rate
 
 
 @dataclass(frozen=True)

@@ -61,21 +61,21 @@ def _run_check(topic: str, check: Check, database: MapDatabase) -> Finding:
 
 
 def _file(database: MapDatabase) -> CheckResult:
-    messages = [row[0] for row in database.ask("PRAGMA integrity_check(3)")]
+    messages = [row[0] for row in database.query("PRAGMA integrity_check(3)")]
     if messages != ["ok"]:
         return (
             Status.FAULT,
             f"{database.path}: expected a sound file, SQLite finds {messages[0]}; copy it again or run again",
         )
-    size = sum(row[0] for row in database.ask("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
+    size = sum(row[0] for row in database.query("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
     return Status.OK, f"sound, {size / 1e6:.1f} MB"
 
 
 def _tables(database: MapDatabase) -> CheckResult:
-    lost = schema.missing_columns(database.ask)
+    lost = schema.missing_columns(database.query)
     if lost:
         return Status.FAULT, f"expected the columns of version {schema.VERSION}, found no {lost[0]}; run again"
-    stray = database.ask("PRAGMA foreign_key_check")
+    stray = database.query("PRAGMA foreign_key_check")
     if stray:
         return Status.FAULT, f"{len(stray)} rows of {stray[0]['table']} belong to no {stray[0]['parent']}; run again"
     return Status.OK, f"version {schema.VERSION}, all rows belong together"
@@ -138,13 +138,13 @@ def _is_pose(T: Array) -> bool:
 
 def _loops(database: MapDatabase) -> CheckResult:
     images = database.images()
-    for number, candidate in enumerate(database.candidates()):
-        belief = candidate.belief
+    for number, loop in enumerate(database.loops()):
+        belief = loop.belief
         match = belief.query - 1 if belief.match is None else belief.match
         if not -1 <= match < belief.query < images:
             found = f"{belief.query} and {belief.match}"
-            return Status.FAULT, f"candidate {number}: expected two of {images} images, found {found}; run again"
-    (row,) = database.ask("SELECT count(*), total(outcome = 'closed'), total(kept) FROM candidate")
+            return Status.FAULT, f"loop {number}: expected two of {images} images, found {found}; run again"
+    (row,) = database.query("SELECT count(*), total(outcome = 'closed'), total(kept) FROM loop")
     return Status.OK, f"{row[0]} candidates of the recogniser, {row[1]:.0f} closed, {row[2]:.0f} kept in the end"
 
 

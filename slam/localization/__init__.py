@@ -1,1 +1,1 @@
-"""Where was this image taken? Single images placed in a map that was saved before."""
+"""Localization: the pose of single images in a map that was saved before."""

@@ -1,6 +1,6 @@
 """Absolute pose of one camera from 2D-3D matches with a map, and its covariance.
 
-Errors are measured in pixels of the image: the noise of the pixel, and that of the map's point projected into it.
+Errors are measured in the image, pixels: noise of the pixel plus the projected noise of the map's point.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _MEDIAN_2 = 1.386  # median of chi-square, 2 degrees of freedom
 _LIMIT_2 = 13.82  # its 99.9 % quantile
 _MAX_ITERATIONS = 15  # of reweighted least squares
 _CONVERGED = 1e-5  # rad and m: a smaller step ends the iteration
-_MIN_DEPTH_M = 0.3  # nothing is seen closer
+_MIN_DEPTH_M = 0.3  # closer points are not used
 _FINAL_ITERATIONS = 2  # of plain least squares on the inliers
 
 
@@ -83,7 +83,7 @@ class CameraPose:
 
 
 def estimate_camera_pose(camera: PinholeCamera, matches: MapMatches, config: PoseConfig) -> CameraPose | None:
-    """Pose of a camera by RANSAC, refined; None without consensus."""
+    """Pose of a camera by RANSAC and refinement; None without consensus."""
     start = pnp_ransac(camera, matches.points_base, matches.pixels, config.ransac_error_px, config.ransac_iterations)
     return None if start is None else refine_pose(camera, matches, start, config)
 
@@ -158,7 +158,7 @@ class _ReprojectionSystem:
         return np.asarray((J * np.repeat(weights, 2)[:, None]).T @ J)
 
     def step(self, weights: Array) -> Array:
-        """Gauss-Newton step (6,) under weights (K,), from where `linearize` was called last."""
+        """Gauss-Newton step (6,) under weights (K,), at the pose of the last `linearize`."""
         right = self._jacobian.reshape(-1, 6).T @ (self._error * weights[:, None]).ravel()
         return np.asarray(np.linalg.lstsq(self.information(weights), right, rcond=None)[0])
 

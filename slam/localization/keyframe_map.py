@@ -1,6 +1,6 @@
-"""The key frames of a map database, as localization needs them.
+"""The key frames of a saved map: their poses and landmarks, and 2D-3D matches of an image with them.
 
-The local map around a key frame, and 2D-3D matches of an image with it.
+The local map of a key frame are the landmarks of the key frames around it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,7 +21,7 @@ from slam.map_database.database import MapDatabase
 
 Array = NDArray[np.float64]
 
-_UNIT = 1.01  # no number of a descriptor of unit length is larger, rounding allowed for
+_MAX_DESCRIPTOR_VALUE = 1.01  # of a descriptor of unit length, with room for rounding
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SavedMap:
         """Read all but the landmarks.
 
         Raises:
-            DataError: the store is damaged, holds no key frame, or drives with different cameras.
+            DataError: the map is damaged, has no key frame, or has sessions with different cameras.
         """
         sessions = store.sessions()
         key_frames = np.array(store.key_frames(), np.int64)
@@ -82,16 +82,17 @@ class SavedMap:
         """Landmarks of an image, in its camera's frame and its own unit.
 
         Raises:
-            DataError: the store is damaged.
+            DataError: the map is damaged.
         """
-        seen = self.store.landmarks(int(image))  # SQLite knows no integers of numpy
-        arrays = (seen.pixels, seen.points, seen.descriptors)
-        sound = all(np.isfinite(array).all() for array in arrays) and np.abs(seen.descriptors).max(initial=0) < _UNIT
-        if not sound or (len(seen) and seen.descriptors.shape[1] != self.descriptor_size):
+        landmarks = self.store.landmarks(int(image))  # SQLite does not take NumPy integers
+        arrays = (landmarks.pixels, landmarks.points, landmarks.descriptors)
+        is_sound = all(np.isfinite(array).all() for array in arrays)
+        is_sound &= np.abs(landmarks.descriptors).max(initial=0) < _MAX_DESCRIPTOR_VALUE
+        if not is_sound or (len(landmarks) and landmarks.descriptors.shape[1] != self.descriptor_size):
             raise DataError(
                 f"{self.store.path}: expected finite landmarks of one kind, found others in image {image}; run again"
             )
-        return seen
+        return landmarks
 
     def pose_between(self, base: int, other: int) -> Array:
         """T_base_other (4, 4) of two images with one frame of reference, in its unit."""
@@ -106,9 +107,9 @@ class SavedMap:
 
 def _descriptor_size(store: MapDatabase, images: NDArray[np.int64]) -> int:
     for image in images.tolist():
-        seen = store.landmarks(image)
-        if len(seen):
-            return seen.descriptors.shape[1]
+        landmarks = store.landmarks(image)
+        if len(landmarks):
+            return landmarks.descriptors.shape[1]
     raise DataError(f"{store.path}: expected landmarks, found none in any key frame; run again")
 
 
@@ -139,9 +140,9 @@ def match_local_map(
 
 
 def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, config: LocalMapConfig) -> MapMatches:
-    seen = saved.landmarks(image)
-    pairs = mutual_matches(features.descriptors, seen.descriptors.astype(np.float32), config.ratio)
-    points_there = seen.points[pairs[:, 1]].astype(np.float64)
+    landmarks = saved.landmarks(image)
+    pairs = mutual_matches(features.descriptors, landmarks.descriptors.astype(np.float32), config.ratio)
+    points_there = landmarks.points[pairs[:, 1]].astype(np.float64)
     T_base_there, unit = saved.pose_between(base, image), saved.units[image]
     R = T_base_there[:3, :3]
     noise = unit**2 * _point_noise(saved.camera, points_there, config.sigma_px)
@@ -154,7 +155,7 @@ def _match(saved: SavedMap, base: int, image: int, features: LocalFeatures, conf
 
 
 def _point_noise(camera: StereoCamera, points: Array, sigma_px: float) -> Array:
-    """Covariance (K, 3, 3) of triangulated points (K, 3): of the ray across, of the disparity along it."""
+    """Covariance (K, 3, 3) of triangulated points (K, 3): pixel noise across the ray, disparity noise along it."""
     depth = points[:, 2]
     across = np.stack([depth / camera.fx * sigma_px, depth / camera.fy * sigma_px, np.zeros_like(depth)], axis=1)
     along = points * (depth / (camera.fx * camera.baseline) * sigma_px)[:, None]

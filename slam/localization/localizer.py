@@ -1,6 +1,6 @@
 """Localization of single images in a saved map: retrieval proposes key frames, geometric verification decides."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,7 +47,7 @@ class LocalizationResult:
     """Pose of an image in the map.
 
     Attributes:
-        T_world_camera: (4, 4) pose in the map, metres, or the unit of a map that one camera has made.
+        T_world_camera: (4, 4) pose in the map, metres, or the unit of a map made with one camera.
         covariance: (6, 6) of its right perturbation, rotation first, relative to the matched image: errors of the
             map itself are not included.
         image: number of the matched image of the map.
@@ -77,7 +77,7 @@ class NotLocalized:
     """An image for which no pose was accepted.
 
     Attributes:
-        reason: why, with the numbers.
+        reason: reason with the numbers.
         image: number of the map's image with most inliers; None where there is none.
         inliers: number of features that agree with it.
     """
@@ -99,21 +99,16 @@ class Localizer:
         """Find the pose of an image (H, W) uint8 of the map's camera.
 
         Raises:
-            DataError: the map is of other features.
+            DataError: the map was made with other features.
         """
         features = self._extractor.extract(image)
-        if features.descriptors.shape[1] != self._saved.descriptor_size and len(features):
-            raise DataError(
-                f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
-                f" {self._saved.descriptor_size} numbers; run again with these features"
-            )
-        coarse = [self._verify(features, place, self._config.coarse_offsets) for place in self._candidates(features)]
-        coarse.sort(key=lambda hypothesis: -len(hypothesis))
+        self._check_kind(features)
+        coarse = self._verify(features, self._candidates(features), self._config.coarse_offsets)
         if not coarse or not len(coarse[0]):
             return NotLocalized(f"none of the {len(coarse)} likeliest places agrees with it on a pose")
         rivals = [other for other in coarse if is_ambiguous(self._saved, coarse[0], other, self._config.acceptance)]
-        fine = [self._verify(features, one.place, self._config.fine_offsets) for one in (coarse[0], *rivals)]
-        best, *others = sorted(fine, key=lambda hypothesis: -len(hypothesis))
+        places = [hypothesis.place for hypothesis in (coarse[0], *rivals)]
+        best, *others = self._verify(features, places, self._config.fine_offsets)
         reason = rejection_reason(best, others, features, self._saved, self._config.acceptance)
         if reason is not None or best.pose is None:
             return NotLocalized(reason or "no pose stands out among the matches", best.image, len(best))
@@ -121,21 +116,33 @@ class Localizer:
         map_id = int(self._saved.map_id[best.image])
         return LocalizationResult(T_world_camera, best.pose.covariance, best.image, map_id, len(best))
 
+    def _check_kind(self, features: LocalFeatures) -> None:
+        if features.descriptors.shape[1] != self._saved.descriptor_size and len(features):
+            raise DataError(
+                f"{self._saved.store.path}: expected landmarks of {self._extractor.kind}, found descriptors of"
+                f" {self._saved.descriptor_size} numbers; run again with these features"
+            )
+
     def _descriptors(self) -> Iterator[NDArray[np.float32]]:
         for image in self._saved.key_frames:
             yield self._saved.landmarks(image).descriptors.astype(np.float32)
 
     def _candidates(self, features: LocalFeatures) -> Iterator[int]:
         """The most similar key frames that are not neighbours of one another, best first."""
-        likeness = self._index.likeness(features.descriptors)
+        similarity, gap = self._index.similarity(features.descriptors), self._config.min_keyframe_gap
         for _ in range(self._config.max_candidates):
-            best = int(np.argmax(likeness))
-            if likeness[best] <= 0:
+            best = int(np.argmax(similarity))
+            if similarity[best] <= 0:
                 return
             yield best
-            likeness[max(best - self._config.min_keyframe_gap, 0) : best + self._config.min_keyframe_gap + 1] = -np.inf
+            similarity[max(best - gap, 0) : best + gap + 1] = -np.inf
 
-    def _verify(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
+    def _verify(self, features: LocalFeatures, places: Iterable[int], offsets: Sequence[int]) -> list[Hypothesis]:
+        """Verify places by the key frames around them; the one with most inliers first."""
+        hypotheses = [self._verify_place(features, place, offsets) for place in places]
+        return sorted(hypotheses, key=lambda hypothesis: -len(hypothesis))
+
+    def _verify_place(self, features: LocalFeatures, place: int, offsets: Sequence[int]) -> Hypothesis:
         saved, base = self._saved, int(self._saved.key_frames[place])
         matches = match_local_map(saved, base, saved.neighbors(place, offsets), features, self._config.local_map)
         pose = estimate_camera_pose(saved.camera, matches, self._config.pose)

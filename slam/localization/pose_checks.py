@@ -22,7 +22,7 @@ class AcceptanceConfig:
         min_inliers: minimum number of features of the image that agree with it.
         min_explained_fraction: minimum share of the image's features that lie near an inlier. A bus may hide the rest
             of the image; where most of it differs, another building of the same kind stands there.
-        explained_radius: radius of "near", as a share of the image's width.
+        explained_radius_fraction: largest distance of a feature near an inlier, as a share of the image's width.
         max_sigma_m: maximum standard deviation of the position, metres.
         max_rival_ratio: maximum number of inliers of a pose at another place, as a share of those of the best pose.
         min_rival_distance_m: minimum distance of another place, metres.
@@ -30,7 +30,7 @@ class AcceptanceConfig:
 
     min_inliers: int = 30
     min_explained_fraction: float = 0.35
-    explained_radius: float = 0.05
+    explained_radius_fraction: float = 0.05
     max_sigma_m: float = 0.3
     max_rival_ratio: float = 0.8
     min_rival_distance_m: float = 5.0
@@ -64,7 +64,7 @@ def rejection_reason(
         return "no pose stands out among the matches"
     if len(best) < config.min_inliers:
         return f"{len(best)} features agree with one pose, expected at least {config.min_inliers}"
-    share = explained_fraction(features, best, config.explained_radius * saved.camera.width)
+    share = explained_fraction(features, best, config.explained_radius_fraction * saved.camera.width)
     if share < config.min_explained_fraction:
         return f"{share:.1%} of the picture is explained, expected at least {config.min_explained_fraction:.0%}"
     sigma = float(np.sqrt(np.trace(best.pose.covariance[3:, 3:])))
@@ -76,10 +76,10 @@ def rejection_reason(
     return None
 
 
-def explained_fraction(features: LocalFeatures, found: Hypothesis, reach_px: float) -> float:
+def explained_fraction(features: LocalFeatures, best: Hypothesis, radius_px: float) -> float:
     """Share of an image's features that lie within a radius, pixels, of one that agrees."""
-    nearest, _ = cKDTree(features.pixels[found.agreeing]).query(features.pixels)
-    return float(np.mean(nearest < reach_px))
+    nearest, _ = cKDTree(features.pixels[best.agreeing]).query(features.pixels)
+    return float(np.mean(nearest < radius_px))
 
 
 def is_ambiguous(saved: SavedMap, best: Hypothesis, other: Hypothesis, config: AcceptanceConfig) -> bool:

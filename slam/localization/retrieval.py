@@ -1,7 +1,7 @@
 """Retrieval: the key frames of a map that an image resembles, by a bag of visual words.
 
-The words are descriptors of the map itself, drawn at random: nothing is trained, and they are of whatever features the
-map is made of. Sivic, Zisserman, 'Video Google', ICCV 2003.
+The words are descriptors of the map itself, drawn at random: nothing is trained, and any kind of features
+works. Sivic, Zisserman, 'Video Google', ICCV 2003.
 """
 
 from collections.abc import Callable, Iterable
@@ -70,7 +70,7 @@ class PlaceIndex:
         profiles.data /= np.repeat(np.maximum(lengths, 1e-12), np.diff(profiles.indptr))
         return cls(search, np.asarray(shares, np.float64), profiles)
 
-    def likeness(self, descriptors: Floats) -> Array:
+    def similarity(self, descriptors: Floats) -> Array:
         """Similarity (F,) of each key frame to an image with descriptors (N, D): a correlation, at most 1."""
         if len(descriptors) == 0:
             return np.zeros(self.profiles.shape[0])

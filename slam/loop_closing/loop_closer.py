@@ -52,7 +52,7 @@ def _no_pixels() -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class LoopClosure:
-    """A revisit with a relative pose that the landmarks of both images agree on.
+    """A revisit with a relative pose, on which the landmarks of the two images agree.
 
     Attributes:
         query, match: frame indices; the match is the earlier one.
@@ -77,7 +77,7 @@ class LoopClosure:
 
 @dataclass(frozen=True)
 class Rejection:
-    """A proposed revisit without a relative pose that landmarks agree on.
+    """A proposed revisit for which no relative pose was accepted.
 
     Attributes:
         reason: why it was rejected, a sentence with the numbers.
@@ -99,13 +99,22 @@ LoopVerification = LoopClosure | Rejection | None
 
 @dataclass(frozen=True)
 class LoopCloserConfig:
-    """When two images show one place, and how many landmarks are kept of each image."""
+    """When a loop is accepted, and how many landmarks are kept of each image.
 
-    max_landmarks: int = 1500  # strongest features kept of an image; 0.3 kB each
-    ratio: float = 0.8  # of nearest to second nearest descriptor distance
-    min_inliers: int = 20  # landmarks that agree with a relative pose
-    min_cells: int = 4  # cells with inliers, of the 4 x 4 cells of the query image
-    max_disagreement_sigma: float = 3.0  # between the poses found forwards and backwards, by the covariance of one
+    Attributes:
+        max_landmarks: maximum number of features kept of an image, the strongest ones; 0.3 kB each.
+        ratio: maximum ratio of nearest to second nearest descriptor distance.
+        min_inliers: minimum number of landmarks that agree with a relative pose.
+        min_cells: minimum number of cells with inliers, of the 4 x 4 cells of the query image.
+        max_disagreement_sigma: maximum difference of the poses found forwards and backwards, by the covariance of one.
+        relative_pose: settings of the relative pose.
+    """
+
+    max_landmarks: int = 1500
+    ratio: float = 0.8
+    min_inliers: int = 20
+    min_cells: int = 4
+    max_disagreement_sigma: float = 3.0
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
 
 
@@ -147,17 +156,17 @@ class LoopCloser:
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Find and keep the landmarks of frame `index` in its rectified grey images (H, W)."""
-        found = self._features.get(index, left)
-        pixels = np.asarray(found.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
+        features = self._features.get(index, left)
+        pixels = np.asarray(features.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
         points = self._camera.triangulate(pixels, self._depth.disparity(left, right, pixels))
-        seen = np.isfinite(points).all(axis=1)
-        columns, rows = np.rint(pixels[seen]).astype(np.int64).T
+        has_depth = np.isfinite(points).all(axis=1)
+        columns, rows = np.rint(pixels[has_depth]).astype(np.int64).T
         height, width = left.shape
         self._landmarks[index] = FrameLandmarks(
-            pixels=pixels[seen].astype(np.float32),
-            points=points[seen].astype(np.float32),
+            pixels=pixels[has_depth].astype(np.float32),
+            points=points[has_depth].astype(np.float32),
             grey=left[rows.clip(0, height - 1), columns.clip(0, width - 1)],
-            descriptors=found.descriptors[: self._config.max_landmarks][seen].astype(np.float16),
+            descriptors=features.descriptors[: self._config.max_landmarks][has_depth].astype(np.float16),
         )
         return self._landmarks[index]
 

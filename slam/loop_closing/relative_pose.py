@@ -19,11 +19,11 @@ Mask = NDArray[np.bool_]
 _CHI2_MEDIAN = 2.366  # of 3 degrees of freedom
 _CHI2_LIMIT = 16.27  # 99.9 % of 3 degrees of freedom
 _MAD_TO_SIGMA = 1.4826  # of a Gaussian
-MIN_LANDMARKS = 6  # below this a pose has nothing to be checked against
+MIN_LANDMARKS = 6  # with fewer, nothing is left to check a pose
 _MAX_ITERATIONS = 15  # of reweighting
 _MIN_STEP = 1e-5  # rad and m: a smaller step ends the reweighting
 _FINAL_STEPS = 2  # of plain least squares on the inliers
-# Where most matches are wrong their median chi-square tells nothing of the noise: it may be this many times larger.
+# Where most matches are wrong, their median chi-square does not show the noise: at most this factor is believed.
 _MAX_NOISE_FACTOR = 4.0
 _MIN_DEPTH = 1e-3  # metres: points in the image plane have no pixel
 _RANSAC_CONFIDENCE = 0.9999
@@ -31,7 +31,7 @@ _RANSAC_CONFIDENCE = 0.9999
 
 @dataclass(frozen=True)
 class RelativePoseConfig:
-    """Noise of matched landmarks, and RANSAC's settings."""
+    """Noise of matched landmarks, and settings of RANSAC."""
 
     ransac_error_px: float = 3.0  # largest reprojection error of an inlier of the first guess
     ransac_iterations: int = 1000  # enough for 25 % inliers and 4 points at 0.98
@@ -43,7 +43,7 @@ class RelativePoseConfig:
     systematic_m: float = 0.005  # of translation, metres
     systematic_m_per_m: float = 0.01  # and for each metre between the cameras
     systematic_log_scale: float = 0.01  # of the log scale of one camera
-    systematic_disparity_px: float = 0.2  # of all disparities alike; what it does depends on how far landmarks are
+    systematic_disparity_px: float = 0.2  # of all disparities alike; its effect depends on the depths of the landmarks
 
     def systematic(self, T_a_b: Array) -> Array:
         """Covariance (6, 6), rotation first, of these errors in a pose (4, 4)."""
@@ -55,7 +55,7 @@ class RelativePoseConfig:
 
 @dataclass(frozen=True)
 class ScaleRatio:
-    """Length of one unit of length in another.
+    """Ratio of two units of length.
 
     Attributes:
         log: natural logarithm of the ratio.
@@ -67,7 +67,7 @@ class ScaleRatio:
 
     @property
     def ratio(self) -> float:
-        """Length of the one unit in the other."""
+        """The ratio itself."""
         return float(np.exp(self.log))
 
 

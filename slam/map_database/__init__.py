@@ -1,1 +1,1 @@
-"""One file that holds a drive as it goes: what was seen, what was thought of it, and where it can go on."""
+"""The map database: one file with the frames, landmarks, loops and checkpoints of one or more sessions."""

@@ -1,12 +1,9 @@
-"""States of components as JSON and arrays, and back, bit for bit.
+"""Checkpoints: states of components as JSON and arrays, and back, bit for bit; chunks hold the arrays in the database.
 
 A state is what `state()` of a component returns: dicts with text keys, lists, plain values and numpy arrays, nested.
-Decision record: docs/decisions/checkpoints.md.
-
-Content-addressed storage of a checkpoint's arrays: chunks are named by their digests and written only once.
-
-The idea is that of version control. A recogniser's map grows by a thousandth with each image, and most of it never
-changes again; to digest all of it is cheap, to write all of it at each checkpoint is not.
+Its arrays are cut into chunks that are named by their digests and written only once, as version control does it: a
+recogniser's map grows by a thousandth with each image, and most of it never changes again. Computing the digests of
+everything is cheap, writing everything at each checkpoint is not. Decision record: docs/decisions/checkpoints.md.
 """
 
 import json
@@ -21,23 +18,25 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 _PLAIN = (str, int, bool, type(None))
+_CHUNK_BYTES = 1 << 16
+_DIGEST_BYTES = 16  # two different chunks of one digest are not to be expected before 2^64 of them
 
 
 def serialize(state: object) -> tuple[Any, list[NDArray[Any]]]:
-    """Values that JSON can write, and the arrays of a state in the order in which they were met; not copied.
+    """Structure of a state, as values that JSON can write, and its arrays in order of appearance; not copied.
 
     Raises:
-        TypeError: the state holds something else than dicts, lists, tuples, plain values, numpy scalars and arrays.
+        TypeError: the state holds anything but dicts, lists, tuples, plain values, numpy scalars and arrays.
     """
     arrays: list[NDArray[Any]] = []
     return _encode(state, arrays), arrays
 
 
 def deserialize(structure: Any, arrays: list[NDArray[Any]]) -> Any:
-    """The state of which `serialize` made a structure and arrays; its tuples have become lists.
+    """The state from the structure and arrays that `serialize` returned; its tuples have become lists.
 
     Raises:
-        ValueError: the structure is none that `serialize` returns.
+        ValueError: `serialize` does not return such a structure.
     """
     try:
         return _decode(structure, arrays)
@@ -49,7 +48,7 @@ def _encode(value: object, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(value, np.ndarray | np.generic):  # before float, which numpy's float64 is
         arrays.append(np.asarray(value))
         return {"array" if isinstance(value, np.ndarray) else "scalar": len(arrays) - 1}
-    if isinstance(value, float) and not math.isfinite(value):  # JSON knows no NaN
+    if isinstance(value, float) and not math.isfinite(value):  # JSON has no NaN
         return {"float": repr(value)}
     if isinstance(value, (float, *_PLAIN)):
         return value
@@ -88,14 +87,10 @@ def _decode(encoded: Any, arrays: list[NDArray[Any]]) -> Any:
     raise KeyError(kind)
 
 
-_CHUNK = 1 << 16  # bytes
-_DIGEST = 16  # bytes: two different pieces of one digest are not to be expected before 2^64 of them
-
-
 def write_arrays(connection: sqlite3.Connection, session: int, arrays: list[NDArray[Any]]) -> None:
-    """Write the arrays of a session's checkpoint in the place of those of the one before."""
+    """Write the arrays of a session's checkpoint; they replace those of the previous one."""
     connection.execute("DELETE FROM checkpoint_array WHERE session = ?", (session,))
-    known = {bytes(row[0]) for row in connection.execute("SELECT digest FROM piece")}
+    known = {bytes(row[0]) for row in connection.execute("SELECT digest FROM chunk")}
     for number, array in enumerate(arrays):
         digests = _write(connection, array, known)
         dtype = json.dumps(npy.dtype_to_descr(array.dtype))
@@ -108,7 +103,7 @@ def read_arrays(connection: sqlite3.Connection, session: int) -> list[NDArray[An
     """Arrays of a session's checkpoint, in order; they may be written to.
 
     Raises:
-        ValueError: a piece is missing or is not what its digest says.
+        ValueError: a chunk is missing or does not have its digest.
     """
     found = connection.execute("SELECT * FROM checkpoint_array WHERE session = ? ORDER BY number", (session,))
     return [_read(connection, row) for row in found]
@@ -118,22 +113,22 @@ def _write(connection: sqlite3.Connection, array: NDArray[Any], known: set[bytes
     if array.dtype.hasobject:
         raise ValueError(f"expected an array of numbers, got {array.dtype}")
     flat = memoryview(array.tobytes(_layout(array)) if array.size else b"")
-    pieces = [flat[begin : begin + _CHUNK] for begin in range(0, len(flat), _CHUNK)]
-    digests = [digest(piece) for piece in pieces]
-    fresh = {name: piece for name, piece in zip(digests, pieces, strict=True) if name not in known}
-    connection.executemany("INSERT INTO piece VALUES (?, ?)", fresh.items())
+    chunks = [flat[begin : begin + _CHUNK_BYTES] for begin in range(0, len(flat), _CHUNK_BYTES)]
+    digests = [digest(chunk) for chunk in chunks]
+    fresh = {name: chunk for name, chunk in zip(digests, chunks, strict=True) if name not in known}
+    connection.executemany("INSERT INTO chunk VALUES (?, ?)", fresh.items())
     known.update(fresh)
     return digests
 
 
 def _read(connection: sqlite3.Connection, row: sqlite3.Row) -> NDArray[Any]:
     content = bytearray()
-    bounds = range(0, len(row["pieces"]) + 1, _DIGEST)
+    bounds = range(0, len(row["chunks"]) + 1, _DIGEST_BYTES)
     for begin, end in pairwise(bounds):
-        name = row["pieces"][begin:end]
-        found = connection.execute("SELECT bytes FROM piece WHERE digest = ?", (name,)).fetchone()
+        name = row["chunks"][begin:end]
+        found = connection.execute("SELECT bytes FROM chunk WHERE digest = ?", (name,)).fetchone()
         if found is None or digest(found[0]) != name:
-            raise ValueError("a piece of the checkpoint is missing or damaged")
+            raise ValueError("a chunk of the checkpoint is missing or damaged")
         content += found[0]
     dtype = npy.descr_to_dtype(_as_descr(json.loads(row["dtype"])))
     if dtype.hasobject:
@@ -142,12 +137,12 @@ def _read(connection: sqlite3.Connection, row: sqlite3.Row) -> NDArray[Any]:
 
 
 def digest(content: bytes | memoryview) -> bytes:
-    """What a piece is named by."""
-    return blake2b(content, digest_size=_DIGEST).digest()
+    """Digest of a content; a chunk is named by it."""
+    return blake2b(content, digest_size=_DIGEST_BYTES).digest()
 
 
 def _layout(array: NDArray[Any]) -> Literal["C", "F"]:
-    """How the numbers lie: the same numbers in another order may be added up in another order."""
+    """Memory order of an array: a sum over the same numbers in another order may differ in its last bits."""
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 
@@ -159,8 +154,8 @@ def _as_descr(read: Any) -> Any:
 
 
 def _sweep(connection: sqlite3.Connection, known: set[bytes]) -> None:
-    """Delete the pieces that no checkpoint needs any more."""
+    """Delete the chunks that no checkpoint refers to."""
     used: set[bytes] = set()
-    for (names,) in connection.execute("SELECT pieces FROM checkpoint_array"):
-        used.update(names[begin : begin + _DIGEST] for begin in range(0, len(names), _DIGEST))
-    connection.executemany("DELETE FROM piece WHERE digest = ?", [(name,) for name in known - used])
+    for (names,) in connection.execute("SELECT chunks FROM checkpoint_array"):
+        used.update(names[begin : begin + _DIGEST_BYTES] for begin in range(0, len(names), _DIGEST_BYTES))
+    connection.executemany("DELETE FROM chunk WHERE digest = ?", [(name,) for name in known - used])

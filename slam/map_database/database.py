@@ -1,6 +1,6 @@
-"""The map database: one SQLite file, written while a run goes on, open to any number of readers.
+"""The map database: one SQLite file, written during a run, which other processes may read at any time.
 
-A checkpoint and the frames up to it are committed together: however its writer ended, the database holds a session
+A checkpoint and the frames up to it are committed together: if the writer is killed, the database holds a session
 that stopped at its last checkpoint. Decision record: docs/decisions/map_database.md.
 """
 
@@ -23,13 +23,13 @@ from slam.loop_closing.loop_closer import FrameLandmarks
 from slam.map_database import schema
 from slam.map_database.checkpoint import deserialize, digest, read_arrays, serialize, write_arrays
 from slam.map_database.records import (
-    candidate_row,
     frame_row,
     landmark_row,
+    loop_row,
     pack,
-    read_candidate,
     read_frame,
     read_landmarks,
+    read_loop,
     unpack,
 )
 
@@ -96,7 +96,7 @@ class OptimizedSession:
         images: (N,) numbers of the images.
         poses: (N, 4, 4) T_world_camera of the images.
         units: (N,) unit of length of each image, as a multiple of that of the first frame.
-        outcomes: results for the verified loops, by the number of their candidates.
+        outcomes: results for the verified loops, by the numbers of their records.
         map_id: frame of reference of the poses, by the number of its first session.
     """
 
@@ -127,14 +127,14 @@ class MapDatabase:
         """Open an existing database.
 
         Raises:
-            DataError: no such file, no map store, a damaged one, or one of another version.
+            DataError: no such file, no map database, a damaged one, or one of another version.
         """
         return cls(schema.connect(path, "rw" if writable else "ro"), path, writable)
 
     def close(self) -> None:
         """Close the database; its write-ahead log is merged into the one file."""
         if self._writable:
-            with suppress(sqlite3.Error):  # somebody is reading it: then the log stays
+            with suppress(sqlite3.Error):  # another process reads it: the log stays
                 self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
 
@@ -164,7 +164,7 @@ class MapDatabase:
             self._connection.execute("COMMIT")
         except sqlite3.Error as error:
             raise OutputError(
-                f"{self.path}: the map cannot be written ({error}); make room, then go on with --resume"
+                f"{self.path}: the map cannot be written ({error}); make room, then continue with --resume"
             ) from error
 
     @contextmanager
@@ -198,9 +198,9 @@ class MapDatabase:
         self._insert("frame", frame_row(frame, session))
         self._insert("landmark", landmark_row(frame))
 
-    def add_candidate(self, number: int, candidate: LoopRecord) -> None:
-        """Add a loop candidate; call within `writing`."""
-        self._insert("candidate", candidate_row(number, candidate))
+    def add_loop(self, number: int, loop: LoopRecord) -> None:
+        """Add the record of a loop candidate; call within `writing`."""
+        self._insert("loop", loop_row(number, loop))
 
     def set_checkpoint(self, session: int, checkpoint: Checkpoint) -> None:
         """Replace the checkpoint of a session; call within `writing`."""
@@ -211,8 +211,8 @@ class MapDatabase:
         write_arrays(self._connection, session, arrays)
 
     def delete_loops_from(self, begin: int) -> None:
-        """Delete the candidates from a number on; call within `writing`."""
-        self._connection.execute("DELETE FROM candidate WHERE number >= ?", (begin,))
+        """Delete the loop records from a number on; call within `writing`."""
+        self._connection.execute("DELETE FROM loop WHERE number >= ?", (begin,))
 
     def finish(self, session: int, corrected: OptimizedSession, ended: bool) -> None:
         """Write the final poses and loop outcomes; call within `writing`."""
@@ -223,7 +223,7 @@ class MapDatabase:
         self._connection.executemany("UPDATE frame SET T_world_camera = ?, unit = ? WHERE image = ?", poses)
         outcomes = [(*_plain(outcome), number) for number, outcome in corrected.outcomes.items()]
         self._connection.executemany(
-            "UPDATE candidate SET kept = ?, weight = ?, residual = ?, final_reason = ? WHERE number = ?", outcomes
+            "UPDATE loop SET kept = ?, weight = ?, residual = ?, final_reason = ? WHERE number = ?", outcomes
         )
         closing_row = "UPDATE session SET finished = ?, map_id = ? WHERE number = ?"
         self._connection.execute(closing_row, (ended, corrected.map_id, session))
@@ -232,7 +232,7 @@ class MapDatabase:
         """All sessions of the map, in order.
 
         Raises:
-            DataError: the store is damaged; so say all methods that read.
+            DataError: the database is damaged; all methods that read raise this.
         """
         with self.reading():
             rows = self._connection.execute("SELECT * FROM session ORDER BY number").fetchall()
@@ -243,7 +243,7 @@ class MapDatabase:
         return self._count("frame", session)
 
     def frames(self, first_image: int = 0) -> Iterator[FrameRecord]:
-        """All frames from an image on with their landmarks, in order, read as they are asked for."""
+        """All frames from an image on with their landmarks, in order, read on demand."""
         with self.reading():
             joined = "SELECT frame.*, pixels, points, grey, descriptors FROM frame JOIN landmark USING (image)"
             for row in self._connection.execute(f"{joined} WHERE image >= ? ORDER BY image", (first_image,)):
@@ -257,7 +257,7 @@ class MapDatabase:
             return unpack(content, "<f8", -1, 4, 4)
 
     def units(self) -> Array:
-        """(N,) of length of each image, in that of the first."""
+        """Unit of length (N,) of each image, as a multiple of that of the first."""
         with self.reading():
             found = self._connection.execute("SELECT coalesce(unit, 1) FROM frame ORDER BY image")
             return np.array([row[0] for row in found], np.float64)
@@ -293,12 +293,12 @@ class MapDatabase:
             found = self._connection.execute("SELECT T_previous_camera, covariance FROM frame ORDER BY image")
             return [(unpack(T, "<f8", 4, 4), unpack(covariance, "<f8", 6, 6)) for T, covariance in found]
 
-    def candidates(self, first_image: int = 0) -> Iterator[LoopRecord]:
-        """Loop candidates about images from that one on, in the order in which they came."""
+    def loops(self, first_image: int = 0) -> Iterator[LoopRecord]:
+        """Records of the loop candidates of all images from that one on, in the order in which they came."""
         with self.reading():
-            wanted = "SELECT * FROM candidate WHERE query >= ? ORDER BY number"
+            wanted = "SELECT * FROM loop WHERE query >= ? ORDER BY number"
             for row in self._connection.execute(wanted, (first_image,)):
-                yield read_candidate(row)
+                yield read_loop(row)
 
     def checkpoint(self, session: int) -> Checkpoint | None:
         """The last checkpoint of a session; None before the first."""
@@ -311,13 +311,13 @@ class MapDatabase:
             arrays = read_arrays(self._connection, session)
             return Checkpoint(found["frames"], deserialize(json.loads(found["structure"]), arrays))
 
-    def ask(self, question: str, *values: Any) -> list[sqlite3.Row]:
-        """Rows of an SQL query, for questions that the other methods do not answer."""
+    def query(self, sql: str, *values: Any) -> list[sqlite3.Row]:
+        """Rows of an SQL query, where no other method gives them."""
         with self.reading():
-            return self._connection.execute(question, values).fetchall()
+            return self._connection.execute(sql, values).fetchall()
 
     def copy(self, target: Path) -> None:
-        """Write the whole store, as it is now, into another file.
+        """Write the whole database, as it is now, into another file.
 
         Raises:
             OutputError: it cannot be written.
@@ -329,13 +329,13 @@ class MapDatabase:
             raise OutputError(f"{target}: the map cannot be copied ({error}); make room") from error
 
     def num_loops_before(self, image: int) -> int:
-        """Number of loop candidates about images before one."""
+        """Number of loop records of the images before one."""
         with self.reading():
-            (count,) = self._connection.execute("SELECT count(*) FROM candidate WHERE query < ?", (image,)).fetchone()
+            (count,) = self._connection.execute("SELECT count(*) FROM loop WHERE query < ?", (image,)).fetchone()
             return int(count)
 
     def count(self, table: str) -> int:
-        """Rows of a table."""
+        """Number of rows of a table."""
         return self._count(table, None)
 
     def _count(self, table: str, session: int | None) -> int:

@@ -1,7 +1,7 @@
-"""A session within a map of earlier sessions: the system counts its own frames, the map counts all images.
+"""Translates image numbers between a session, whose frames the system counts, and a map of several sessions.
 
-The system knows one session only. Here its recogniser and its loop closer, which know the images of all sessions, are
-wrapped: numbers of images are translated, and matches with images of earlier sessions are verified and collected.
+The system knows one session only, while its recogniser and its loop closer know the images of all sessions. The
+wrappers of this module translate image numbers, and verify and collect matches with images of earlier sessions.
 """
 
 import logging
@@ -25,7 +25,7 @@ log = logging.getLogger("revisit")
 
 @dataclass(frozen=True)
 class SessionStart:
-    """Where a session begins for components that have seen other sessions before it.
+    """Start of a session for components that have processed other sessions before it.
 
     Attributes:
         image: number of its first image in the map.
@@ -85,8 +85,8 @@ class SessionLoopCloser:
 class SessionRecognizer:
     """The recogniser of a map, addressed by the frames of one session (a PlaceRecognizer).
 
-    A belief about a match with an earlier session is verified and collected here; the system is told that the frame
-    has no match in its own session.
+    A belief about a match with an earlier session is verified and collected here; for the system, the frame has no
+    match.
     """
 
     def __init__(self, recognizer: PlaceRecognizer, loop_closer: LoopVerifier, start: SessionStart) -> None:
@@ -132,7 +132,7 @@ class SessionRecognizer:
 
 
 def components_in_session(components: Components, start: SessionStart) -> Components:
-    """Components of a map as a system sees them that counts the frames of one session."""
+    """Components of a map for a system that counts the frames of one session only."""
     if start.image == 0:
         return components
     return replace(

@@ -1,4 +1,4 @@
-"""Frames, landmarks and loop candidates as rows of a map store, and back."""
+"""Frames, landmarks and loop candidates as rows of a map database, and back."""
 
 import json
 import sqlite3
@@ -47,14 +47,14 @@ def landmark_row(frame: FrameRecord) -> dict[str, Any]:
     }
 
 
-def candidate_row(number: int, candidate: LoopRecord) -> dict[str, Any]:
-    """Columns of table `candidate` but for those known at the end."""
-    belief, geometry = candidate.belief, candidate.geometry
+def loop_row(number: int, loop: LoopRecord) -> dict[str, Any]:
+    """Columns of table `loop` except those known at the end."""
+    belief, geometry = loop.belief, loop.geometry
     closed = geometry if isinstance(geometry, LoopClosure) else None
     pixels = (np.empty((0, 2)),) * 2 if geometry is None else (geometry.pixels_query, geometry.pixels_match)
     return {
         "number": number,
-        "at_image": candidate.at_image,
+        "at_image": loop.at_image,
         "query": belief.query,
         "match": belief.match,
         "score": float(belief.score),
@@ -97,7 +97,7 @@ def read_frame(row: sqlite3.Row, landmarks: FrameLandmarks) -> FrameRecord:
 
 
 def read_landmarks(row: sqlite3.Row) -> FrameLandmarks:
-    """What a frame saw, from its row."""
+    """Landmarks of a frame, from their row."""
     pixels = unpack(row["pixels"], "<f4", -1, 2)
     count = len(pixels)
     return FrameLandmarks(
@@ -108,8 +108,8 @@ def read_landmarks(row: sqlite3.Row) -> FrameLandmarks:
     )
 
 
-def read_candidate(row: sqlite3.Row) -> LoopRecord:
-    """An candidate from its row."""
+def read_loop(row: sqlite3.Row) -> LoopRecord:
+    """A loop record from its row."""
     belief = Belief(
         query=row["query"],
         match=row["match"],

@@ -38,19 +38,19 @@ class ReplayedOdometry:
         return self._motions[frame.index]
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """NaN: nothing is known of pixels."""
+        """NaN for every pixel: the map has no depth images."""
         return np.full(len(pixels), np.nan)
 
     def array_bytes(self) -> int:
-        """Nothing that an odometry would hold."""
+        """Zero: replayed motions are no memory of an odometry."""
         return 0
 
     def state(self) -> dict[str, Any]:
-        """Nothing changes."""
+        """Empty: nothing changes from frame to frame."""
         return {}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Nothing changes."""
+        """Do nothing."""
 
 
 class ReplayedLandmarks(LoopCloser):
@@ -69,31 +69,31 @@ class ReplayedLandmarks(LoopCloser):
 
 
 def read_session(path: Path) -> ResumableRun:
-    """The one drive of a map, in a file or in a run's folder.
+    """The only session of a map, in a file or in a run's folder.
 
     Raises:
-        DataError: there is no map, it is damaged, or it holds several drives.
+        DataError: there is no map, it is damaged, or it holds several sessions.
     """
     file = map_file(path)
     with MapDatabase.open(file) as store:
         sessions, frames = store.sessions(), store.images()
     if len(sessions) != 1:
-        raise DataError(f"{file}: expected the map of one drive, found {len(sessions)}; reprocess each drive by itself")
+        raise DataError(f"{file}: expected the map of one session, found {len(sessions)}; reprocess each by itself")
     return ResumableRun(file, sessions[0], frames)
 
 
 def source_of(path: Path) -> DatasetSpec:
-    """The recording of which a map was made.
+    """The dataset from which a map was made.
 
     Raises:
-        DataError: as `read_session`, or the map does not say.
+        DataError: as `read_session`, or the map does not name its dataset.
     """
-    drive = read_session(path)
+    run = read_session(path)
     try:
-        return DatasetSpec.from_metrics(drive.session.provenance["recording"])
+        return DatasetSpec.from_metrics(run.session.provenance["recording"])
     except (KeyError, TypeError) as error:
         raise DataError(
-            f"{drive.map_file}: expected the map to name its recording, found none; --source DIR"
+            f"{run.map_file}: expected the map to name its recording, found none; name it with --source DIR"
         ) from error
 
 
@@ -101,7 +101,7 @@ def replay_components(path: Path) -> Build:
     """Build components that replay the motions and landmarks of a map with one session.
 
     Raises:
-        DataError: it is damaged.
+        DataError: the map is damaged.
     """
     with MapDatabase.open(map_file(path)) as store:
         frames = list(store.frames())

@@ -1,8 +1,7 @@
-"""Resuming: find the run that stopped before its end, check that it is the same, and restore its system.
+"""Continuing from a map database: a run that stopped is resumed, or a new session is added to a prior map.
 
-The one place where a system is restored from a map database.
-
-The prior map: a map of earlier sessions that a new session is added to.
+Finds the run or the map, checks that dataset and settings fit it, and restores the system from its records and its
+checkpoint; no other module restores a system.
 """
 
 from collections import deque
@@ -54,10 +53,10 @@ class ResumableRun:
 
 
 def find_resumable_run(out: Path) -> ResumableRun | None:
-    """The unfinished run into a folder that has processed most frames; None where there is none.
+    """The unfinished run into a folder with the most processed frames; None where there is none.
 
     Raises:
-        DataError: the only map there is damaged.
+        DataError: a map database in the folder is damaged.
     """
     files = [folder / MAP_FILE for folder in (*unfinished(out), out) if (folder / MAP_FILE).is_file()]
     runs = [stopped for stopped in map(_resumable_run, files) if stopped is not None]
@@ -73,21 +72,21 @@ def is_complete(out: Path) -> bool:
 
 
 def check_unfinished(out: Path) -> None:
-    """Refuse to start a new run where one can be resumed.
+    """Check that no run into the folder can be resumed: a new one would discard its results.
 
     Raises:
-        OutputError: there is one.
+        OutputError: there is such a run.
     """
     stopped = find_resumable_run(out) if unfinished(out) else None
     if stopped is not None:
         raise OutputError(
             f"{out}: expected a new or empty folder, found a run that stopped after {stopped.frames} frames; "
-            "go on with --resume, or begin anew with --overwrite"
+            "continue it with --resume, or start again with --overwrite"
         )
 
 
 def reopen_run_folder(stopped: ResumableRun, out: Path) -> RunFolder:
-    """The folder in which a stopped run is resumed. Results that it has written stay until the new ones come.
+    """The folder in which a stopped run is resumed. Earlier results stay until the new ones are complete.
 
     Raises:
         OutputError: the map cannot be copied.
@@ -104,30 +103,31 @@ def check_same(stopped: ResumableRun, dataset: Dataset, config: RunConfig) -> No
     """Check that the settings and the dataset are those of the run that stopped.
 
     Raises:
-        ConfigError: other settings.
-        DataError: another dataset.
+        ConfigError: the settings differ.
+        DataError: the dataset is another one.
     """
     if config != stopped.config:
         raise ConfigError(
             f"{stopped.map_file}: the run was made with other settings than these; leave them out with --resume, "
-            "or begin anew with --overwrite"
+            "or start again with --overwrite"
         )
     check_dataset(stopped, dataset)
 
 
 def check_dataset(stopped: ResumableRun, dataset: Dataset) -> None:
-    """Check that a dataset is the one that a map was made of.
+    """Check that a dataset is the one from which a map was made.
 
     Raises:
         DataError: it is another one.
     """
     with MapDatabase.open(stopped.map_file) as store:
         times = store.timestamps(stopped.session.number)
+    source = stopped.session.provenance.get("source")
     same_times = np.array_equal(dataset.timestamps[: stopped.frames], times)  # false, too, where there are fewer
     if dataset.camera != stopped.session.camera or not same_times:
         raise DataError(
-            f"{stopped.map_file}: expected the drive that it was made of ({stopped.session.provenance.get('source')}, "
-            f"{stopped.frames} frames so far), found another; give that one, or begin anew with --overwrite"
+            f"{stopped.map_file}: expected the dataset from which it was made ({source}, {stopped.frames} "
+            f"frames so far), found another one; give that dataset, or start again with --overwrite"
         )
 
 
@@ -147,12 +147,67 @@ def _copy(source: Path, target: Path) -> None:
 
 
 @dataclass(frozen=True)
-class RestoredSession:
-    """What has been restored.
+class PriorMap:
+    """A map of earlier sessions.
 
     Attributes:
-        num_frames: frames of the session that have been processed.
-        num_loops: loop records of the map, of all sessions, that stay.
+        map_file: path of the map database.
+        last: the session that was added last.
+    """
+
+    map_file: Path
+    last: Session
+
+    @property
+    def config(self) -> RunConfig:
+        """The settings it was made with; a recogniser that continues needs the same."""
+        return parse_config(self.last.config, f"{self.map_file}: settings")
+
+
+def read_prior_map(path: Path) -> PriorMap:
+    """The map in a file, or in a run's folder.
+
+    Raises:
+        DataError: there is no map, it is damaged, or its last session has not ended.
+    """
+    file = map_file(path)
+    with MapDatabase.open(file) as store:
+        sessions = store.sessions()
+    if not sessions or not sessions[-1].finished:
+        raise DataError(
+            f"{file}: expected a map whose last session has ended, found one that stopped; --resume its run first"
+        )
+    return PriorMap(file, sessions[-1])
+
+
+def check_fits(prior: PriorMap, dataset: Dataset, config: RunConfig) -> None:
+    """Check that a dataset can be added to a map.
+
+    Raises:
+        DataError: the camera is another one.
+        ConfigError: recogniser or features differ, there is one camera only, or no map is written.
+    """
+    file, made = prior.map_file, prior.config
+    if dataset.camera != prior.last.camera:
+        raise DataError(f"{file}: expected sessions of one camera, {prior.last.camera}, found {dataset.camera}")
+    if config.mono or made.mono:
+        raise ConfigError("--map: expected a stereo pair: sessions of one camera have no common unit of length")
+    if (config.paradigm, config.place_recognition) != (made.paradigm, made.place_recognition):
+        raise ConfigError(
+            f"--map: expected the recogniser that made {file}, {made.paradigm}, with its settings, found others; "
+            "leave those options out"
+        )
+    if not config.save_map:
+        raise ConfigError("--no-map: a session that is added to a map is saved in one; leave this option out")
+
+
+@dataclass(frozen=True)
+class RestoredSession:
+    """Size of a session that has been restored.
+
+    Attributes:
+        num_frames: number of frames of the session that have been processed.
+        num_loops: number of loop records of the map, of all sessions, that stay.
     """
 
     num_frames: int
@@ -172,10 +227,10 @@ def restore_session(
     """
     first = session.first_image
     num_loops = store.num_loops_before(first)
-    replay = LoopReplay(store.candidates(first))
+    replay = LoopReplay(store.loops(first))
     for frame in store.frames():
         record = frame_in_session(frame, first)
-        if record.image < 0:  # of an earlier session: its landmarks serve to verify matches with it
+        if record.image < 0:  # of an earlier session: matches with it are verified by its landmarks
             slam.components.loop_closer.restore_frame(record.image, record.landmarks)
             continue
         loops = replay.take(frame.image)
@@ -195,14 +250,14 @@ def system_state(components: Components, matrix: MatrixRecorder) -> dict[str, An
 
 
 def session_start(store: MapDatabase, session: Session) -> SessionStart:
-    """Where a session begins behind the others of its map."""
+    """Start of a session behind the earlier ones of its map."""
     before = store.steps()[: session.first_image]
     distance_m = sum(float(np.linalg.norm(T[:3, 3])) for T, _ in before)
     return SessionStart(session.first_image, distance_m + _SESSION_GAP_M * session.number)
 
 
 def _restore_checkpoint(store: MapDatabase, session: Session, components: Components, matrix: MatrixRecorder) -> int:
-    """Restore the state of the session, else the recogniser's of the one before; frames processed of this one."""
+    """Restore the state of the session, or the recogniser of the session before it; number of frames processed."""
     own = store.checkpoint(session.number)
     if own is not None:
         with store.reading():
@@ -231,58 +286,3 @@ class LoopReplay:
         while self._waiting and self._waiting[0].at_image == image:
             taken.append(self._waiting.popleft())
         return taken
-
-
-@dataclass(frozen=True)
-class PriorMap:
-    """A map of earlier sessions.
-
-    Attributes:
-        map_file: path of the map database.
-        last: the session that was added last.
-    """
-
-    map_file: Path
-    last: Session
-
-    @property
-    def config(self) -> RunConfig:
-        """The settings it was made with; a recogniser that continues needs the same."""
-        return parse_config(self.last.config, f"{self.map_file}: settings")
-
-
-def read_prior_map(path: Path) -> PriorMap:
-    """The map in a file, or in a run's folder.
-
-    Raises:
-        DataError: there is none, it is damaged, or its last drive has not ended.
-    """
-    file = map_file(path)
-    with MapDatabase.open(file) as store:
-        sessions = store.sessions()
-    if not sessions or not sessions[-1].finished:
-        raise DataError(
-            f"{file}: expected the map of a drive that has ended, found one that stopped; --resume it first"
-        )
-    return PriorMap(file, sessions[-1])
-
-
-def check_fits(prior: PriorMap, dataset: Dataset, config: RunConfig) -> None:
-    """Check that a dataset can be added to a map.
-
-    Raises:
-        DataError: another camera.
-        ConfigError: another recogniser or other features, one camera only, or no map is written.
-    """
-    file, made = prior.map_file, prior.config
-    if dataset.camera != prior.last.camera:
-        raise DataError(f"{file}: expected sessions of one camera, {prior.last.camera}, found {dataset.camera}")
-    if config.mono or made.mono:
-        raise ConfigError("--map: expected a stereo pair: drives of one camera have no common unit of length")
-    if (config.paradigm, config.place_recognition) != (made.paradigm, made.place_recognition):
-        raise ConfigError(
-            f"--map: expected the recogniser that made {file}, {made.paradigm}, with its settings, found others; "
-            "leave them out"
-        )
-    if not config.save_map:
-        raise ConfigError("--no-map: a drive that joins a map is kept in one; leave it out")

@@ -9,8 +9,8 @@ from pathlib import Path
 from slam.errors import DataError, OutputError
 
 VERSION = 2
-APPLICATION = 0x52565354  # "RVST": tells our files from other SQLite files
-_BUSY_S = 5.0  # another reader or writer is waited for so long
+APPLICATION = 0x52565354  # "RVST": marks Revisit's files among other SQLite files
+_BUSY_S = 5.0  # longest wait for another reader or writer
 
 # Images are numbered through all sessions. Poses, covariances and pixels are little-endian arrays, row by row.
 _TABLES = """
@@ -38,8 +38,8 @@ CREATE TABLE frame (
     key_frame INTEGER NOT NULL,
     T_world_odometry BLOB NOT NULL,       -- (4, 4) float64, of the session's first camera
     T_world_online BLOB NOT NULL,
-    T_world_camera BLOB,                  -- corrected; NULL until the drive has ended
-    unit REAL,                            -- of length, in that of the first frame; 1 with a stereo pair
+    T_world_camera BLOB,                  -- corrected; NULL until the session has ended
+    unit REAL,                            -- unit of length, as a multiple of the first frame's; 1 with a stereo pair
     stage_ms TEXT NOT NULL                -- JSON
 );
 CREATE TABLE landmark (
@@ -49,9 +49,9 @@ CREATE TABLE landmark (
     grey BLOB NOT NULL,                   -- (N,) uint8
     descriptors BLOB NOT NULL             -- (N, D) float16
 );
-CREATE TABLE candidate (
-    number INTEGER PRIMARY KEY,           -- in the order in which the recogniser answered
-    at_image INTEGER,                     -- the image with which the answer came; NULL for those at the drive's end
+CREATE TABLE loop (
+    number INTEGER PRIMARY KEY,           -- in the order of the recogniser's answers
+    at_image INTEGER,                     -- the image with which the answer came; NULL for those at the end
     query INTEGER NOT NULL,
     match INTEGER,
     score REAL NOT NULL,
@@ -70,10 +70,10 @@ CREATE TABLE candidate (
     residual REAL,
     final_reason TEXT                     -- why it was kept or left out
 );
-CREATE INDEX candidate_at ON candidate(at_image);
+CREATE INDEX loop_at_image ON loop(at_image);
 CREATE TABLE checkpoint (
     session INTEGER PRIMARY KEY REFERENCES session(number),
-    frames INTEGER NOT NULL,              -- of the session, that the parts have seen
+    frames INTEGER NOT NULL,              -- of the session, that the components have processed
     structure TEXT NOT NULL,              -- JSON: states of recogniser, odometry, key frames and similarity matrix
     digest BLOB NOT NULL                  -- of the structure
 );
@@ -83,10 +83,10 @@ CREATE TABLE checkpoint_array (
     dtype TEXT NOT NULL,
     shape TEXT NOT NULL,
     layout TEXT NOT NULL,                 -- 'C' or 'F'
-    pieces BLOB NOT NULL,                 -- digests of its pieces, one after the other
+    chunks BLOB NOT NULL,                 -- digests of its chunks, one after the other
     PRIMARY KEY (session, number)
 ) WITHOUT ROWID;
-CREATE TABLE piece (
+CREATE TABLE chunk (
     digest BLOB PRIMARY KEY,
     bytes BLOB NOT NULL
 );
@@ -99,7 +99,7 @@ WHERE tables.type = 'table' AND tables.name NOT LIKE 'sqlite_%'
 
 
 def create(path: Path) -> sqlite3.Connection:
-    """Make an empty store.
+    """Create an empty database.
 
     Raises:
         OutputError: the file cannot be written.
@@ -114,13 +114,13 @@ def create(path: Path) -> sqlite3.Connection:
 
 
 def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
-    """Open a store, "ro" to read or "rw" to go on writing.
+    """Open a database, "ro" to read or "rw" to write.
 
     Raises:
-        DataError: no such file, no map store, a damaged one, or one of another version.
+        DataError: no such file, no map database, a damaged one, or one of another version.
     """
     if not path.is_file():
-        raise DataError(f"{path}: expected a map store, found none; a run writes one: revisit run SOURCE --out DIR")
+        raise DataError(f"{path}: expected a map database, found none; a run writes one: revisit run SOURCE --out DIR")
     try:
         connection = _connect(f"{path.resolve().as_uri()}?mode={mode}{_untouched(path) if mode == 'ro' else ''}")
         (application,) = connection.execute("PRAGMA application_id").fetchone()
@@ -129,37 +129,37 @@ def connect(path: Path, mode: str = "ro") -> sqlite3.Connection:
         raise damaged(path, error) from error
     if application != APPLICATION:
         connection.close()
-        raise DataError(f"{path}: expected a map store, found another SQLite database; give the map.db of a run")
+        raise DataError(f"{path}: expected a map database, found another SQLite database; give the map.db of a run")
     if version != VERSION:
         connection.close()
-        raise DataError(f"{path}: expected a map store of version {VERSION}, found version {version}; run again")
+        raise DataError(f"{path}: expected a map database of version {VERSION}, found version {version}; run again")
     return connection
 
 
 def _untouched(path: Path) -> str:
-    """What tells SQLite that nobody writes: where it cannot make its log, as on a read-only disk, it would give up."""
+    """SQLite's option for a file that nobody writes: else it needs a log beside the file, even on a read-only disk."""
     log = path.with_name(f"{path.name}-wal")
     waiting = log.is_file() and log.stat().st_size > 0
     return "" if waiting or os.access(path.parent, os.W_OK) else "&immutable=1"
 
 
-def columns(ask: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
-    """Columns, `table.column`, that a store has; `ask` reads from it."""
-    return [row[0] for row in ask(_COLUMNS)]
+def columns(query: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
+    """Columns of a database as `table.column`; `query` reads from it."""
+    return [row[0] for row in query(_COLUMNS)]
 
 
-def missing_columns(ask: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
-    """Columns that a store should have and has not."""
+def missing_columns(query: Callable[[str], Iterable[sqlite3.Row]]) -> list[str]:
+    """Columns that a database lacks."""
     with closing(sqlite3.connect(":memory:")) as empty:
         empty.executescript(_TABLES)
         expected = columns(empty.execute)
-    found = set(columns(ask))
+    found = set(columns(query))
     return [name for name in expected if name not in found]
 
 
 def damaged(path: Path, error: Exception) -> DataError:
-    """What to say of a store that cannot be read."""
-    return DataError(f"{path}: expected a map store, found a damaged one ({error}); copy it again or run again")
+    """The error for a database that cannot be read."""
+    return DataError(f"{path}: expected a map database, found a damaged one ({error}); copy it again or run again")
 
 
 def _connect(uri: str) -> sqlite3.Connection:
@@ -167,6 +167,6 @@ def _connect(uri: str) -> sqlite3.Connection:
     connection.row_factory = sqlite3.Row
     if "mode=ro" not in uri:
         connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = NORMAL")  # outlives the program, if not a power cut
+        connection.execute("PRAGMA synchronous = NORMAL")  # survives a crash of the program, but not of the machine
         connection.execute("PRAGMA foreign_keys = ON")
     return connection

@@ -1,11 +1,9 @@
-"""The end of a session: its own trajectory is corrected, or the map of all sessions that it has loops with.
-
-Several sessions in one map: alignment of a new session with the earlier ones, and one pose graph of all.
+"""The end of a session: its trajectory is corrected alone, or merged with the earlier sessions to which it has loops.
 
 No motion is measured from the end of one session to the beginning of the next. The loops between them give it: each
-tells where the new session began in the frame of the earlier ones. Where enough of them agree, the chains of odometry
-are joined by an edge with a covariance that covers the error that these loops may have in common. From then on all
-sessions are one chain, and the back ends decide on all loops alike.
+loop tells where the new session began in the frame of the earlier ones. Where enough of them agree, the chains of
+odometry are joined by an edge with a covariance that covers the error that these loops may have in common. From then
+on all sessions are one chain, and the back ends decide on all loops alike.
 """
 
 from collections.abc import Sequence
@@ -22,6 +20,7 @@ from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph.robust.backends import OptimizationResult
 
 Array = NDArray[np.float64]
+Images = NDArray[np.int64]
 Step = tuple[Array, Array]  # T_previous_current (4, 4), metres, and its covariance (6, 6), rotation first
 
 
@@ -30,8 +29,9 @@ class SessionAlignmentConfig:
     """When the loops between sessions agree on where the new session began.
 
     Attributes:
-        max_distance_m: maximum distance between the positions that two agreeing loops give, metres,
-        max_drift: and the part of the path length between them that is added to it, and to the angle in degrees.
+        max_distance_m: maximum distance between the positions that two agreeing loops give, metres.
+        max_drift_ratio: share of the path length between the two loops by which that distance, and the angle in
+            degrees, may be larger.
         max_angle_deg: maximum angle between the orientations that two agreeing loops give, degrees.
         min_loops: minimum number of loops that agree.
         min_path_length_m: minimum path length between the first and the last of them, metres: neighbouring images
@@ -40,7 +40,7 @@ class SessionAlignmentConfig:
     """
 
     max_distance_m: float = 2.0
-    max_drift: float = 0.02
+    max_drift_ratio: float = 0.02
     max_angle_deg: float = 5.0
     min_loops: int = 5
     min_path_length_m: float = 5.0
@@ -84,13 +84,13 @@ class MergedSessions:
 def align_sessions(
     earlier: Array, own: Array, loops: Sequence[LoopClosure], config: SessionAlignmentConfig | None = None
 ) -> Array | None:
-    """Where a session began in the frame of earlier ones, T_map_session (4, 4); None where its loops do not agree.
+    """Start T_map_session (4, 4) of a session in the frame of earlier ones; None if its loops do not agree.
 
     Args:
         earlier: T_map_camera (M, 4, 4) of the earlier sessions.
         own: T_session_camera (N, 4, 4) of the new session.
-        loops: between them; `match` counts from the first earlier image, `query` from the first of the new session.
-        config: when loops agree.
+        loops: loops between them; `match` counts from the first earlier image, `query` from the first own one.
+        config: settings of the agreement.
     """
     config = config or SessionAlignmentConfig()
     if len(loops) < config.min_loops:
@@ -105,7 +105,7 @@ def align_sessions(
     apart = np.linalg.norm(placed - np.einsum("llj->lj", placed)[None], axis=2)
     distance_between = np.abs(distances[:, None] - distances)
     angles = np.degrees(_angles(proposed))
-    drift = config.max_drift * distance_between
+    drift = config.max_drift_ratio * distance_between
     agree = (apart <= config.max_distance_m + drift) & (angles <= config.max_angle_deg + drift)
     best = int(agree.sum(axis=1).argmax())
     agreeing = np.flatnonzero(agree[best])
@@ -149,9 +149,6 @@ def merge_sessions(
     return MergedSessions(optimized.poses, optimized, optimized.poses[begin])
 
 
-Images = NDArray[np.int64]
-
-
 @dataclass(frozen=True)
 class MergeResult:
     """What became of a session in a map of other sessions.
@@ -159,8 +156,8 @@ class MergeResult:
     Attributes:
         joined: whether it is in one frame of reference with some of them.
         verified: number of loops to their images with a relative pose.
-        kept: number of those that stand in the corrected graph.
-        sessions: numbers of the sessions that it was merged with.
+        kept: number of those in the corrected graph.
+        sessions: numbers of the sessions with which it was merged.
         T_map_session: (4, 4) its first camera in their frame; the identity where it was not merged.
     """
 
@@ -211,9 +208,9 @@ def merge_session(
     """Close a session that has come to its end, merged with the sessions that its loops lead to.
 
     Args:
-        store: holds all frames and loops of the session.
+        store: database with all frames and loops of the session.
         session: the session.
-        optimized: the session by itself.
+        optimized: result of the session by itself.
         config: settings of the run.
 
     Returns:
@@ -233,7 +230,7 @@ def merge_session(
 
 def verified_loops(store: MapDatabase) -> list[NumberedLoop]:
     """All loops of a map that have a relative pose."""
-    records = enumerate(store.candidates())
+    records = enumerate(store.loops())
     return [NumberedLoop(n, record.geometry) for n, record in records if isinstance(record.geometry, LoopClosure)]
 
 
@@ -260,7 +257,7 @@ class SessionGraph:
         self._loops = [numbered for numbered in loops if {numbered.loop.match, numbered.loop.query} <= members]
 
     def align(self, poses: Array) -> Array | None:
-        """Where the new session with poses (N, 4, 4) began in the map, (4, 4); None where its loops do not agree."""
+        """Start in the map (4, 4) of the new session, poses (N, 4, 4); None if its loops do not agree."""
         loops = [
             renumber(numbered.loop, self._before, self._own)
             for numbered in self._loops
@@ -271,7 +268,7 @@ class SessionGraph:
     def merge(
         self, T_map_session: Array, alone: OptimizationResult, config: RunConfig
     ) -> tuple[OptimizedSession, SessionResult]:
-        """Optimise all sessions in one graph, the new one beginning at (4, 4)."""
+        """Optimise all sessions in one graph, where the new one begins at T_map_session (4, 4)."""
         poses = self._store.poses()
         poses[self._own] = T_map_session @ alone.poses
         merged = merge_sessions(
@@ -296,7 +293,7 @@ class SessionGraph:
         return [SessionTrajectory(tuple(steps[one[0] + 1 : one[-1] + 1]), poses[one]) for one in images]
 
     def _own_result(self, alone: OptimizationResult, merged: MergedSessions) -> OptimizationResult:
-        """What the merged graph says of the new session, in that session's own frame."""
+        """The new session's part of the merged result, in the frame of that session."""
         own = np.array([numbered.loop.match >= self._first for numbered in self._loops], bool)
         result = merged.optimized
         return replace(
@@ -331,14 +328,14 @@ def renumber(loop: LoopClosure, matches: Images, queries: Images) -> LoopClosure
 
 
 def _sessions_of_map(earlier: Sequence[Session], loops: Sequence[NumberedLoop]) -> list[Session]:
-    """The sessions of the frame of reference into which most of the loops lead."""
+    """The sessions of the frame of reference that most of the loops lead to."""
     firsts = [session.first_image for session in earlier]
     targets = [int(np.searchsorted(firsts, numbered.loop.match, side="right")) - 1 for numbered in loops]
     map_ids = [earlier[target].map_id for target in targets]
     if not map_ids:
         return []
-    most = max(sorted(set(map_ids)), key=map_ids.count)
-    return [session for session in earlier if session.map_id == most]
+    main_map = max(sorted(set(map_ids)), key=map_ids.count)
+    return [session for session in earlier if session.map_id == main_map]
 
 
 def _by_itself(session: Session, optimized: OptimizationResult, loops: Sequence[NumberedLoop]) -> OptimizedSession:

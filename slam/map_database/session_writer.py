@@ -23,8 +23,9 @@ from slam.pose_graph.robust.backends import OptimizationResult
 from slam.run_log import RunLog
 from slam.system import Components, FrameResult, LoopCandidate, Slam
 
-_MIN_FRAMES = 100  # from one checkpoint to the next
-_MAX_SHARE = 0.04  # of the run's time that checkpoints may take: those of a large map come less often
+_MIN_CHECKPOINT_FRAMES = 100  # from one checkpoint to the next
+# Largest share of the run's time for checkpoints: those of a large map take longer and are written less often.
+_MAX_CHECKPOINT_SHARE = 0.04
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ class SessionInfo:
 
 
 class SessionRecorder(Protocol):
-    """Records a session: what is known of each frame, and checkpoints from which a run resumes."""
+    """Records a session: each frame with its loops, and checkpoints from which a run can be resumed."""
 
     def components_in_session(self, components: Components) -> Components:
-        """The components as a system sees them that counts the frames of this session."""
+        """The components for a system that counts the frames of this session only."""
         ...
 
     def restore(self, slam: Slam, matrix: MatrixRecorder, run_log: RunLog) -> int:
@@ -120,7 +121,7 @@ class MapSessionRecorder:
         self._last, self._cost = time.perf_counter(), 0.0
 
     def components_in_session(self, components: Components) -> Components:
-        """The components as a system sees them that counts the frames of this session."""
+        """The components for a system that counts the frames of this session only."""
         components = components_in_session(components, session_start(self._store, self._session))
         if isinstance(components.recognizer, SessionRecognizer):
             self._recognizer = components.recognizer
@@ -139,14 +140,14 @@ class MapSessionRecorder:
         self._waiting.append(_frame_record(result, image, stage_ms))
         self._loops += [self._loop_record(candidate, image) for candidate in result.candidates]
         spent = time.perf_counter() - self._last
-        if len(self._waiting) >= _MIN_FRAMES and _MAX_SHARE * spent >= self._cost:
+        if len(self._waiting) >= _MIN_CHECKPOINT_FRAMES and _MAX_CHECKPOINT_SHARE * spent >= self._cost:
             self.write_checkpoint()
 
     def write_checkpoint(self) -> None:
         """Record everything so far, and the state of the components."""
         begin = time.perf_counter()
         with self._store.writing():
-            self._store.delete_loops_from(self._num_loops)  # those of an interruption's end, which come again
+            self._store.delete_loops_from(self._num_loops)  # an interrupted run has written late ones, which come again
             for frame in self._waiting:
                 self._store.add_frame(frame, self._session.number)
             self._write_loops(self._loops)
@@ -169,7 +170,7 @@ class MapSessionRecorder:
         return result
 
     def _loop_record(self, candidate: LoopCandidate, at_image: int | None) -> LoopRecord:
-        """A candidate in the numbers of the map; with an image of an earlier session where it matches one."""
+        """The record of a candidate, numbered as in the map; it may match an image of an earlier session."""
         first = self._session.first_image
         if self._recognizer is not None:
             inter_session = self._recognizer.take_inter_session(first + candidate.belief.query)
@@ -179,18 +180,18 @@ class MapSessionRecorder:
 
     def _write_loops(self, loops: Iterable[LoopRecord]) -> None:
         for number, loop in enumerate(loops, start=self._num_loops):
-            self._store.add_candidate(number, loop)
+            self._store.add_loop(number, loop)
 
 
 @contextmanager
 def open_session_recorder(folder: RunFolder, config: RunConfig, session: SessionInfo) -> Iterator[SessionRecorder]:
     """Record a session in the map of a run's folder, from its first frame or from where it stopped.
 
-    Whatever ends the block early, the map stays in the folder as soon as there is a frame in it.
+    If an error ends the block, the map stays in the folder, provided that it has at least one frame.
 
     Raises:
         OutputError: the map cannot be written.
-        RevisitError: what the block raises, with a word on how to go on.
+        RevisitError: an error of the block, with a hint how to resume.
     """
     if not config.save_map:
         yield NullSessionRecorder()
@@ -202,7 +203,7 @@ def open_session_recorder(folder: RunFolder, config: RunConfig, session: Session
         except RevisitError as error:
             if not recorder.frames:
                 raise
-            kept = f"{recorder.frames} frames are kept in {folder.final}: go on with --resume"
+            kept = f"{recorder.frames} frames are kept in {folder.final}: continue with --resume"
             raise type(error)(f"{error}; {kept}") from error
         finally:
             if recorder.frames:
@@ -211,13 +212,13 @@ def open_session_recorder(folder: RunFolder, config: RunConfig, session: Session
 
 def _open(path: Path, config: RunConfig, session: SessionInfo) -> MapDatabase:
     if not path.exists():
-        with replacing(path) as begun:  # a map without its new session would be taken for that of another run
+        with replacing(path) as begun:  # without its new session, the map would look like that of another run
             _begin(begun, config, session)
     return MapDatabase.open(path, writable=True)
 
 
 def _begin(path: Path, config: RunConfig, session: SessionInfo) -> None:
-    """Write the map with which a session begins."""
+    """Write the map that a session starts with: empty, or with the earlier sessions."""
     if session.map_file is not None:
         with MapDatabase.open(session.map_file) as known:
             known.copy(path)

@@ -26,7 +26,7 @@ class SessionSummary:
         map_id: sessions of one map id are in one frame of reference.
         first_image: number of its first image, counted through all sessions.
         frames: number of frames.
-        finished: True where it has come to its end and the poses are corrected.
+        finished: True where it has ended and its poses are corrected.
         path_length_m: length of the trajectory, metres, or the unit of a map that one camera has made.
         key_frames: number of frames whose landmarks make the map.
         landmarks: number of landmarks of the key frames.
@@ -34,7 +34,7 @@ class SessionSummary:
         accepted: number of those that the recogniser accepted.
         verified: number of those with a relative pose.
         kept: number of those in the corrected graph; None until the session has ended.
-        versions: versions of the libraries that it was made with.
+        versions: versions of the libraries with which it was made.
     """
 
     number: int
@@ -77,7 +77,7 @@ def summarize(path: Path) -> Summary:
     """Contents of a map database, or of that of the run in a folder.
 
     Raises:
-        DataError: there is none, or it is damaged.
+        DataError: there is no map, or it is damaged.
     """
     file = map_file(path)
     with MapDatabase.open(file) as store:
@@ -91,49 +91,49 @@ def _session_summary(store: MapDatabase, session: Session) -> SessionSummary:
     frames = store.images(session.number)
     images = (session.first_image, session.first_image + frames)
     steps = np.diff(store.poses()[slice(*images), :3, 3], axis=0)
-    (seen,) = store.ask(
+    (landmarks,) = store.query(
         "SELECT count(*), total(length(pixels)) / 8 FROM frame JOIN landmark USING (image)"  # two float32 each
         " WHERE key_frame AND session = ?",
         session.number,
     )
-    (counts,) = store.ask(
-        "SELECT count(match), total(accepted), total(outcome = 'closed'), total(kept) FROM candidate"
+    (loops,) = store.query(
+        "SELECT count(match), total(accepted), total(outcome = 'closed'), total(kept) FROM loop"
         " WHERE query >= ? AND query < ?",
         *images,
     )
-    made = session.provenance
-    versions = made.get("versions", {})
+    provenance = session.provenance
+    versions = provenance.get("versions", {})
     return SessionSummary(
         number=session.number,
         name=session.name,
-        source=str(made.get("source", "")),
+        source=str(provenance.get("source", "")),
         map_id=session.map_id,
         first_image=session.first_image,
         frames=frames,
         finished=session.finished,
         path_length_m=float(np.linalg.norm(steps, axis=1).sum()),
-        key_frames=seen[0],
-        landmarks=int(seen[1]),
-        candidates=counts[0],
-        accepted=int(counts[1]),
-        verified=int(counts[2]),
-        kept=int(counts[3]) if session.finished else None,
+        key_frames=landmarks[0],
+        landmarks=int(landmarks[1]),
+        candidates=loops[0],
+        accepted=int(loops[1]),
+        verified=int(loops[2]),
+        kept=int(loops[3]) if session.finished else None,
         versions=versions if isinstance(versions, dict) else {},
     )
 
 
 def _bytes_by_table(store: MapDatabase) -> dict[str, int]:
-    """Bytes of what the rows hold: the lengths of all values, without SQLite's own pages."""
+    """Bytes of each table's content: the lengths of all values, without the overhead of SQLite."""
     tables: dict[str, list[str]] = {}
-    for name in schema.columns(store.ask):
+    for name in schema.columns(store.query):
         table, column = name.split(".")
         tables.setdefault(table, []).append(f"coalesce(length({column}), 0)")
     sums = {table: f"SELECT total({' + '.join(lengths)}) FROM {table}" for table, lengths in tables.items()}
-    return {table: int(store.ask(question)[0][0]) for table, question in sums.items()}
+    return {table: int(store.query(question)[0][0]) for table, question in sums.items()}
 
 
 def as_table(summary: Summary) -> Group:
-    """The numbers for people."""
+    """The summary as tables for a terminal."""
     shown: list[str | Table] = [escape(f"{summary.path}: {_mb(summary.bytes)}")]
     shown.append(_listed((name, _mb(size)) for name, size in summary.tables.items()))
     for session in summary.sessions:
@@ -166,6 +166,6 @@ def _mb(size: int) -> str:
 
 
 def as_json(summary: Summary) -> str:
-    """The numbers for scripts."""
+    """The summary as JSON."""
     table: dict[str, Any] = asdict(summary)
     return json.dumps(table, indent=2)

@@ -1,4 +1,4 @@
-"""The loop log: one row for each belief of the recogniser, with what became of it and why."""
+"""The loop log: one row for each belief of the recogniser, with its outcome and the reason."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ def loop_rows(
     Args:
         candidates: loop candidates in the order in which they were made.
         optimized: result of the back end, with the closures among them in the same order.
-        truth: whether a candidate is a true revisit, by ground truth; it returns None where there is none.
+        truth: function that tells whether a candidate is a true revisit; it returns None without ground truth.
     """
     rows, closures = [], 0
     for candidate in candidates:

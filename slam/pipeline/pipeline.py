@@ -1,12 +1,12 @@
 """The pipeline: one dataset from its images to its results, with the viewer, the map database and the files.
 
-The event log of a run, `run.log`: what is out of the ordinary about frames, and what became of each loop.
+`run_pipeline` chooses how the run begins, `Pipeline.run` opens and closes what it needs, and `process_dataset` is the
+loop over the frames.
 """
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
@@ -14,12 +14,12 @@ from uuid import uuid4
 from rich.console import Console
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
-from slam.components import build_components, check_names, read_checked_config
+from slam.components import build_components, override_config, read_checked_config
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, DatasetSpec
-from slam.datasets.formats.registry import open_dataset
+from slam.datasets.formats.registry import open_for_odometry
 from slam.datasets.prefetch import prefetch
-from slam.errors import ConfigError, DataError, OutputError
+from slam.errors import ConfigError
 from slam.io.run_folder import RunFolder
 from slam.map_database.replay import Build, read_session, replay_components
 from slam.map_database.resume import (
@@ -33,62 +33,22 @@ from slam.map_database.resume import (
     read_prior_map,
     reopen_run_folder,
 )
+from slam.map_database.session_merging import SessionResult
 from slam.map_database.session_writer import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 from slam.pipeline.results import PipelineResult, make_record, write_results
-from slam.pipeline.visualization import RunVisualizer
+from slam.pipeline.visualization import VIEWS, RunVisualizer, open_viewer
 from slam.report.formatting import summary_table
-from slam.run_log import RunLog
-from slam.system import FrameResult, LoopCandidate, Slam
+from slam.run_log import RunLog, log_frame, log_loops, log_to_file
+from slam.system import Slam
 from slam.timing import timed
-from slam.viewer.viewer import NullViewer, Viewer
-
-log = logging.getLogger("revisit")
-
-
-def log_frame(result: FrameResult) -> None:
-    """Log what is out of the ordinary about a frame."""
-    if result.motion.predicted:
-        log.warning("frame %d: motion predicted, %s", result.frame.index, result.motion.reason)
-    log_loops(result.candidates)
-
-
-def log_loops(candidates: Sequence[LoopCandidate]) -> None:
-    """Log what became of each loop that was proposed."""
-    for candidate in candidates:
-        if candidate.reason:
-            outcome = "closed" if candidate.closed else "not closed"
-            log.info("loop %d -> %s %s: %s", candidate.belief.query, candidate.belief.match, outcome, candidate.reason)
-
-
-@contextmanager
-def log_to_file(path: Path) -> Iterator[None]:
-    """Send the log to a file while the block runs."""
-    handler = _LogFile(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        with suppress(OSError):
-            handler.close()
-
-
-class _LogFile(logging.FileHandler):
-    """A log that a full disk cuts short, and nothing else: the results, which need room too, will say so."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Go on."""
-
+from slam.viewer.viewer import Viewer
 
 _WARM_UP_FRAMES = 3  # the first frame with a motion, and one after it
-_MATRIX_ROWS = 1500  # of the recogniser's similarity matrix, for a picture of it: 9 MB
-_PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor")
-_CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
-VIEWS = ("none", "native", "web")
+_MAX_MATRIX_ROWS = 1500  # of the recogniser's similarity matrix, for a picture of it: 9 MB
+
+log = logging.getLogger("revisit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +56,18 @@ class RunOptions:
     """Where a run reads and writes.
 
     Attributes:
-        source: root of the dataset.
+        source: folder or file of the dataset.
         out: folder for the results.
         sequence: name of the sequence in it; None where there is only one.
         view: how to watch the run: none, native or web.
         overwrite: replace the results of an earlier run.
         resume: resume the run into the same folder that has stopped, if there is one.
-        map_file: map of earlier sessions that this one is added to, or a run's folder with one; None for none.
+        map_file: map of earlier sessions to which this one is added, or a run's folder with one; None for none.
         config: settings file; None for the defaults.
         format: format of the source; None to detect it.
         fps: images a second, where no file has their times.
         topics: left and right image topic of a bag; empty to find them.
-        command: command line of this run, where it is not what was typed.
+        command: command line to record for this run; empty for the one that was typed.
         reuse_map: map of the same dataset whose motions and landmarks are replayed; None to measure them.
     """
 
@@ -136,9 +96,9 @@ def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: 
 
     Args:
         options: where to read and write.
-        settings: what the command line changes in the configuration, field to value.
-        messages: for progress and warnings.
-        results: for the summary.
+        settings: settings that the command line changes, name to value.
+        messages: console for progress and warnings.
+        results: console for the summary.
 
     Returns:
         Whether the run was interrupted from the keyboard; its results so far are written all the same.
@@ -150,7 +110,7 @@ def run_pipeline(options: RunOptions, settings: Mapping[str, object], messages: 
     if stopped is not None:
         return Pipeline.resumed(options, settings, stopped).run(messages, results)
     if options.resume and is_complete(options.out):
-        messages.print(f"{options.out}: this run is complete, there is nothing to go on with", markup=False)
+        messages.print(f"{options.out}: this run is complete, nothing is left to resume", markup=False)
         return False
     if options.map_file is not None:
         return Pipeline.on_map(options, settings, options.map_file).run(messages, results)
@@ -165,12 +125,12 @@ class Pipeline:
 
     Attributes:
         options: where to read and write.
-        dataset: what is read.
+        dataset: dataset to process.
         config: the settings.
         run_id: globally unique id (UUID) of the run.
-        open_folder: opens the folder of the results.
-        prior_map: map of earlier sessions that this one is added to; None for none.
-        build: builds the components.
+        open_folder: function that opens the folder for the results.
+        prior_map: map of earlier sessions to which this one is added; None for none.
+        build: function that builds the components.
     """
 
     options: RunOptions
@@ -191,10 +151,10 @@ class Pipeline:
         """A run that continues where it stopped.
 
         Raises:
-            RevisitError: the dataset or the settings are others than those of the run.
+            RevisitError: the dataset or the settings differ from those of the run.
         """
         config = resolve_config(options, settings, stopped.config)
-        dataset = open_dataset_of_run(options, config)
+        dataset = open_for_odometry(options.recording, config.mono)
 
         def open_folder() -> RunFolder:
             check_same(stopped, dataset, config)
@@ -233,7 +193,7 @@ class Pipeline:
                 check_unfinished(options.out)
             return RunFolder.create(options.out, options.overwrite)
 
-        dataset = open_dataset_of_run(options, config)
+        dataset = open_for_odometry(options.recording, config.mono)
         return cls(options=options, dataset=dataset, config=config, run_id=uuid4().hex, open_folder=open_folder)
 
     def run(self, messages: Console, results: Console) -> bool:
@@ -243,9 +203,10 @@ class Pipeline:
         origin |= {"recording": options.recording.as_metrics()}
         info = SessionInfo(dataset.name, dataset.camera, origin | {"run": self.run_id}, self.prior_map)
         with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
+            recording = folder.path / "recording.rrd" if self.config.save_recording else None
             with (
                 open_session_recorder(folder, self.config, info) as recorder,
-                closing_viewer(self._open_viewer(folder.path), messages) as viewer,
+                open_viewer(options.view, recording, dataset, self.run_id, messages) as viewer,
             ):
                 result = process_dataset(dataset, self.config, viewer, messages, recorder, self.build)
                 record = make_record(result, origin)
@@ -257,74 +218,22 @@ class Pipeline:
         results.print(f"Report: {options.out / 'report.html'}", highlight=False, markup=False)
         return result.interrupted
 
-    def _open_viewer(self, folder: Path) -> Viewer:
-        """Open what shows or records the run."""
-        view, dataset = self.options.view, self.dataset
-        if view == "none" and not self.config.save_recording:
-            return NullViewer()
-        from slam.viewer.rerun_viewer import RerunViewer
-
-        path = folder / "recording.rrd" if self.config.save_recording else None
-        mode = "record" if view == "none" else view
-        return RerunViewer(path, dataset.camera, dataset.ground_truth, mode, self.run_id)  # type: ignore[arg-type]
-
-
-def open_dataset_of_run(options: RunOptions, config: RunConfig) -> Dataset:
-    """Open the dataset of a run.
-
-    Raises:
-        DataError: it cannot be read, or has no right images and two cameras are asked for.
-    """
-    dataset = open_dataset(options.recording)
-    if not dataset.has_right and not config.mono:
-        raise DataError(
-            f"{options.source}: expected left and right images, found left ones only; use one camera with --mono"
-        )
-    return dataset
-
 
 def resolve_config(options: RunOptions, settings: Mapping[str, object], base: RunConfig | None = None) -> RunConfig:
-    """Settings of the command line over those of the settings file, over the base or else the defaults.
+    """Configuration of a run: the command line overrides the settings file, which overrides the base or the defaults.
 
     Args:
-        options: with the settings file.
-        settings: what the command line changes, field to value.
-        base: settings of the run or map that is continued; a settings file takes its place.
+        options: where to read and write; they name the settings file.
+        settings: settings that the command line changes, name to value.
+        base: settings of the run or map that is continued; not used where there is a settings file.
 
     Raises:
-        ConfigError: one of them cannot work.
+        ConfigError: a setting cannot work.
     """
     if options.view not in VIEWS:
         raise ConfigError(f"--view: expected one of {', '.join(VIEWS)}, found {options.view!r}")
     base = read_checked_config(options.config) if options.config else base or RunConfig()
-    own = {k: v for k, v in settings.items() if k not in (*_PLACE_RECOGNITION_SETTINGS, _CAMERA_HEIGHT)}
-    places = {k: v for k, v in settings.items() if k in _PLACE_RECOGNITION_SETTINGS}
-    changed = replace(base, **own, place_recognition=replace(base.place_recognition, **places))  # type: ignore[arg-type]
-    return check_names(_with_height(changed, settings[_CAMERA_HEIGHT]) if _CAMERA_HEIGHT in settings else changed)
-
-
-def _with_height(config: RunConfig, height: object) -> RunConfig:
-    """Give the one camera's height above the road, metres."""
-    if not config.mono:
-        raise ConfigError("--camera-height: gives the scale that one camera lacks; add --mono")
-    try:
-        odometry = replace(config.mono_odometry.odometry, camera_height_m=float(height))  # type: ignore[arg-type]
-    except ValueError as error:
-        raise ConfigError(f"--camera-height: {error}") from error
-    return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
-
-
-@contextmanager
-def closing_viewer(viewer: Viewer, messages: Console) -> Iterator[Viewer]:
-    """Close the viewer in the end. A recording that cannot be written is a warning: the run keeps its results."""
-    try:
-        yield viewer
-    finally:
-        try:
-            viewer.close()
-        except OutputError as error:
-            log.warning("%s", error)
-            messages.print(str(error), markup=False, highlight=False)
+    return override_config(base, settings)
 
 
 def process_dataset(
@@ -340,24 +249,23 @@ def process_dataset(
 
     warm_up(dataset, config, build)
     cv2.setRNGSeed(config.seed)
-    recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRecorder(_MATRIX_ROWS), RunLog()
+    recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRecorder(_MAX_MATRIX_ROWS), RunLog()
     components = build(dataset.camera, config, matrix)
     slam = Slam(recorder.components_in_session(components))
     visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()
     num_restored = recorder.restore(slam, matrix, run_log)
     visualizer.restore(run_log)
-
-    def handle(result: FrameResult) -> None:
-        log_frame(result)
-        run_log.add(result, visualizer.show(result))
-        recorder.add(result, run_log.stage_ms[-1])
-
-    interrupted = _process_frames(slam, dataset, num_restored, handle, messages)
-    recorder.write_checkpoint()
-    late, optimized = slam.finish(config.robust)
-    log_loops(late)
-    run_log.add_loops(late)
-    session = recorder.finish(late, optimized, ended=not interrupted)
+    with progress_bar(messages, "Processing") as progress, stop_on_interrupt() as stop:
+        for frame in timed(prefetch(dataset, begin=num_restored, prepare=slam.describe), slam.timer):
+            result = slam.process(frame)
+            log_frame(result)
+            run_log.add(result, visualizer.show(result))
+            recorder.add(result, run_log.stage_ms[-1])
+            progress(frame.index + 1, len(dataset))
+            if stop.requested:
+                messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
+                break
+    session = _finish(slam, config, run_log, recorder, interrupted=stop.requested)
     return PipelineResult(
         dataset=dataset,
         config=config,
@@ -365,29 +273,26 @@ def process_dataset(
         run_log=run_log,
         matrix=matrix,
         optimized=session.optimized,
-        interrupted=interrupted,
+        interrupted=stop.requested,
         wall_seconds=time.perf_counter() - start,
         num_restored=num_restored,
         merge=session.merge,
     )
 
 
-def _process_frames(
-    slam: Slam, dataset: Dataset, begin: int, handle: Callable[[FrameResult], None], messages: Console
-) -> bool:
-    """Process the frames from an index on, and hand on each result; whether the user interrupted."""
-    with progress_bar(messages, "Driving") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(dataset, begin=begin, prepare=slam.describe), slam.timer):
-            handle(slam.process(frame))
-            progress(frame.index + 1, len(dataset))
-            if stop.requested:
-                messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
-                return True
-    return False
+def _finish(
+    slam: Slam, config: RunConfig, run_log: RunLog, recorder: SessionRecorder, interrupted: bool
+) -> SessionResult:
+    """Process late beliefs, optimise the trajectory and record the end of the session."""
+    recorder.write_checkpoint()
+    late, optimized = slam.finish(config.robust)
+    log_loops(late)
+    run_log.add_loops(late)
+    return recorder.finish(late, optimized, ended=not interrupted)
 
 
 def warm_up(dataset: Dataset, config: RunConfig, build: Build = build_components) -> None:
-    """Compile everything by processing the first frames with other components, so that the timing leaves it out."""
+    """Process the first frames with other components, so that no compilation is counted in the timing of the run."""
     slam = Slam(build(dataset.camera, config, None))
     for index in range(min(_WARM_UP_FRAMES, len(dataset))):
         slam.process(dataset[index])

@@ -1,7 +1,4 @@
-"""Runs a recogniser over a recording: images in, beliefs and stage times out.
-
-Results of `revisit places`: metrics, and every file that it writes.
-"""
+"""Pipeline of `revisit places`: a recogniser without odometry, from images to beliefs, metrics and result files."""
 
 import time
 from collections.abc import Callable
@@ -28,17 +25,19 @@ from slam.pipeline.provenance import peak_memory_mb
 from slam.timing import StageTimer, timed, timing_ms
 
 Image = NDArray[np.uint8]
+
+
 Array = NDArray[np.float64]
 
-_WARM_UP_IMAGES = 3  # enough that every numba kernel is compiled before the clock starts
+_WARM_UP_IMAGES = 3  # enough that every numba kernel is compiled before the timing starts
 
 
 @dataclass
 class PlaceRecognitionRun:
-    """Everything that a run of a recogniser over a recording gave.
+    """Result of a run of a recogniser over a recording.
 
     Attributes:
-        beliefs: one for each image seen, in the order in which they became ready.
+        beliefs: one belief for each processed image, in the order in which they became ready.
         stage_ms: milliseconds of each stage, one entry per image.
         rows: rows of the similarity matrices.
         size: size of the map at the end.
@@ -55,7 +54,7 @@ class PlaceRecognitionRun:
 
     @property
     def images(self) -> int:
-        """Number of images seen."""
+        """Number of processed images."""
         return len(self.stage_ms)
 
 
@@ -77,14 +76,14 @@ class TimedExtractor:
 
 
 class RecognizerFactory:
-    """Makes recognisers of one paradigm whose feature extraction is timed apart."""
+    """Makes recognisers of one paradigm; their feature extraction is timed separately."""
 
     def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
         self.clock = StageTimer()
         self._paradigm, self._config = paradigm, config
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
-        """Make a recogniser that has seen nothing.
+        """Make a new recogniser.
 
         Raises:
             DataError: its vocabulary or descriptor file cannot be used.
@@ -132,7 +131,7 @@ def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
 
 
 def _warm_up(images: Recording[Image], factory: RecognizerFactory) -> None:
-    """Have all kernels compiled on a second recogniser, so that the clock measures recognition alone."""
+    """Compile all kernels on a second recogniser, so that the timer measures recognition alone."""
     recognizer = factory.make()
     for index in range(min(_WARM_UP_IMAGES, len(images))):
         recognizer.observe(index, images[index], float("nan"))
@@ -146,14 +145,14 @@ def _subtract_features(spent: dict[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class PlacesRecord:
-    """Everything known after a run.
+    """Everything that the result files are written from.
 
     Attributes:
         name: name of the recording and of the paradigm, for titles.
         beliefs: beliefs sorted by query.
         result: metrics of the beliefs.
         matrices: similarity matrix of each stage, "similarity" first.
-        truth: (N, N) ground truth of the N images seen, or None.
+        truth: (N, N) ground truth of the N processed images, or None.
         metrics: content of metrics.json.
     """
 
@@ -179,17 +178,17 @@ def make_record(run: PlaceRecognitionRun, truth: RevisitTruth, provenance: dict[
         truth: ground truth of the whole recording.
         provenance: source, settings and versions, for metrics.json.
     """
-    seen = None if truth.matrix is None else truth.matrix[: run.images, : run.images]
+    seen_truth = None if truth.matrix is None else truth.matrix[: run.images, : run.images]
     paradigm = str(provenance["paradigm"])
     beliefs = tuple(sorted(run.beliefs, key=lambda belief: belief.query))
-    result = evaluate_places(paradigm, beliefs, seen, run.size)
+    result = evaluate_places(paradigm, beliefs, seen_truth, run.size)
     stages = ("similarity", *(stage for stage in run.rows.stages if stage != "similarity"))
     return PlacesRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}: {paradigm}",
         beliefs=beliefs,
         result=result,
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
-        truth=seen,
+        truth=seen_truth,
         metrics=provenance | _measure(run, result, truth),
     )
 

@@ -1,7 +1,4 @@
-"""A progress bar with rate and time left; silent where nobody watches.
-
-Interrupting a run from the keyboard without losing its results.
-"""
+"""Progress bar of a run, and its interruption from the keyboard without losing results."""
 
 import signal
 import threading
@@ -25,7 +22,7 @@ class _RateColumn(ProgressColumn):
 
 @contextmanager
 def progress_bar(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function `(done, total)` that moves the bar; nothing is drawn where the console is no terminal."""
+    """Yield a function `(done, total)` that moves the bar; nothing is drawn if the console is no terminal."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -54,9 +51,9 @@ class StopRequest:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C within the block into a request that the loop can honour between two frames.
+    """Turn the first Ctrl-C within the block into a request, which the loop checks between two frames.
 
-    Signals reach the main thread alone; in another one nothing is ever requested.
+    Python handles signals in the main thread only; in another thread nothing is ever requested.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -1,7 +1,4 @@
-"""Provenance of results: source, command, versions and peak memory.
-
-Memory of the system: what each component holds when the run ends.
-"""
+"""Provenance of results, for metrics.json: source, command and versions, and the memory that the run used."""
 
 import platform
 import resource
@@ -14,28 +11,18 @@ from pathlib import Path
 from place_recognition.evaluation.memory import count_array_bytes, map_size
 from slam.system import Components
 
-UNKNOWN = {"memory_mb.pose graph": "it lies in GTSAM, which does not say"}  # note for metrics.json
-
-
-def held_mb(components: Components) -> dict[str, float | None]:
-    """Megabytes of the arrays that each component holds, by stage; `map` is the landmark map."""
-    held = {
-        "odometry": components.odometry.array_bytes(),
-        "features": count_array_bytes(components.features),
-        "landmarks": count_array_bytes(components.loop_closer),
-        "place recognition": map_size(components.recognizer).bytes,
-        "map": count_array_bytes(components.landmarks),
-    }
-    return {stage: size / 1e6 for stage, size in held.items()} | {"pose graph": None}
-
-
+# Reasons for values that are unknown, as they stand in metrics.json.
+UNKNOWN = {"memory_mb.pose graph": "GTSAM does not report its memory"}
 _LIBRARIES = ("revisit-slam", "numpy", "opencv-python-headless", "gtsam", "numba", "rerun-sdk")
 
 
 def provenance(source: Path, sequence: str, command: Sequence[str] = ()) -> dict[str, object]:
     """Source, sequence, command and versions, as they stand in metrics.json.
 
-    The command is what was typed, unless an equivalent one is given, without its `revisit`.
+    Args:
+        source: path of the dataset.
+        sequence: name of the sequence.
+        command: arguments of an equivalent command; empty for those that were typed.
     """
     versions = {"python": platform.python_version()} | {name: metadata.version(name) for name in _LIBRARIES}
     return {
@@ -44,6 +31,18 @@ def provenance(source: Path, sequence: str, command: Sequence[str] = ()) -> dict
         "command": shlex.join(["revisit", *(command or sys.argv[1:])]),
         "versions": versions,
     }
+
+
+def memory_mb(components: Components) -> dict[str, float | None]:
+    """Megabytes of the arrays that each component holds at the end of a run, by stage; `map` is the landmark map."""
+    held = {
+        "odometry": components.odometry.array_bytes(),
+        "features": count_array_bytes(components.features),
+        "landmarks": count_array_bytes(components.loop_closer),
+        "place recognition": map_size(components.recognizer).bytes,
+        "map": count_array_bytes(components.landmarks),
+    }
+    return {stage: size / 1e6 for stage, size in held.items()} | {"pose graph": None}
 
 
 def peak_memory_mb() -> float:

@@ -33,7 +33,7 @@ from slam.io.trajectory import write_covariances, write_kitti, write_tum
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.session_merging import MergeResult
 from slam.pipeline.loop_log import LoopTruth, event_rows, loop_rows, matched_pixels, stage_rows
-from slam.pipeline.provenance import UNKNOWN, held_mb, peak_memory_mb
+from slam.pipeline.provenance import UNKNOWN, memory_mb, peak_memory_mb
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.report.html_report import DENSE_PAGE, write_report
 from slam.report.trajectory_figure import draw_before_after, save_png
@@ -47,19 +47,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineResult:
-    """A run that has come to its end.
+    """Result of a run: everything that its files are written from.
 
     Attributes:
         dataset: the dataset that was processed.
-        config: the settings.
+        config: configuration of the run.
         components: the components of the system, with the pose graph and the landmark map.
-        run_log: what is known of each frame.
+        run_log: log of the frames and loop candidates.
         matrix: the recogniser's similarity matrix.
         optimized: the final trajectory and the decisions on the loops.
         interrupted: True where the user stopped the run.
-        wall_seconds: from the first frame to the end of the final optimisation.
-        num_restored: number of frames that an earlier run had processed, which this one resumed.
-        merge: result of the session in its map of other sessions; None where there are none.
+        wall_seconds: time from the first frame to the end of the final optimisation, seconds.
+        num_restored: number of frames that were processed before the run was resumed.
+        merge: result of merging with the other sessions of the map; None where there are none.
     """
 
     dataset: Dataset
@@ -75,20 +75,20 @@ class PipelineResult:
 
     @property
     def alignment(self) -> Alignment:
-        """How trajectories are aligned with ground truth: with scale where one camera was used, which knows none."""
+        """Alignment of trajectories with ground truth: with scale for one camera, which cannot measure it."""
         return "sim3" if self.config.mono else "se3"
 
 
 def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRecord:
     """Gather everything known about the run, compared with ground truth where there is one."""
-    drive, log, optimized = result.dataset, result.run_log, result.optimized
+    dataset, log, optimized = result.dataset, result.run_log, result.optimized
     table, landmarks, graph = log.table(), result.components.landmarks, result.components.graph
-    truth = None if drive.ground_truth is None else drive.ground_truth[: len(table)]
+    truth = None if dataset.ground_truth is None else dataset.ground_truth[: len(table)]
     unit_m = None if truth is None else _unit_m(optimized, truth, result.alignment)
     odometry = np.array(log.odometry)
     places = _places(result, truth)
     record = RunRecord(
-        name=f"{Path(str(provenance['source'])).resolve().name} {drive.name}",
+        name=f"{Path(str(provenance['source'])).resolve().name} {dataset.name}",
         timestamps=table.timestamps,
         odometry=odometry,
         online=np.array(log.online),
@@ -109,20 +109,22 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
         odometry_covariances=graph.odometry_covariances(),
         corrected_covariances=graph.covariances(optimized),
     )
-    record.metrics.update(provenance | _measured(record, result, places))
+    record.metrics.update(provenance | _measure(record, result, places))
     return record
 
 
 def _unit_m(optimized: OptimizationResult, truth: Array, alignment: Alignment) -> Array:
-    """Length (N,), metres, of the unit of each frame, by the ground truth (N, 4, 4)."""
+    """Unit of length (N,) of each frame, metres, by the ground truth (N, 4, 4)."""
     fit = umeyama(optimized.poses[:, :3, 3], truth[:, :3, 3], alignment)
     return fit.scale * optimized.scales
 
 
 def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTruth:
-    """Whether loops are true revisits, by ground truth (N, 4, 4) and the unit (N,) of each frame, metres.
+    """Function that tells whether a loop is a true revisit; it returns None without ground truth.
 
-    Without ground truth it is not known: None.
+    Args:
+        truth: ground truth T_world_camera (N, 4, 4), metres; None where there is none.
+        unit_m: (N,) unit of length of each frame, metres.
     """
 
     def is_true(query: int, match: int, closure: LoopClosure | None) -> bool | None:
@@ -139,7 +141,7 @@ def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTrut
 
 def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> None:
     """Write every file of a run into a folder."""
-    config, drive = result.config, result.dataset
+    config, dataset = result.config, result.dataset
     write_metrics(folder / "metrics.json", record.metrics)
     with atomic_writer(folder / "config.toml") as file:
         file.write(to_toml(config))
@@ -159,16 +161,16 @@ def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> No
     _write_calibration(folder, result)
     _write_graphs(folder, record, result)
     _write_maps(folder, record)
-    write_landmark_observers(folder / "landmarks.npz", result.components.landmarks.frames, drive.camera)
+    write_landmark_observers(folder / "landmarks.npz", result.components.landmarks.frames, dataset.camera)
     save_png(draw_before_after(record), folder / "before_after.png")
     dense_page = None if config.mono else DENSE_PAGE
-    write_report(record, folder / "report.html", partial(_left_image, drive), dataclasses.asdict(config), dense_page)
+    write_report(record, folder / "report.html", partial(_left_image, dataset), dataclasses.asdict(config), dense_page)
 
 
-def _left_image(drive: Dataset, index: int) -> NDArray[np.uint8] | None:
-    """The left image of a frame; None where it can no longer be read, so that the run keeps its other results."""
+def _left_image(dataset: Dataset, index: int) -> NDArray[np.uint8] | None:
+    """The left image of a frame; None where it can no longer be read: the run still keeps its other results."""
     try:
-        return drive[index].left
+        return dataset[index].left
     except DataError:
         return None
 
@@ -194,7 +196,7 @@ def _write_maps(folder: Path, record: RunRecord) -> None:
     write_cloud(folder / "map_after.ply", record.map_after)
 
 
-def _measured(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -> dict[str, object]:
+def _measure(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -> dict[str, object]:
     errors = {
         name: _errors(getattr(record, name), record.ground_truth, result.alignment)
         for name in ("odometry", "online", "corrected")
@@ -216,7 +218,7 @@ def _measured(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -
         "frames_per_second": (len(record.timestamps) - result.num_restored) / result.wall_seconds,
         "wall_seconds": result.wall_seconds,
         "peak_memory_mb": peak_memory_mb(),
-        "memory_mb": held_mb(result.components),
+        "memory_mb": memory_mb(result.components),
         "interrupted": result.interrupted,
         "notes": notes,
     }
@@ -249,15 +251,15 @@ def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
 def _graph_metrics(
     record: RunRecord, errors: dict[str, TrajectoryErrors], optimized: OptimizationResult
 ) -> dict[str, object]:
-    judged = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
-    known = record.ground_truth is not None
+    correct = [row.truth for row in record.loops if row.in_graph and row.truth is not None]
+    has_truth = record.ground_truth is not None
     return {
         "poses": len(optimized.poses),
         "odometry_edges": len(optimized.poses) - 1,
         "loop_edges": len(optimized.kept),
         "loops_kept": int(optimized.kept.sum()),
-        "true_kept": sum(judged) if known else None,
-        "false_kept": len(judged) - sum(judged) if known else None,
+        "true_kept": sum(correct) if has_truth else None,
+        "false_kept": len(correct) - sum(correct) if has_truth else None,
         "ate_initial_m": errors["odometry"].ate_m,
         "ate_m": errors["corrected"].ate_m,
         "error_initial": optimized.error_initial,

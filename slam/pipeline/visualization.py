@@ -1,30 +1,68 @@
-"""Passes what a viewer shows from the SLAM system to the viewer: frames, loops, and the recogniser's matrix."""
+"""Visualization of a run: opens a viewer, and shows it frames, loops and the recogniser's similarity matrix."""
 
+import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from odometry import se3
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from slam.datasets.dataset import Dataset, Frame
+from slam.errors import OutputError
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.run_log import RunLog
 from slam.system import FrameResult, LoopCandidate, Slam
-from slam.viewer.viewer import FrameView, LoopView, Viewer
+from slam.viewer.viewer import FrameView, LoopView, NullViewer, Viewer
 
 Array = NDArray[np.float64]
 
+VIEWS = ("none", "native", "web")
 _MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier image has to be read again
 _MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
+
+log = logging.getLogger("revisit")
+
+
+@contextmanager
+def open_viewer(
+    view: str, recording: Path | None, dataset: Dataset, run_id: str, messages: Console
+) -> Iterator[Viewer]:
+    """Open the viewer of a run, and close it at the end; a recording that cannot be written is only a warning.
+
+    Args:
+        view: one of `VIEWS`.
+        recording: file to record into; None for none.
+        dataset: dataset to process.
+        run_id: globally unique id (UUID) of the run.
+        messages: console for the warning.
+    """
+    viewer: Viewer = NullViewer()
+    if view != "none" or recording is not None:
+        from slam.viewer.rerun_viewer import RerunViewer
+
+        mode = "record" if view == "none" else view
+        viewer = RerunViewer(recording, dataset.camera, dataset.ground_truth, mode, run_id)  # type: ignore[arg-type]
+    try:
+        yield viewer
+    finally:
+        try:
+            viewer.close()
+        except OutputError as error:
+            log.warning("%s", error)
+            messages.print(str(error), markup=False, highlight=False)
 
 
 class RunVisualizer:
     """Shows each frame, the outcome of the loops proposed with it, and the recogniser's matrix in a viewer."""
 
-    def __init__(self, slam: Slam, viewer: Viewer, drive: Dataset, rows: MatrixRecorder) -> None:
-        self._slam, self._viewer, self._drive, self._rows = slam, viewer, drive, rows
+    def __init__(self, slam: Slam, viewer: Viewer, dataset: Dataset, rows: MatrixRecorder) -> None:
+        self._slam, self._viewer, self._dataset, self._rows = slam, viewer, dataset, rows
         self._last_pair = -_MIN_PAIR_INTERVAL_FRAMES
 
     def restore(self, log: RunLog) -> None:
@@ -64,7 +102,7 @@ class RunVisualizer:
             query=belief.query,
             match=belief.match,
             image_query=self._query_image(belief.query, result.frame) if with_pair else None,
-            image_match=self._drive[belief.match].left if with_pair else None,
+            image_match=self._dataset[belief.match].left if with_pair else None,
             pixels_query=_NO_PIXELS if closure is None else closure.pixels_query.astype(np.float64),
             pixels_match=_NO_PIXELS if closure is None else closure.pixels_match.astype(np.float64),
             accepted=candidate.closed,
@@ -73,7 +111,7 @@ class RunVisualizer:
 
     def _query_image(self, query: int, frame: Frame) -> NDArray[np.uint8]:
         """Return the image of the query: the current one, unless the recogniser answers late."""
-        return frame.left if query == frame.index else self._drive[query].left
+        return frame.left if query == frame.index else self._dataset[query].left
 
 
 def _frame_view(result: FrameResult) -> FrameView:

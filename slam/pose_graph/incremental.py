@@ -20,10 +20,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IncrementalConfig:
-    """Settings of iSAM2."""
+    """Settings of iSAM2.
 
-    huber_width: float = 4.0  # of a loop, sigmas
-    relinearize_threshold: float = 0.1  # change of a pose after which it is linearised again, rad or m
+    Attributes:
+        huber_width_sigma: Huber width of a loop, sigmas.
+        relinearize_threshold: change of a pose after which it is linearised again, rad or m.
+    """
+
+    huber_width_sigma: float = 4.0
+    relinearize_threshold: float = 0.1
 
 
 class IncrementalPoseGraph:
@@ -36,14 +41,14 @@ class IncrementalPoseGraph:
     def __init__(self, config: IncrementalConfig) -> None:
         self._config = config
         self._isam = _isam(config)
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # not yet handed to iSAM2
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()  # new, not yet in iSAM2
         self._graph.add(factors.prior_factor(np.eye(4)))
         self._values.insert(0, gtsam.Pose3())
         self._estimate = gtsam.Values(self._values)
         self._newest = 0
         self._registered: dict[int, gtsam.BetweenFactorPose3] = {}
         self._factor_indices: dict[int, int] = {}  # iSAM2's index of each loop in use
-        self._pending_loops: list[tuple[int, int]] = []  # loop, its index in the graph not yet handed over
+        self._pending_loops: list[tuple[int, int]] = []  # loop and its index in the new graph
         self._removed: list[int] = []
 
     @property
@@ -72,7 +77,7 @@ class IncrementalPoseGraph:
         """Use registered loops from the next `step` on."""
         for number, loop in loops.items():
             self._pending_loops.append((number, self._graph.size()))
-            self._graph.add(factors.huber_factor(loop, self._config.huber_width))
+            self._graph.add(factors.huber_factor(loop, self._config.huber_width_sigma))
 
     def remove_loops(self, numbers: Iterable[int]) -> None:
         """Stop using loops from the next `step` on; their effect is undone."""
@@ -90,7 +95,7 @@ class IncrementalPoseGraph:
         return not is_changed and not result.getVariablesRelinearized()
 
     def _flush(self) -> bool:
-        """Hand new nodes and changes of loops over to iSAM2; whether there were any changes of loops."""
+        """Pass new nodes and changes of loops to iSAM2; whether there were changes of loops."""
         is_changed = bool(self._pending_loops or self._removed)
         removed, self._removed = self._removed, []
         result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))

@@ -1,6 +1,6 @@
-"""Online loop selection: which loops the map uses while driving.
+"""Online loop selection: which loops the map uses while frames are processed.
 
-A loop that drift can explain may still be false, and nothing at that moment tells. So no loop is used by itself: it
+A loop that drift can explain may still be false, and nothing shows it at that moment. So no loop is used by itself: it
 waits until a second loop of the same stretch agrees with it (pairwise consistency: Mangelson et al., ICRA 2018,
 equation 3), and the map, with its uncertainty, must not exclude it. Whenever a cluster of loops has doubled, the
 clusters in use, and one that the map excludes, are compared with one another by a leave-one-out test
@@ -30,10 +30,17 @@ _MAX_REMOVALS = 3
 
 @dataclass(frozen=True)
 class LoopSelectionConfig:
-    """When the online map uses a loop; chi-squares of 6 degrees of freedom."""
+    """When the online map uses a loop; chi-squares of 6 degrees of freedom.
 
-    max_inlier_chi2: float = 22.5  # 99.9 %: a loop further from the map, by its own covariance, does not agree
-    max_predictive_chi2: float = 34.0  # 99.999 %: a loop further from the map, by both covariances, is excluded
+    Attributes:
+        max_inlier_chi2: maximum chi-square, by its own covariance, of a loop that agrees with the map (99.9 %).
+        max_predictive_chi2: maximum chi-square, by the covariances of both, of a loop that the map does not exclude
+            (99.999 %).
+        clusters: settings of the clusters of loops.
+    """
+
+    max_inlier_chi2: float = 22.5
+    max_predictive_chi2: float = 34.0
     clusters: LoopClusterConfig = field(default_factory=LoopClusterConfig)
 
 
@@ -56,7 +63,7 @@ class LoopDecision:
 
 @dataclass(frozen=True)
 class LoopEvent:
-    """A change of what the online map does with a loop.
+    """A change in the use of a loop by the online map.
 
     Attributes:
         frame: newest frame at that moment.
@@ -72,9 +79,9 @@ class LoopEvent:
 
 
 class _Phase(Enum):
-    """What the next step of the selector does; the earlier ones come first."""
+    """Next step of the selector; an earlier phase goes before a later one."""
 
-    SETTLE = auto()  # a step of optimisation: loops are judged by a map at rest only
+    SETTLE = auto()  # a step of optimisation: loops are tested against a map at rest only
     TEST = auto()  # a step of the leave-one-out test that is under way
     BEGIN_TEST = auto()  # start the leave-one-out test that is due
     RECONSIDER = auto()  # compare one cluster that was excluded with the map, as it is now
@@ -86,10 +93,10 @@ class _State:
     """State of the selector between two steps.
 
     Attributes:
-        is_settling: the map has changed and has not come to rest.
+        is_settling: whether the map has changed and has not come to rest.
         test: leave-one-out test under way, or None; it pauses while the map settles.
-        candidate: cluster outside the map that this test is about, or None.
-        is_test_due: a cluster in use has doubled since it was last tested.
+        candidate: cluster outside the map that is compared in this test, or None.
+        is_test_due: whether a cluster in use has doubled since it was last tested.
         to_reconsider: clusters to compare with the map again, as it has changed.
     """
 
@@ -111,12 +118,12 @@ class _State:
 
 
 class OnlineLoopSelector:
-    """Takes loops one by one and keeps the online map on those that agree.
+    """Selects the loops that the online map uses: takes loops one by one and uses those that agree.
 
     Args:
         chain: odometry of all frames.
-        nodes: frames on the nodes of the online graph.
-        graph: the online graph, which the selector adds loops to and removes them from.
+        nodes: nodes of the online graph, with the frames attached to them.
+        graph: the online graph, where the selector adds and removes loops.
         config: thresholds.
     """
 
@@ -146,7 +153,7 @@ class OnlineLoopSelector:
         return LoopDecision(gate.passed, used, gate.residual, reason)
 
     def step(self) -> None:
-        """Do one step of the work that is under way; called once a frame, so that no frame waits for a large one."""
+        """Do one step of the pending work; called once a frame, so that no frame waits for much work at once."""
         state = self._state
         if state.phase is _Phase.SETTLE:
             if self._graph.step():
@@ -161,7 +168,7 @@ class OnlineLoopSelector:
             self._reconsider(state.to_reconsider.pop())
 
     def _assess(self, number: int, loop: LoopClosure) -> str:
-        """Use a loop that the map or another loop supports; the reason why it is used or waits."""
+        """Use a loop if the map or another loop supports it; the reason why it is used or waits."""
         between_nodes = self._nodes.between_nodes(loop)
         if between_nodes is None:
             return "waits: both frames belong to one graph node, so there is nothing to correct"

@@ -1,17 +1,14 @@
-"""Clusters of loops: loops of one stretch of the trajectory that agree with one another.
+"""Clusters of loops, and the leave-one-out test that finds the clusters which contradict the others.
 
-Agreement is pairwise consistency (Mangelson et al., ICRA 2018, equation 3): the cycle through two loops and the
-odometry between their ends must close. Over a short stretch odometry hardly drifts, so that agreement means much.
-
-Leave-one-out test of loop clusters: each in turn is compared with the map that the others make.
+A cluster holds loops of one stretch of the trajectory that agree with one another. Agreement is pairwise consistency
+(Mangelson et al., ICRA 2018, equation 3): the cycle through two loops and the odometry between their ends must close.
+Over a short stretch odometry hardly drifts, so that agreement is strong evidence.
 
 A false cluster that odometry's drift can absorb lies close to the map that it has bent itself, however many true loops
-there are; only the map without it tells.
-
-Predictive chi-square of a loop: how far it is from the map that other loops give, by the covariances of both.
-
-The map is solved on the frames that the loops join alone. Between those frames odometry is one edge, whose covariance
-takes constant time, so that the graph is small however long the drive.
+there are; only the map without it shows the contradiction. The test therefore compares each cluster with the map that
+the others make, by the predictive chi-square of a loop. That map is solved on the frames that the loops join alone:
+between them odometry is one edge, whose covariance takes constant time, so that the graph is small however long the
+trajectory.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,76 +25,36 @@ from slam.pose_graph.odometry_chain import OdometryChain
 from slam.pose_graph.optimization import gtsam_solver as factors
 
 Array = NDArray[np.float64]
+PredictiveChi2 = Callable[[int, Sequence[int]], float]  # of a loop against the map of others; loops by their numbers
 
 _GAUSS_NEWTON_STEPS = 4  # a first guess; other numbers were not tried
-
-
-def predictive_chi2_given(
-    loop: LoopClosure, others: Sequence[LoopClosure], chain: OdometryChain, huber_width: float, bias: Array
-) -> float:
-    """Predictive chi-square of a loop against the map that odometry and other loops give.
-
-    Args:
-        loop: loop between frames.
-        others: loops between frames that make the map.
-        chain: odometry of all frames.
-        huber_width: Huber width of the other loops, sigmas.
-        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
-    """
-    frames = sorted({0, loop.match, loop.query} | {k for other in others for k in (other.match, other.query)})
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(factors.prior_factor(np.eye(4)))
-    for frame in frames:
-        values.insert(frame, gtsam.Pose3(chain[frame]))
-    for first, second in pairwise(frames):
-        between = chain.between_without_bias(first, second)
-        graph.add(factors.odometry_factor(first, second, between.T_first_second, between.covariance))
-    for other in others:
-        graph.add(factors.huber_factor(other, huber_width))
-    optimizer = gtsam.GaussNewtonOptimizer(graph, values)
-    for _ in range(_GAUSS_NEWTON_STEPS):
-        optimizer.iterate()
-    values = optimizer.values()
-    joint = gtsam.Marginals(graph, values).jointMarginalCovariance([loop.match, loop.query])
-    return predictive_chi2(values, joint, loop, bias)
-
-
-def predictive_chi2(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, bias: Array) -> float:
-    """Chi-square of a loop against a graph that does not contain it, by the covariances of both.
-
-    Args:
-        values: solution of the graph.
-        joint: joint marginal covariance of the loop's two poses.
-        loop: loop between nodes of the graph.
-        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
-    """
-    T_world_match, T_world_query = (values.atPose3(key).matrix() for key in (loop.match, loop.query))
-    T_match_query = se3.inverse(T_world_match) @ T_world_query
-    # The relative pose moves with the query as it is, with the match by the adjoint.
-    J = np.hstack([-se3.adjoint(se3.inverse(T_match_query)), np.eye(6)])
-    ends = (loop.match, loop.query)
-    predicted = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
-    error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
-    return float(error @ np.linalg.solve(predicted + bias + loop.covariance, error))
-
-
 # Earlier loops of the stretch that a new one is compared with, the latest first: bounds the time of a loop where a
 # place is visited many times.
 _MAX_COMPARED = 12
+_REPRESENTATIVES = 6  # loops that stand for their cluster, evenly spread: neighbours measure nearly the same
+# Share of the largest residual from which a cluster is a suspect. With 0.8, many false clusters together win.
+_SUSPECT_RATIO = 0.5
 
 
 @dataclass(frozen=True)
 class LoopClusterConfig:
-    """When loops belong together."""
+    """When loops belong to one cluster.
 
-    max_distance_m: float = 30.0  # path length between two loops of one stretch, at both ends
-    max_agreement_chi2: float = 22.5  # 99.9 % of 6 dof: two loops of one stretch further apart contradict each other
-    huber_width: float = 4.0  # of a loop, sigmas, in the map that other clusters make
+    Attributes:
+        max_distance_m: maximum path length between two loops of one stretch, at both ends, metres.
+        max_agreement_chi2: maximum chi-square (6 degrees of freedom) of the cycle through two loops that agree; 99.9 %
+            of true pairs lie below 22.5.
+        huber_width_sigma: Huber width of the loops of other clusters in the map that they make, sigmas.
+    """
+
+    max_distance_m: float = 30.0
+    max_agreement_chi2: float = 22.5
+    huber_width_sigma: float = 4.0
 
 
 @dataclass(frozen=True)
 class ClusteredLoop:
-    """A loop and the cluster that it belongs to.
+    """A loop and its cluster.
 
     Attributes:
         loop: the loop between frames.
@@ -159,10 +116,10 @@ class LoopClusters:
     def chi2_given_others(self, number: int, others: Sequence[int]) -> float:
         """Predictive chi-square of a loop against the map that odometry and the other loops alone make."""
         loops, bias = [self._loops[k].loop for k in others], self.bias_covariance(number, others)
-        return predictive_chi2_given(self._loops[number].loop, loops, self._chain, self._config.huber_width, bias)
+        return predictive_chi2_given(self._loops[number].loop, loops, self._chain, self._config.huber_width_sigma, bias)
 
     def bias_covariance(self, number: int, others: Sequence[int]) -> Array:
-        """Covariance (6, 6) of a loop's query by odometry's bias since the nearest frame that another loop holds."""
+        """Covariance (6, 6) of a loop's query by odometry's bias since the nearest frame at an end of another loop."""
         held = {frame for k in others for frame in (self._loops[k].loop.query, self._loops[k].loop.match)}
         query = self._loops[number].loop.query
         nearest = min(held, key=lambda frame: (abs(frame - query), frame), default=0)
@@ -183,13 +140,6 @@ class LoopClusters:
         covariance += se3.compose_covariance(matches.covariance, b.T_match_query, b.covariance)
         error = se3.log(se3.inverse(by_b) @ by_a)
         return float(error @ np.linalg.solve(covariance, error))
-
-
-_REPRESENTATIVES = 6  # loops of a cluster that are used, evenly spread: neighbours measure nearly the same
-_SUSPECT_RATIO = 0.5  # of the largest residual: clusters from there on are suspects; 0.8 loses to many false ones
-
-PredictiveChi2 = Callable[[int, Sequence[int]], float]
-"""Chi-square of a loop against the map that other loops make; loops by their numbers."""
 
 
 class LeaveOneOutTest:
@@ -247,3 +197,52 @@ def _representatives(members: Sequence[int]) -> list[int]:
     """A few loops of a cluster, evenly spread."""
     chosen = np.linspace(0, len(members) - 1, min(len(members), _REPRESENTATIVES)).round()
     return [members[int(k)] for k in chosen]
+
+
+def predictive_chi2_given(
+    loop: LoopClosure, others: Sequence[LoopClosure], chain: OdometryChain, huber_width_sigma: float, bias: Array
+) -> float:
+    """Predictive chi-square of a loop against the map that odometry and other loops give.
+
+    Args:
+        loop: loop between frames.
+        others: loops between frames that make the map.
+        chain: odometry of all frames.
+        huber_width_sigma: Huber width of the other loops, sigmas.
+        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
+    """
+    frames = sorted({0, loop.match, loop.query} | {k for other in others for k in (other.match, other.query)})
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(factors.prior_factor(np.eye(4)))
+    for frame in frames:
+        values.insert(frame, gtsam.Pose3(chain[frame]))
+    for first, second in pairwise(frames):
+        between = chain.between_without_bias(first, second)
+        graph.add(factors.odometry_factor(first, second, between.T_first_second, between.covariance))
+    for other in others:
+        graph.add(factors.huber_factor(other, huber_width_sigma))
+    optimizer = gtsam.GaussNewtonOptimizer(graph, values)
+    for _ in range(_GAUSS_NEWTON_STEPS):
+        optimizer.iterate()
+    values = optimizer.values()
+    joint = gtsam.Marginals(graph, values).jointMarginalCovariance([loop.match, loop.query])
+    return predictive_chi2(values, joint, loop, bias)
+
+
+def predictive_chi2(values: gtsam.Values, joint: gtsam.JointMarginal, loop: LoopClosure, bias: Array) -> float:
+    """Chi-square of a loop against a graph that does not contain it, by the covariances of both.
+
+    Args:
+        values: solution of the graph.
+        joint: joint marginal covariance of the loop's two poses.
+        loop: loop between nodes of the graph.
+        bias: (6, 6) covariance of T_match_query by odometry's bias, which the graph does not model.
+    """
+    T_world_match, T_world_query = (values.atPose3(key).matrix() for key in (loop.match, loop.query))
+    T_match_query = se3.inverse(T_world_match) @ T_world_query
+    # The relative pose moves with the query as it is, with the match by the adjoint.
+    J = np.hstack([-se3.adjoint(se3.inverse(T_match_query)), np.eye(6)])
+    ends = (loop.match, loop.query)
+    predicted = J @ np.block([[joint.at(a, b) for b in ends] for a in ends]) @ J.T
+    error = se3.log(se3.inverse(loop.T_match_query) @ T_match_query)
+    return float(error @ np.linalg.solve(predicted + bias + loop.covariance, error))

@@ -17,7 +17,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NodeSpacing:
-    """Path length or rotation since the last node after which a frame becomes a node."""
+    """When a frame becomes a node of the online graph.
+
+    Attributes:
+        min_distance_m: path length since the last node after which a frame becomes a node, metres.
+        min_angle_rad: rotation since the last node after which a frame becomes a node, radians.
+    """
 
     min_distance_m: float = 2.5
     min_angle_rad: float = 0.5
@@ -50,7 +55,7 @@ class NodeChain:
         """Attach the next frame by its motion (4, 4) and covariance (6, 6).
 
         Returns:
-            Where the frame lies on the node before it if it has become a node itself, else None.
+            Attachment of the frame to the node before it if the frame has become a node itself, else None.
         """
         before = self._attachments[-1]
         moved = NodeAttachment(

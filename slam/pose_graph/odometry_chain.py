@@ -3,8 +3,9 @@
 Errors are moved to the world frame, where they add up: the covariance of the chain i..j is the difference of
 two prefix sums. Three parts are summed: the covariance that odometry states, a random walk, and a bias that lasts for
 the whole path. The last two are needed because frame-to-frame covariances do not contain errors that persist: on real
-drives the squared error after fifty frames is ten to a thousand times their sum. Derivation: docs/math.md;
-figures: docs/decisions/odometry_covariance.md.
+recordings the squared error after fifty frames is ten to a thousand times their sum.
+
+Derivation: docs/math.md; figures: docs/decisions/odometry_covariance.md.
 """
 
 from collections.abc import Sequence
@@ -59,7 +60,7 @@ class RelativeMotion:
     path_length_m: float
 
 
-def chained(motions: Sequence[Array]) -> Array:
+def chain_motions(motions: Sequence[Array]) -> Array:
     """Poses (N, 4, 4), the first the identity, of N - 1 motions (4, 4)."""
     poses = [np.eye(4)]
     for T_previous_current in motions:
@@ -126,7 +127,7 @@ class OdometryChain:
         return Ad @ (jacobian * self._model.variances) @ jacobian.T @ Ad.T
 
     def between_without_bias(self, first: int, second: int) -> RelativeMotion:
-        """As `between` for first < second, without the bias: what is independent from motion to motion."""
+        """As `between` for first < second, without the bias: only the independent errors of the motions."""
         independent = self._independent[second] - self._independent[first]
         Ad = se3.adjoint(se3.inverse(self._poses[second]))
         T = se3.inverse(self._poses[first]) @ self._poses[second]
@@ -135,11 +136,11 @@ class OdometryChain:
     def between(self, first: int, second: int) -> RelativeMotion:
         """Relative pose of two frames with its covariance; takes the same time however far apart they are."""
         if first > second:
-            return _reversed(self.between(second, first))
+            return _reverse(self.between(second, first))
         motion = self.between_without_bias(first, second)
         return replace(motion, covariance=motion.covariance + self.bias_covariance(first, second))
 
 
-def _reversed(motion: RelativeMotion) -> RelativeMotion:
+def _reverse(motion: RelativeMotion) -> RelativeMotion:
     Ad = se3.adjoint(motion.T_first_second)
     return RelativeMotion(se3.inverse(motion.T_first_second), Ad @ motion.covariance @ Ad.T, motion.path_length_m)

@@ -16,7 +16,7 @@ from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.incremental import IncrementalConfig, IncrementalPoseGraph
 from slam.pose_graph.loop_admission import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
 from slam.pose_graph.node_chain import NodeChain, NodeSpacing
-from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, chained
+from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, chain_motions
 from slam.pose_graph.optimization.edges import from_measurements
 from slam.pose_graph.optimization.marginals import marginal_covariances
 from slam.pose_graph.optimization.sim3 import estimate_log_scales, in_common_scale, refine_sim3
@@ -28,16 +28,26 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PoseGraphConfig:
-    """Noise of odometry and loops, and what the online graph optimises."""
+    """Noise of odometry and loops, and the frames and loops of the online graph.
 
-    drift: OdometryDriftModel = field(default_factory=OdometryDriftModel)  # beyond odometry's stated covariance
-    scale_drift: float = 0.0  # standard deviation of the log scale over a metre; grows with the root of the path
-    # Added to every loop, true or false: a loop that is stated to be exact bends odometry round itself.
-    loop_sigma_rad: float = 2e-3  # of rotation
-    loop_sigma_m: float = 0.05  # of translation
-    max_gate_chi2: float = 34.0  # 99.999 % of 6 dof: drift cannot explain a loop further from odometry
-    nodes: NodeSpacing = field(default_factory=NodeSpacing)  # which frames are optimised online
-    loop_selection: LoopSelectionConfig = field(default_factory=LoopSelectionConfig)  # which loops are used online
+    Attributes:
+        drift: errors of odometry beyond its stated covariance.
+        scale_drift: standard deviation of the log scale over a metre; it grows with the root of the path length.
+        loop_sigma_rad, loop_sigma_m: noise floor added to every loop, rotation and translation: a loop with too small
+            a covariance would bend odometry around itself.
+        max_gate_chi2: maximum chi-square (6 degrees of freedom, 99.999 %) of a loop that drift can explain.
+        nodes: selection of the frames that are optimised online.
+        loop_selection: selection of the loops that are used online.
+        incremental: settings of iSAM2.
+    """
+
+    drift: OdometryDriftModel = field(default_factory=OdometryDriftModel)
+    scale_drift: float = 0.0
+    loop_sigma_rad: float = 2e-3
+    loop_sigma_m: float = 0.05
+    max_gate_chi2: float = 34.0
+    nodes: NodeSpacing = field(default_factory=NodeSpacing)
+    loop_selection: LoopSelectionConfig = field(default_factory=LoopSelectionConfig)
     incremental: IncrementalConfig = field(default_factory=IncrementalConfig)
 
     def with_noise_floor(self, closure: LoopClosure) -> LoopClosure:
@@ -67,7 +77,7 @@ class PoseGraph:
 
     @property
     def loops(self) -> tuple[LoopClosure, ...]:
-        """All loops in the order in which they were added, those that failed the gate too: the batch decides anew."""
+        """All loops in the order in which they were added, also those that failed the gate: the batch decides again."""
         return tuple(self._loops)
 
     @property
@@ -90,7 +100,7 @@ class PoseGraph:
         Raises:
             GraphError: the covariance is not finite and positive definite.
         """
-        stated = _checked(covariance, f"motion to frame {len(self)}")
+        stated = _check_covariance(covariance, f"motion to frame {len(self)}")
         self._edges.append((T_previous_current, covariance))
         self._chain.append(T_previous_current, stated)
         node = self._nodes.append(T_previous_current, self.config.drift.of_motion(T_previous_current, stated))
@@ -121,7 +131,7 @@ class PoseGraph:
 
     @property
     def loop_events(self) -> tuple[LoopEvent, ...]:
-        """What became of the loops online, in the order in which it happened."""
+        """Online decisions on the loops, in the order in which they were made."""
         return tuple(self._selector.events)
 
     def odometry_poses(self) -> Array:
@@ -161,7 +171,7 @@ class PoseGraph:
         )
 
     def in_common_scale(self, scales: Array) -> tuple[list[tuple[Array, Array]], list[LoopClosure]]:
-        """Motions with their covariances, and loops, in one unit of length; `scales` (N,) is that of each frame."""
+        """Motions with their covariances, and loops, in one unit of length, by the scales (N,) of the frames."""
         return in_common_scale(self._edges, self._loops, scales)
 
     def _scales(self) -> Array:
@@ -188,7 +198,7 @@ class PoseGraph:
         before, ends = np.arange(len(motions)), [(loop.match, loop.query) for loop in floored]
         chain = from_measurements(np.column_stack([before, before + 1]), motions)
         loops = from_measurements(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in floored])
-        return back_ends.LoopProblem(chain, loops, chained([T for T, _ in edges]))
+        return back_ends.LoopProblem(chain, loops, chain_motions([T for T, _ in edges]))
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):
@@ -196,7 +206,7 @@ class PoseGraph:
                 f"loop {closure.query} -> {closure.match}: expected an earlier frame and a later one among "
                 f"the {len(self)} in the graph; add the odometry of both frames first"
             )
-        _checked(closure.covariance, f"loop {closure.query} -> {closure.match}")
+        _check_covariance(closure.covariance, f"loop {closure.query} -> {closure.match}")
 
     def _gate(self, closure: LoopClosure) -> GateResult:
         """Test a loop against the relative pose that odometry gives, with the covariances of both."""
@@ -214,7 +224,7 @@ class PoseGraph:
         return GateResult(passed, residual, reason)
 
 
-def _checked(covariance: Array, name: str) -> Array:
+def _check_covariance(covariance: Array, name: str) -> Array:
     """The covariance (6, 6) itself; GraphError if it is not finite and positive definite."""
     good = np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()
     if not good or np.linalg.eigvalsh(covariance)[0] <= 0:

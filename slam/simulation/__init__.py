@@ -1,6 +1,7 @@
-"""Simulated datasets: a stereo camera drives through a procedural town. They need no download and have exact truth.
+"""Simulated datasets: a stereo camera drives through a procedural town; the ground truth is exact.
 
-`SimulationConfig` describes a dataset, `simulate` renders it, `loop_truth` returns which images show the same place.
+`SimulationConfig` describes a dataset, `simulate` renders it, and `loop_truth` returns the pairs of images that show
+the same place.
 """
 
 from typing import TYPE_CHECKING

@@ -1,10 +1,7 @@
-"""Renders a simulated dataset into a folder in KITTI odometry layout.
+"""Renders a simulated drive into a folder in KITTI odometry layout, with its ground truth.
 
-Streams the town to the renderer: the meshes, shadows and sky near each stretch of the path.
-
-Ground truth of place recognition: which images of a dataset show the same place.
-
-Ground truth of mapping: the surfaces of a simulated town.
+`SceneStream` gives the renderer the meshes, shadows and sky near each stretch of the path; a whole town would not fit
+into memory. Ground truth are the poses, the pairs of images that show the same place, and the surfaces of the town.
 """
 
 import dataclasses
@@ -41,92 +38,20 @@ from slam.simulation.world.town import TownBuilder
 from slam.simulation.world.vehicles import Traffic
 
 Array = NDArray[np.float64]
-_MAX_STRETCH_M = 220.0  # extent of one stretch in x or y
-_DRAW_DISTANCE_M = 170.0  # beyond the stretch; meshes farther away are left out
-_SHADOW_DISTANCE_M = 70.0  # around the path; farther surfaces are lit without shadows
-# Azimuth and elevation of the sun, degrees, and light of sun and sky; of the first lap, the second and the third.
-_WEATHERS = ((-50.0, 42.0, 1.15, 0.36), (75.0, 27.0, 0.3, 0.75), (160.0, 24.0, 1.3, 0.3))
-
-
-class SceneStream:
-    """Iterates over (scene, its frames) from the first frame to the last."""
-
-    def __init__(self, config: SimulationConfig, trajectory: SimulatedTrajectory) -> None:
-        """Build the town around a trajectory."""
-        self.config, self.trajectory = config, trajectory
-        builder = TownBuilder(config, trajectory)
-        self.meshes = builder.build()
-        self.traffic = Traffic(config, trajectory, builder.cars)
-        self.materials = build_materials(config)
-
-    def __iter__(self) -> Iterator[tuple[LitScene, range]]:
-        """Build the scene of one stretch after the other; stretches with the same meshes share them."""
-        at = np.array([mesh.position[:2] if any(mesh.position) else _center(mesh.mesh.corners) for mesh in self.meshes])
-        scene, members = None, None
-        for frames in self._stretches():
-            near = self.trajectory.T_town_camera[frames.start : frames.stop, :2, 3]
-            low, high = near.min(axis=0) - _DRAW_DISTANCE_M, near.max(axis=0) + _DRAW_DISTANCE_M
-            inside = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
-            if scene is None or members is None or not np.array_equal(inside, members):
-                scene, members = build_scene([self.meshes[i].to_town_frame() for i in inside]), inside
-            yield self._lit_scene(scene, frames, near), frames
-
-    def _lit_scene(self, scene: Scene, frames: range, near: Array) -> LitScene:
-        light = choose_daylight(self.config, int(self.trajectory.lap[frames.start]))
-        return LitScene(scene, build_shadow_map(scene, light.to_sun, near, _SHADOW_DISTANCE_M), light, self.materials)
-
-    def _stretches(self) -> Iterator[range]:
-        """Split the frames into runs of limited extent, and at the end of a lap if the light changes with the lap."""
-        positions, lap = self.trajectory.T_town_camera[:, :2, 3], self.trajectory.lap
-        start = 0
-        for i in range(1, len(positions) + 1):
-            if i < len(positions):
-                span = np.ptp(positions[start : i + 1], axis=0).max()
-                if span <= _MAX_STRETCH_M and not (self.config.change_illumination and lap[i] != lap[start]):
-                    continue
-            yield range(start, i)
-            start = i
-
-
-def _center(corners: Array) -> Array:
-    return (corners[:, :, :2].min(axis=(0, 1)) + corners[:, :, :2].max(axis=(0, 1))) / 2
-
-
-def choose_daylight(config: SimulationConfig, lap: int) -> Daylight:
-    """Return sun and sky of a lap."""
-    which = lap % len(_WEATHERS) if config.change_illumination else 0
-    azimuth, height, sun, ambient = _WEATHERS[which]
-    a, h = np.radians([azimuth, height])
-    to_sun = np.array([np.cos(a) * np.cos(h), np.sin(a) * np.cos(h), np.sin(h)])
-    sky = panorama(config.rng(9, which))
-    return Daylight(to_sun, sun, ambient, 0.72, sky)
-
-
-# The rule by which runs are evaluated, with a longer minimum distance along the path.
-RULE = RevisitRule(min_path_length_m=50.0)
-
-
-def loop_truth(T_world_camera: Array) -> NDArray[np.uint8]:
-    """Matrix (N, N) of poses (N, 4, 4), metres: row = query image, column = earlier image, 1 = the same place.
-
-    The same place: within 10 m, looking within 45 degrees of each other, with at least 50 m of path in between.
-    """
-    return truth_from_poses(T_world_camera, rule=RULE).astype(np.uint8)
-
-
-def ground_truth_surfaces(config: SimulationConfig) -> NDArray[np.float64]:
-    """Return the triangles (T, 3, 3) of all static objects, metres, in the world frame (the first camera)."""
-    trajectory = plan_trajectory(config)
-    corners = np.concatenate([mesh.to_town_frame().corners for mesh in TownBuilder(config, trajectory).build()])
-    return se3.transform(se3.inverse(trajectory.T_town_camera[0]), corners.reshape(-1, 3)).reshape(-1, 3, 3)
-
-
 Progress = Callable[[int, int], None]
+
 SEQUENCE = "00"
 MANIFEST = "drive.json"
 DEPTH_SCALE = 256.0  # stored depth per metre, as in KITTI's depth maps
+# The rule by which runs are evaluated, with a longer minimum distance along the path.
+RULE = RevisitRule(min_path_length_m=50.0)
 _WORKERS = 2  # threads: frames are independent, and compiled code releases the interpreter
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_MAX_STRETCH_M = 220.0  # extent in x or y of a stretch, the part of the path that shares one scene
+_DRAW_DISTANCE_M = 170.0  # from the stretch; meshes farther away are left out
+_SHADOW_DISTANCE_M = 70.0  # from the path; farther surfaces are lit without shadows
+# Azimuth and elevation of the sun, degrees, and light of sun and sky: one row for each lap in turn.
+_WEATHERS = ((-50.0, 42.0, 1.15, 0.36), (75.0, 27.0, 0.3, 0.75), (160.0, 24.0, 1.3, 0.3))
 
 
 def simulate(config: SimulationConfig, out: Path, progress: Progress | None = None) -> Path:
@@ -255,3 +180,72 @@ def _format_calibration(config: SimulationConfig) -> str:
         lines.append(f"P{index}: " + " ".join(f"{value:.12e}" for value in P.ravel()))
     lines.append("Tr: " + " ".join(f"{value:.12e}" for value in np.eye(4)[:3].ravel()))
     return "\n".join(lines) + "\n"
+
+
+class SceneStream:
+    """Iterates over (scene, its frames) from the first frame to the last."""
+
+    def __init__(self, config: SimulationConfig, trajectory: SimulatedTrajectory) -> None:
+        """Build the town around a trajectory."""
+        self.config, self.trajectory = config, trajectory
+        builder = TownBuilder(config, trajectory)
+        self.meshes = builder.build()
+        self.traffic = Traffic(config, trajectory, builder.cars)
+        self.materials = build_materials(config)
+
+    def __iter__(self) -> Iterator[tuple[LitScene, range]]:
+        """Build the scene of one stretch after the other; stretches with the same meshes share them."""
+        at = np.array([mesh.position[:2] if any(mesh.position) else _center(mesh.mesh.corners) for mesh in self.meshes])
+        scene, members = None, None
+        for frames in self._stretches():
+            near = self.trajectory.T_town_camera[frames.start : frames.stop, :2, 3]
+            low, high = near.min(axis=0) - _DRAW_DISTANCE_M, near.max(axis=0) + _DRAW_DISTANCE_M
+            inside = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
+            if scene is None or members is None or not np.array_equal(inside, members):
+                scene, members = build_scene([self.meshes[i].to_town_frame() for i in inside]), inside
+            yield self._lit_scene(scene, frames, near), frames
+
+    def _lit_scene(self, scene: Scene, frames: range, near: Array) -> LitScene:
+        light = choose_daylight(self.config, int(self.trajectory.lap[frames.start]))
+        return LitScene(scene, build_shadow_map(scene, light.to_sun, near, _SHADOW_DISTANCE_M), light, self.materials)
+
+    def _stretches(self) -> Iterator[range]:
+        """Split the frames into runs of limited extent, and at the end of a lap if the light changes with the lap."""
+        positions, lap = self.trajectory.T_town_camera[:, :2, 3], self.trajectory.lap
+        start = 0
+        for i in range(1, len(positions) + 1):
+            if i < len(positions):
+                span = np.ptp(positions[start : i + 1], axis=0).max()
+                if span <= _MAX_STRETCH_M and not (self.config.change_illumination and lap[i] != lap[start]):
+                    continue
+            yield range(start, i)
+            start = i
+
+
+def _center(corners: Array) -> Array:
+    return (corners[:, :, :2].min(axis=(0, 1)) + corners[:, :, :2].max(axis=(0, 1))) / 2
+
+
+def choose_daylight(config: SimulationConfig, lap: int) -> Daylight:
+    """Return sun and sky of a lap."""
+    which = lap % len(_WEATHERS) if config.change_illumination else 0
+    azimuth, height, sun, ambient = _WEATHERS[which]
+    a, h = np.radians([azimuth, height])
+    to_sun = np.array([np.cos(a) * np.cos(h), np.sin(a) * np.cos(h), np.sin(h)])
+    sky = panorama(config.rng(9, which))
+    return Daylight(to_sun, sun, ambient, 0.72, sky)
+
+
+def loop_truth(T_world_camera: Array) -> NDArray[np.uint8]:
+    """Matrix (N, N) of poses (N, 4, 4), metres: row = query image, column = earlier image, 1 = the same place.
+
+    The same place: within 10 m, looking within 45 degrees of each other, with at least 50 m of path in between.
+    """
+    return truth_from_poses(T_world_camera, rule=RULE).astype(np.uint8)
+
+
+def ground_truth_surfaces(config: SimulationConfig) -> NDArray[np.float64]:
+    """Return the triangles (T, 3, 3) of all static objects, metres, in the world frame (the first camera)."""
+    trajectory = plan_trajectory(config)
+    corners = np.concatenate([mesh.to_town_frame().corners for mesh in TownBuilder(config, trajectory).build()])
+    return se3.transform(se3.inverse(trajectory.T_town_camera[0]), corners.reshape(-1, 3)).reshape(-1, 3, 3)

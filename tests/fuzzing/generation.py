@@ -119,7 +119,7 @@ def configurations() -> st.SearchStrategy[bytes]:
 def sweeps() -> st.SearchStrategy[bytes]:
     paths = st.sampled_from(["data/kitti", "", "~", "~x", "..", *SHAPES]) | VALUES
     source = st.dictionaries(
-        st.sampled_from(["path", "simulate", "sequence", "name", "laps", "length", "seed", "width", "kind"]),
+        st.sampled_from(["path", "simulate", "sequence", "name", "laps", "length_m", "seed", "width", "kind"]),
         paths, max_size=4,
     )  # fmt: skip
     whole = st.fixed_dictionaries(

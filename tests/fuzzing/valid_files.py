@@ -161,7 +161,7 @@ sequence = "05"
 [[sources]]
 simulate = "blocks"
 laps = 2
-length = 300
+length_m = 300
 """
 
 

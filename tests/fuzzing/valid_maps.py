@@ -30,7 +30,7 @@ def map_stores() -> list[bytes]:
             for image in range(FRAMES):
                 store.add_frame(_frame(image), 0)
             for number, candidate in enumerate(_candidates()):
-                store.add_candidate(number, candidate)
+                store.add_loop(number, candidate)
             store.set_checkpoint(0, Checkpoint(FRAMES, {"similarity_matrix": _rows().state()}))
             poses = np.tile(np.eye(4), (FRAMES, 1, 1))
             outcomes = {1: LoopOutcome(True, 1.0, 0.5, "kept")}
@@ -49,7 +49,7 @@ def read_map(path: Path) -> None:
         for frame in store.frames():
             if frame.landmarks.points.shape != (len(frame.landmarks), 3):
                 raise DataError("landmarks without a place")
-        list(store.candidates())
+        list(store.loops())
         store.poses(), store.steps(), store.key_frames()
 
 

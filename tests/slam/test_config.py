@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from slam.components import override_config
 from slam.config import RunConfig, read_config, to_toml
 from slam.errors import ConfigError
 
@@ -15,7 +16,7 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_what_is_written_is_read_back(tmp_path: Path):
+def test_a_written_configuration_is_read_back(tmp_path: Path):
     config = replace(RunConfig(), seed=7, robust="none", save_recording=False)
     assert read_config(written(tmp_path, to_toml(config))) == config
 
@@ -40,7 +41,7 @@ def test_one_nested_setting_changes_only_itself(tmp_path: Path):
         ("seed = = 1", r"settings\.toml: expected a TOML file"),
     ],
 )
-def test_a_wrong_file_is_named_with_the_setting(tmp_path: Path, text: str, message: str):
+def test_the_error_for_a_wrong_setting_names_file_and_setting(tmp_path: Path, text: str, message: str):
     with pytest.raises(ConfigError, match=message):
         read_config(written(tmp_path, text))
 
@@ -57,3 +58,34 @@ def test_the_settings_of_one_camera_are_read_back(tmp_path: Path):
     assert read_config(written(tmp_path, to_toml(config))) == config
     assert config.pose_graph_for_camera().scale_drift > 0
     assert RunConfig().pose_graph_for_camera() == RunConfig().pose_graph
+
+
+def test_a_setting_of_place_recognition_overrides_that_alone():
+    changed = override_config(RunConfig(), {"features": "sift", "seed": 7})
+    assert changed == replace(
+        RunConfig(), seed=7, place_recognition=replace(RunConfig().place_recognition, features="sift")
+    )
+
+
+def test_no_setting_leaves_a_configuration_as_it_is():
+    assert override_config(RunConfig(mono=True), {}) == RunConfig(mono=True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"paradigm": "none"}, "unknown paradigm 'none'"),
+        ({"features": "none"}, "unknown local features 'none'"),
+        ({"camera_height": 1.65}, "--camera-height: .*add --mono"),
+        ({"mono": True, "camera_height": -1.0}, "--camera-height: "),
+    ],
+)
+def test_a_setting_that_cannot_work_is_refused(settings: dict[str, object], message: str):
+    with pytest.raises(ConfigError, match=message):
+        override_config(RunConfig(), settings)
+
+
+def test_the_height_of_a_single_camera_is_a_setting_of_its_odometry():
+    changed = override_config(RunConfig(), {"mono": True, "camera_height": 1.65})
+    assert changed.mono_odometry.odometry.camera_height_m == 1.65
+    assert changed.odometry == RunConfig().odometry

@@ -31,7 +31,7 @@ def test_moving_or_turning_enough_makes_a_key_frame(pose: np.ndarray, accepted: 
     assert selector.accepts(pose) is accepted
 
 
-def test_way_counts_from_the_last_key_frame() -> None:
+def test_distance_counts_from_the_last_key_frame() -> None:
     selector = KeyFrameSelector()
     accepted = [z for z in np.arange(0.0, 5.0, 0.3) if selector.accepts(moved(z))]
     np.testing.assert_allclose(accepted, [0.0, 1.2, 2.4, 3.6, 4.8])
@@ -44,7 +44,7 @@ def test_the_world_frame_does_not_matter() -> None:
     assert [one.accepts(pose) for pose in drive] == [other.accepts(T @ pose) for pose in drive]
 
 
-def test_a_pose_that_the_caller_changes_later_is_not_followed() -> None:
+def test_a_pose_changed_later_by_the_caller_has_no_effect() -> None:
     selector, pose = KeyFrameSelector(), np.eye(4)
     selector.accepts(pose)
     pose[2, 3] = 5.0

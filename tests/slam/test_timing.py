@@ -41,7 +41,7 @@ def test_the_first_interrupt_is_a_request_and_the_second_one_stops():
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_the_former_handler_is_back_afterwards():
+def test_the_former_signal_handler_is_restored():
     before = signal.getsignal(signal.SIGINT)
     with stop_on_interrupt():
         pass

@@ -1,18 +1,14 @@
-"""Finds the images of published place-recognition datasets by their names, anywhere below a folder.
+"""Image datasets of published work on place recognition: City Centre, Malaga 2009 and New College.
 
-City Centre (Cummins, Newman, IJRR 27(6) 2008, the data of FAB-MAP), as the chapter uses it.
+Their images are found by name, anywhere below a folder, and selected as in the experiments of the chapter:
 
-The dataset has 2,474 images, odd numbers from a camera that looks to the left, even numbers from one that looks to the
-right. The 1,237 images of the left camera are used.
-
-Malaga 2009, parking lot 6L (Blanco, Moreno, Gonzalez, Autonomous Robots 27(4) 2009), as the chapter uses it.
-
-The left images of the rectified stereo pair, 1024 x 768 at 7.5 Hz: 3,474 of them.
-
-New College (Smith, Baldwin, Churchill, Paul, Newman, IJRR 28(5) 2009), as the chapter uses it.
-
-Every twentieth left image of the stereo camera, 512 x 384: 2,624 images at 1 Hz, of 52,480 at 20 Hz. Another dataset
-has the same name: the New College of FAB-MAP, 1,073 pairs of images that look sideways.
+* City Centre (Cummins, Newman, IJRR 27(6) 2008, the data of FAB-MAP): 2,474 images, odd numbers from a camera that
+  looks to the left, even numbers from one that looks to the right. The 1,237 images of the left camera are used.
+* Malaga 2009, parking lot 6L (Blanco, Moreno, Gonzalez, Autonomous Robots 27(4) 2009): the left images of the rectified
+  stereo pair, 1024 x 768 at 7.5 Hz: 3,474 of them.
+* New College (Smith, Baldwin, Churchill, Paul, Newman, IJRR 28(5) 2009): every twentieth left image of the stereo
+  camera, 512 x 384: 2,624 images at 1 Hz, of 52,480 at 20 Hz. Another dataset has the same name: the New College of
+  FAB-MAP, 1,073 pairs of images that look sideways.
 """
 
 import re
@@ -24,6 +20,13 @@ from numpy.typing import NDArray
 
 from slam.datasets.formats.image_sequence import ImageSequence, natural_sort_key
 from slam.errors import DataError
+
+_CITY_CENTRE_ORIGIN = "http://www.ijrr.org/ijrr_2008/volume27-issue6/090961/3_data.htm (City Centre, images)"
+_CITY_CENTRE_FPS = 7.0
+_MALAGA_ORIGIN = "https://www.mrpt.org/Paper:Malaga_Dataset_2009 (parking 6L, rectified stereo images)"
+_MALAGA_FPS = 7.5
+_NEW_COLLEGE_ORIGIN = "https://www.robots.ox.ac.uk/NewCollegeData (stereo images)"
+_NEW_COLLEGE_STEP, _NEW_COLLEGE_FPS = 20, 1.0  # every twentieth of 20 images per second
 
 
 def find_named_images(root: Path, pattern: str, example: str, origin: str) -> tuple[Path, ...]:
@@ -62,10 +65,6 @@ def parse_times(files: Sequence[Path], fps: float) -> NDArray[np.float64]:
     return times if (np.diff(times) > 0).all() and np.isfinite(times).all() else np.arange(len(files)) / fps
 
 
-ORIGIN = "http://www.ijrr.org/ijrr_2008/volume27-issue6/090961/3_data.htm (City Centre, images)"
-FPS = 7.0
-
-
 def open_city_centre(root: Path) -> ImageSequence:
     """Open the images unpacked anywhere below `root`: `0001.jpg` to `2474.jpg`.
 
@@ -73,13 +72,10 @@ def open_city_centre(root: Path) -> ImageSequence:
         DataError: there are no such images.
     """
     if not root.is_dir():
-        raise DataError(f"{root}: expected the City Centre recording, found nothing; get it from {ORIGIN}")
-    files = [file for file in find_named_images(root, r"\d+\.jpg", "0001.jpg", ORIGIN) if int(file.stem) % 2 == 1]
-    return ImageSequence("City Centre", tuple(files), np.arange(len(files)) / FPS)
-
-
-ORIGIN_MALAGA = "https://www.mrpt.org/Paper:Malaga_Dataset_2009 (parking 6L, rectified stereo images)"
-FPS_MALAGA = 7.5
+        raise DataError(f"{root}: expected the City Centre recording, found nothing; get it from {_CITY_CENTRE_ORIGIN}")
+    both_cameras = find_named_images(root, r"\d+\.jpg", "0001.jpg", _CITY_CENTRE_ORIGIN)
+    files = tuple(file for file in both_cameras if int(file.stem) % 2 == 1)
+    return ImageSequence("City Centre", files, np.arange(len(files)) / _CITY_CENTRE_FPS)
 
 
 def open_malaga(root: Path) -> ImageSequence:
@@ -89,16 +85,12 @@ def open_malaga(root: Path) -> ImageSequence:
         DataError: there are no such images.
     """
     if not root.is_dir():
-        raise DataError(f"{root}: expected the Malaga parking 6L recording, found nothing; get it from {ORIGIN_MALAGA}")
+        raise DataError(f"{root}: expected the Malaga 6L recording, found nothing; get it from {_MALAGA_ORIGIN}")
     # If the raw images were unpacked too, the rectified ones are in a folder with this word in its name.
     rectified = next((item for item in sorted(root.rglob("*rectified*")) if item.is_dir()), root)
     pattern = r".*left.*\.(jpg|jpeg|png|bmp)"
-    files = find_named_images(rectified, pattern, "CAMERA1_1228314331.283640_left.jpg", ORIGIN_MALAGA)
-    return ImageSequence("Malaga 2009 6L", files, parse_times(files, FPS_MALAGA))
-
-
-ORIGIN_NEW_COLLEGE = "https://www.robots.ox.ac.uk/NewCollegeData (stereo images)"
-STEP, FPS = 20, 1.0
+    files = find_named_images(rectified, pattern, "CAMERA1_1228314331.283640_left.jpg", _MALAGA_ORIGIN)
+    return ImageSequence("Malaga 2009 6L", files, parse_times(files, _MALAGA_FPS))
 
 
 def open_new_college(root: Path) -> ImageSequence:
@@ -108,7 +100,8 @@ def open_new_college(root: Path) -> ImageSequence:
         DataError: there are no such images.
     """
     if not root.is_dir():
-        raise DataError(f"{root}: expected the New College recording, found nothing; get it from {ORIGIN_NEW_COLLEGE}")
+        raise DataError(f"{root}: expected the New College recording, found nothing; get it from {_NEW_COLLEGE_ORIGIN}")
     pattern = r".*left.*\.(pnm|ppm|pgm|png|jpg)"
-    files = find_named_images(root, pattern, "StereoImages__1225719868.172886-left.pnm", ORIGIN_NEW_COLLEGE)[::STEP]
-    return ImageSequence("New College", files, np.arange(len(files)) / FPS)
+    all_files = find_named_images(root, pattern, "StereoImages__1225719868.172886-left.pnm", _NEW_COLLEGE_ORIGIN)
+    files = all_files[::_NEW_COLLEGE_STEP]
+    return ImageSequence("New College", files, np.arange(len(files)) / _NEW_COLLEGE_FPS)

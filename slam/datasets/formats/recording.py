@@ -1,8 +1,8 @@
-"""Builds a dataset from what a format's reader has found: streams of one or two cameras, and ground truth.
+"""Datasets of any format: raw images that are rectified when they are read.
 
-A dataset of any format: raw images that are rectified when they are read.
-
-Datasets of single images for place recognition: the left camera of any recording, calibrated or not.
+The reader of a format finds camera streams and ground truth (`RawRecording`); `build_dataset` synchronises two cameras,
+rectifies and interpolates the ground truth (`RectifiedDataset`). Place recognition needs the images of one camera only,
+calibrated (`LeftImages`) or not (`UncalibratedImages`).
 """
 
 from collections.abc import Callable, Iterator
@@ -39,71 +39,27 @@ class Images(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class RectifiedDataset:
-    """A dataset (see `slam.datasets.dataset.Dataset`) whose images are read and rectified on demand.
-
-    Attributes:
-        name: short name for titles.
-        timestamps: (N,) seconds, increasing.
-        ground_truth: T_world_camera (N, 4, 4), metres, of the rectified left camera; world is its first pose.
-            None where it is unknown.
-        left: N raw images.
-        right: N raw images, or None in a dataset with one camera.
-        rectification: map from the raw to the rectified images.
-        remarks: notes about images that were left out and assumptions that were made on opening.
-    """
-
-    name: str
-    timestamps: Array
-    ground_truth: Array | None
-    left: Images
-    right: Images | None
-    rectification: Rectification
-    remarks: tuple[str, ...] = ()
+class ImageDataset(Protocol):
+    """The images of one camera in the order of their exposure."""
 
     @property
-    def camera(self) -> StereoCamera:
-        """Intrinsics and baseline of the rectified pair."""
-        return self.rectification.camera
+    def name(self) -> str:
+        """Short name for titles."""
+        ...
 
     @property
-    def has_right(self) -> bool:
-        """Whether there is a right image for each left image."""
-        return self.right is not None
+    def timestamps(self) -> Array | None:
+        """(N,) seconds, increasing; None where the times are unknown."""
+        ...
 
-    def without_right(self) -> "RectifiedDataset":
-        """Return the same dataset with the left camera alone."""
-        return replace(self, right=None)
+    @property
+    def ground_truth(self) -> Array | None:
+        """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
+        ...
 
-    def __len__(self) -> int:
-        return len(self.timestamps)
+    def __len__(self) -> int: ...
 
-    def __getitem__(self, index: int) -> Frame:
-        """Read one frame.
-
-        Raises:
-            IndexError: there is no such frame.
-            DataError: an image cannot be read, or has another size than the first.
-        """
-        if not 0 <= index < len(self):
-            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
-        left = self._read(self.left, index, self.rectification.left)
-        right = None if self.right is None else self._read(self.right, index, self.rectification.right)
-        return Frame(index, float(self.timestamps[index]), left, right)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[index] for index in range(len(self)))
-
-    def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
-        image = images[index]
-        expected = (self.camera.height, self.camera.width)
-        if image.shape != expected:
-            raise DataError(
-                f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
-                f" found {image.shape[1]} x {image.shape[0]}; copy it again"
-            )
-        return rectify(image)
+    def __getitem__(self, index: int, /) -> Image: ...
 
 
 @dataclass(frozen=True)
@@ -209,6 +165,135 @@ class RawRecording:
     remarks: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class RectifiedDataset:
+    """A dataset (see `slam.datasets.dataset.Dataset`) whose images are read and rectified on demand.
+
+    Attributes:
+        name: short name for titles.
+        timestamps: (N,) seconds, increasing.
+        ground_truth: T_world_camera (N, 4, 4), metres, of the rectified left camera; world is its first pose.
+            None where it is unknown.
+        left: N raw images.
+        right: N raw images, or None in a dataset with one camera.
+        rectification: map from the raw to the rectified images.
+        remarks: notes about images that were left out and assumptions that were made on opening.
+    """
+
+    name: str
+    timestamps: Array
+    ground_truth: Array | None
+    left: Images
+    right: Images | None
+    rectification: Rectification
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def camera(self) -> StereoCamera:
+        """Intrinsics and baseline of the rectified pair."""
+        return self.rectification.camera
+
+    @property
+    def has_right(self) -> bool:
+        """Whether there is a right image for each left image."""
+        return self.right is not None
+
+    def without_right(self) -> "RectifiedDataset":
+        """Return the same dataset with the left camera alone."""
+        return replace(self, right=None)
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Read one frame.
+
+        Raises:
+            IndexError: there is no such frame.
+            DataError: an image cannot be read, or has another size than the first.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
+        left = self._read(self.left, index, self.rectification.left)
+        right = None if self.right is None else self._read(self.right, index, self.rectification.right)
+        return Frame(index, float(self.timestamps[index]), left, right)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))
+
+    def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
+        image = images[index]
+        expected = (self.camera.height, self.camera.width)
+        if image.shape != expected:
+            raise DataError(
+                f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
+                f" found {image.shape[1]} x {image.shape[0]}; copy it again"
+            )
+        return rectify(image)
+
+
+@dataclass(frozen=True)
+class LeftImages:
+    """The rectified images of the left camera of a dataset (an ImageDataset).
+
+    Attributes:
+        dataset: a dataset without right images: decoding them would only take time.
+    """
+
+    dataset: RectifiedDataset
+
+    @classmethod
+    def of(cls, dataset: RectifiedDataset) -> "LeftImages":
+        """Return the left images of a dataset with one camera or two."""
+        return cls(dataset.without_right())
+
+    @property
+    def name(self) -> str:
+        """Name of the dataset."""
+        return self.dataset.name
+
+    @property
+    def timestamps(self) -> Array:
+        """(N,) seconds, increasing."""
+        return self.dataset.timestamps
+
+    @property
+    def ground_truth(self) -> Array | None:
+        """T_world_camera (N, 4, 4), metres, or None."""
+        return self.dataset.ground_truth
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8, grey."""
+        return self.dataset[index].left
+
+
+@dataclass(frozen=True)
+class UncalibratedImages:
+    """The images of a camera without calibration, as they were recorded (an ImageDataset).
+
+    Attributes:
+        name: short name for titles.
+        images: N images.
+        timestamps: (N,) seconds, increasing, or None.
+        ground_truth: T_world_camera (N, 4, 4), metres, or None.
+    """
+
+    name: str
+    images: Images
+    timestamps: Array | None
+    ground_truth: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8, grey."""
+        return self.images[index]
+
+
 def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:
     """Synchronise a recording, rectify its images and interpolate its ground truth.
 
@@ -267,88 +352,3 @@ def _interpolate_ground_truth(
     remarks = (*recording.remarks, *([trajectory.remark] if trajectory.remark else []))
     right = None if right is None else right.subset(kept)
     return replace(recording, left=left.subset(kept), right=right, remarks=remarks), trajectory.poses
-
-
-class ImageDataset(Protocol):
-    """The images of one camera in the order of their exposure."""
-
-    @property
-    def name(self) -> str:
-        """Short name for titles."""
-        ...
-
-    @property
-    def timestamps(self) -> Array | None:
-        """(N,) seconds, increasing; None where the times are unknown."""
-        ...
-
-    @property
-    def ground_truth(self) -> Array | None:
-        """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> Image: ...
-
-
-@dataclass(frozen=True)
-class LeftImages:
-    """The rectified images of the left camera of a dataset (an ImageDataset).
-
-    Attributes:
-        dataset: a dataset without right images, which would only cost time to decode.
-    """
-
-    dataset: RectifiedDataset
-
-    @classmethod
-    def of(cls, dataset: RectifiedDataset) -> "LeftImages":
-        """Return the left images of a dataset with one camera or two."""
-        return cls(dataset.without_right())
-
-    @property
-    def name(self) -> str:
-        """Name of the dataset."""
-        return self.dataset.name
-
-    @property
-    def timestamps(self) -> Array:
-        """(N,) seconds, increasing."""
-        return self.dataset.timestamps
-
-    @property
-    def ground_truth(self) -> Array | None:
-        """T_world_camera (N, 4, 4), metres, or None."""
-        return self.dataset.ground_truth
-
-    def __len__(self) -> int:
-        return len(self.dataset)
-
-    def __getitem__(self, index: int) -> Image:
-        """Read image (H, W) uint8, grey."""
-        return self.dataset[index].left
-
-
-@dataclass(frozen=True)
-class UncalibratedImages:
-    """The images of a camera without calibration, as they were recorded (an ImageDataset).
-
-    Attributes:
-        name: short name for titles.
-        images: N images.
-        timestamps: (N,) seconds, increasing, or None.
-        ground_truth: T_world_camera (N, 4, 4), metres, or None.
-    """
-
-    name: str
-    images: Images
-    timestamps: Array | None
-    ground_truth: Array | None = None
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def __getitem__(self, index: int) -> Image:
-        """Read image (H, W) uint8, grey."""
-        return self.images[index]

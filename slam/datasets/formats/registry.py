@@ -1,6 +1,4 @@
-"""Opens a dataset, whatever its format.
-
-The registry of dataset formats, and the detection of a dataset's format from its files.
+"""Dataset formats: their registry, and the detection of a dataset's format from its files.
 
 A new format is a file in this folder and a line in `FORMATS`: see docs/add_a_dataset.md. Why a format is detected
 by its files: docs/decisions/datasets_by_content.md.
@@ -30,7 +28,7 @@ from slam.datasets.formats.rosbag_reader import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
 from slam.errors import ConfigError, DataError
 
-_CITY_CENTRE_IMAGES = 2474  # fewer numbered .jpg files may be anybody's
+_CITY_CENTRE_IMAGES = 2474  # fewer .jpg files with numbers may be any recording
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class DatasetFormat:
 
 
 def _images_only(matches: Callable[[Path], bool], open_images: Callable[[Path], ImageSequence]) -> DatasetFormat:
-    """Return a format without calibration, which serves place recognition alone."""
+    """Return a format without calibration, for place recognition only."""
 
     def refuse(spec: DatasetSpec) -> Dataset:
         raise DataError(
@@ -137,6 +135,21 @@ def open_dataset(source: DatasetSpec | Path | str, sequence: str | None = None) 
     """
     spec = source if isinstance(source, DatasetSpec) else DatasetSpec(Path(source), sequence)
     return FORMATS[detect_format(spec)].open_dataset(spec)
+
+
+def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
+    """Open a calibrated dataset for odometry with two cameras or one.
+
+    Raises:
+        DataError: as `open_dataset`, or there are no right images and two cameras are needed.
+        ConfigError: the format does not exist.
+    """
+    dataset = open_dataset(spec)
+    if not dataset.has_right and not mono:
+        raise DataError(
+            f"{spec.path}: expected left and right images, found left ones only; use one camera with --mono"
+        )
+    return dataset
 
 
 def open_images(spec: DatasetSpec) -> ImageDataset:

@@ -1,6 +1,6 @@
 """Datasets in ROS bags: image topics become camera streams, CameraInfo or a `camera.toml` the rectification.
 
-Chooses the camera topics of a bag, and the CameraInfo of each.
+The topics of one camera or a pair are chosen by their names, the CameraInfo of each by its namespace.
 """
 
 from dataclasses import dataclass, replace
@@ -36,6 +36,8 @@ from slam.datasets.rectification import (
 )
 from slam.errors import DataError
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class CameraTopics:
@@ -50,61 +52,10 @@ class CameraTopics:
     right: str | None = None
 
 
-def choose_topics(bag: Bag, requested: tuple[str, ...]) -> CameraTopics:
-    """Return the requested topics, else the only camera, else the only pair by the usual names.
-
-    Raises:
-        DataError: there are no images, or the choice is ambiguous.
-    """
-    if requested:
-        return CameraTopics(*requested)
-    topics = _usable(tuple(bag.image_counts))
-    if len(topics) == 1:
-        return CameraTopics(topics[0])
-    rectified = tuple(topic for topic in topics if "rect" in topic)
-    for candidates in (rectified, topics):
-        pairs = [pair for left in candidates if (pair := _pair_of(left, candidates)) is not None]
-        if len(pairs) == 1:
-            return pairs[0]
-    found = ", ".join(f"{topic} ({count})" for topic, count in bag.image_counts.items()) or "no images"
-    raise DataError(
-        f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --image-topic"
-    )
-
-
-def _usable(topics: tuple[str, ...]) -> tuple[str, ...]:
-    """CameraTopics without images of depth, and without compressed copies of others."""
-    light = (topic for topic in topics if "depth" not in topic.lower())
-    return tuple(topic for topic in light if topic.rsplit("/", 1)[0] not in topics)
-
-
-def _pair_of(left: str, topics: tuple[str, ...]) -> CameraTopics | None:
-    """The pair of topics whose names differ only in left and right, or in 0 and 1; None if there is none."""
-    for left_word, right_word in (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1")):
-        right = left.replace(left_word, right_word)
-        if right != left and right in topics:
-            return CameraTopics(left, right)
-    return None
-
-
-def find_camera_info(bag: Bag, topic: str) -> CameraInfo | None:
-    """Find the CameraInfo in the namespace of an image topic: /left/camera_info for /left/image_raw; else None."""
-    namespace = topic.rsplit("/", 1)[0]
-    while namespace:
-        if f"{namespace}/camera_info" in bag.camera_infos:
-            return bag.camera_infos[f"{namespace}/camera_info"]
-        namespace = namespace.rsplit("/", 1)[0]
-    only = list(bag.camera_infos.values())
-    return only[0] if len(only) == 1 else bag.camera_infos.get("/camera_info")
-
-
-Array = NDArray[np.float64]
-
-
 def open_bag(spec: DatasetSpec) -> RectifiedDataset:
     """Open a bag and check everything but the images themselves.
 
-    CameraInfo comes from a `camera.toml` beside the bag where there is one, else from the bag's CameraInfo.
+    The calibration comes from a `camera.toml` beside the bag where there is one, else from the bag's CameraInfo.
 
     Raises:
         DataError: the bag is missing or damaged, the cameras cannot be chosen, or their calibration is unusable.
@@ -164,10 +115,8 @@ def open_stream(path: Path, topic: str) -> CameraStream:
 def _is_pair(bag: Bag, topics: CameraTopics, settings: CameraToml | None) -> bool:
     if settings is not None:
         return settings.is_pair
-    left, right = (
-        find_camera_info(bag, topics.left),
-        None if topics.right is None else find_camera_info(bag, topics.right),
-    )
+    left = find_camera_info(bag, topics.left)
+    right = None if topics.right is None else find_camera_info(bag, topics.right)
     if right is not None and left is not None and left.offset_right_m > right.offset_right_m:
         raise DataError(
             f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
@@ -177,10 +126,8 @@ def _is_pair(bag: Bag, topics: CameraTopics, settings: CameraToml | None) -> boo
 
 
 def _rectify(bag: Bag, topics: CameraTopics, size: Size) -> Rectification:
-    left, right = (
-        _require_camera_info(bag, topics.left),
-        None if topics.right is None else find_camera_info(bag, topics.right),
-    )
+    left = _require_camera_info(bag, topics.left)
+    right = None if topics.right is None else find_camera_info(bag, topics.right)
     try:
         _check_size(left, size)
         if not left.has_rectification:
@@ -219,3 +166,51 @@ def _require_camera_info(bag: Bag, topic: str) -> CameraInfo:
             f"{bag.path}: expected a CameraInfo for {topic}, found {found}; write {CAMERA_TOML} beside the bag"
         )
     return info
+
+
+def choose_topics(bag: Bag, requested: tuple[str, ...]) -> CameraTopics:
+    """Return the requested topics, else the only camera, else the only pair by the usual names.
+
+    Raises:
+        DataError: there are no images, or the choice is ambiguous.
+    """
+    if requested:
+        return CameraTopics(*requested)
+    topics = _usable(tuple(bag.image_counts))
+    if len(topics) == 1:
+        return CameraTopics(topics[0])
+    rectified = tuple(topic for topic in topics if "rect" in topic)
+    for candidates in (rectified, topics):
+        pairs = [pair for left in candidates if (pair := _pair_of(left, candidates)) is not None]
+        if len(pairs) == 1:
+            return pairs[0]
+    found = ", ".join(f"{topic} ({count})" for topic, count in bag.image_counts.items()) or "no images"
+    raise DataError(
+        f"{bag.path}: expected one camera or a left and a right one, found {found}; choose with --image-topic"
+    )
+
+
+def _usable(topics: tuple[str, ...]) -> tuple[str, ...]:
+    """Topics without depth images and without compressed copies of other topics."""
+    grey = (topic for topic in topics if "depth" not in topic.lower())
+    return tuple(topic for topic in grey if topic.rsplit("/", 1)[0] not in topics)
+
+
+def _pair_of(left: str, topics: tuple[str, ...]) -> CameraTopics | None:
+    """The pair of topics whose names differ only in left and right, or in 0 and 1; None if there is none."""
+    for left_word, right_word in (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1")):
+        right = left.replace(left_word, right_word)
+        if right != left and right in topics:
+            return CameraTopics(left, right)
+    return None
+
+
+def find_camera_info(bag: Bag, topic: str) -> CameraInfo | None:
+    """Find the CameraInfo in the namespace of an image topic: /left/camera_info for /left/image_raw; else None."""
+    namespace = topic.rsplit("/", 1)[0]
+    while namespace:
+        if f"{namespace}/camera_info" in bag.camera_infos:
+            return bag.camera_infos[f"{namespace}/camera_info"]
+        namespace = namespace.rsplit("/", 1)[0]
+    only = list(bag.camera_infos.values())
+    return only[0] if len(only) == 1 else bag.camera_infos.get("/camera_info")

@@ -1,7 +1,6 @@
 """Reads ROS 1 bags, ROS 2 bags and MCAP files with the pure-Python library `rosbags` (the extra `ros`).
 
-Decodes camera messages of ROS 1 and ROS 2: images to grey values, CameraInfo to calibrations.
-
+Finds camera topics, reads their messages by index, and decodes them: images to grey values, CameraInfo to calibrations.
 Why not the package `rosbags-image`: docs/decisions/ros_messages.md.
 """
 
@@ -22,6 +21,9 @@ from slam.errors import DataError, RevisitError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+BAG_SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
 # Encodings of sensor_msgs/image_encodings.hpp: type of a value, values per pixel, OpenCV's conversion to grey or None.
 # A Bayer pattern is named by its first two pixels in ROS.
 ENCODINGS = {
@@ -43,58 +45,6 @@ ENCODINGS = {
     "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2),
     "yuyv": (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2),
 }
-
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-
-
-def read_timestamp(message: Any) -> float:
-    """Time of exposure in a message's header, seconds."""
-    time = message.header.stamp
-    return float(time.sec) + 1e-9 * float(time.nanosec)
-
-
-def decode_image(message: Any) -> Image:
-    """Decode an Image or a CompressedImage message to grey values (H, W) uint8.
-
-    Raises:
-        ValueError: the encoding is not supported, or the data do not fit the encoding.
-    """
-    try:
-        return _decode_raw(message) if hasattr(message, "encoding") else _decode_compressed(message)
-    except cv2.error as error:  # raised for sizes that a conversion does not support, such as an odd width of YUV 4:2:2
-        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
-
-
-def _decode_compressed(message: Any) -> Image:
-    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
-    if image is None:
-        raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
-    return np.asarray(image, np.uint8)
-
-
-def _decode_raw(message: Any) -> Image:
-    if message.encoding not in ENCODINGS:
-        raise ValueError(f"expected one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
-    kind, channels, conversion = ENCODINGS[message.encoding]
-    values = _read_values(message, np.dtype(kind), channels)
-    if kind is np.uint16:
-        return (values[..., 0] >> 8).astype(np.uint8)
-    return np.ascontiguousarray(values[..., 0] if conversion is None else cv2.cvtColor(values, conversion))
-
-
-def _read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
-    """Values (H, W, channels) of an Image message, without the padding that its rows may have."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    row = width * channels * kind.itemsize
-    data = np.frombuffer(message.data, np.uint8)
-    if not (0 < row <= step and 0 < height * step <= len(data)):
-        raise ValueError(
-            f"expected {height} rows of {row} bytes for {width} x {height} {message.encoding}, found steps of {step} in"
-            f" {len(data)} bytes"
-        )
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    return rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).reshape(height, width, channels)
 
 
 @dataclass(frozen=True)
@@ -123,33 +73,6 @@ class CameraInfo:
     def offset_right_m(self) -> float:
         """Position to the right of the pair's left camera: 0 for the left or a single camera, else the baseline."""
         return float(-self.P[0, 3] / self.P[0, 0]) if self.has_rectification else 0.0
-
-
-def read_camera_info(message: Any) -> CameraInfo:
-    """Convert a CameraInfo message.
-
-    Raises:
-        ValueError: the message contains values that no camera has.
-    """
-    # The fields are called K, D, R, P in ROS 1 and k, d, r, p in ROS 2.
-    K, D, R, P = (np.asarray(getattr(message, n, getattr(message, n.lower(), None)), np.float64) for n in "KDRP")
-    R = R.reshape(3, 3) if np.any(R) else np.eye(3)
-    model, coefficients = _parse_distortion(str(message.distortion_model), tuple(D.tolist()))
-    camera_model = CameraModel(float(K[0]), float(K[4]), float(K[2]), float(K[5]), model, coefficients)
-    if not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or not np.isfinite(P).all():
-        raise ValueError("expected a rotation R and finite numbers P in CameraInfo")
-    return CameraInfo(camera_model, R, P.reshape(3, 4), (int(message.width), int(message.height)))
-
-
-def _parse_distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
-    if not any(coefficients) and model not in FISHEYE_MODELS:
-        return "none", ()
-    if model not in DISTORTION_MODELS:
-        raise ValueError(f"expected one of the distortion models {', '.join(DISTORTION_MODELS)}, found {model!r}")
-    return model, coefficients
-
-
-BAG_SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 
 
 def is_bag(path: Path) -> bool:
@@ -301,3 +224,76 @@ def _open_reader(path: Path) -> Iterator[Any]:
     except Exception as error:  # the library does not validate its input: a damaged bag can raise any exception
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise DataError(f"{path}: expected a readable bag, found: {found}; record or copy it again") from error
+
+
+def read_camera_info(message: Any) -> CameraInfo:
+    """Convert a CameraInfo message.
+
+    Raises:
+        ValueError: the message contains values that no camera has.
+    """
+    # The fields are called K, D, R, P in ROS 1 and k, d, r, p in ROS 2.
+    K, D, R, P = (np.asarray(getattr(message, n, getattr(message, n.lower(), None)), np.float64) for n in "KDRP")
+    R = R.reshape(3, 3) if np.any(R) else np.eye(3)
+    model, coefficients = _parse_distortion(str(message.distortion_model), tuple(D.tolist()))
+    camera_model = CameraModel(float(K[0]), float(K[4]), float(K[2]), float(K[5]), model, coefficients)
+    if not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or not np.isfinite(P).all():
+        raise ValueError("expected a rotation R and finite numbers P in CameraInfo")
+    return CameraInfo(camera_model, R, P.reshape(3, 4), (int(message.width), int(message.height)))
+
+
+def _parse_distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
+    if not any(coefficients) and model not in FISHEYE_MODELS:
+        return "none", ()
+    if model not in DISTORTION_MODELS:
+        raise ValueError(f"expected one of the distortion models {', '.join(DISTORTION_MODELS)}, found {model!r}")
+    return model, coefficients
+
+
+def read_timestamp(message: Any) -> float:
+    """Time of exposure in a message's header, seconds."""
+    time = message.header.stamp
+    return float(time.sec) + 1e-9 * float(time.nanosec)
+
+
+def decode_image(message: Any) -> Image:
+    """Decode an Image or a CompressedImage message to grey values (H, W) uint8.
+
+    Raises:
+        ValueError: the encoding is not supported, or the data do not fit the encoding.
+    """
+    try:
+        return _decode_raw(message) if hasattr(message, "encoding") else _decode_compressed(message)
+    except cv2.error as error:  # raised for sizes that a conversion does not support, such as an odd width of YUV 4:2:2
+        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
+
+
+def _decode_compressed(message: Any) -> Image:
+    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
+    if image is None:
+        raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
+    return np.asarray(image, np.uint8)
+
+
+def _decode_raw(message: Any) -> Image:
+    if message.encoding not in ENCODINGS:
+        raise ValueError(f"expected one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
+    kind, channels, conversion = ENCODINGS[message.encoding]
+    values = _read_values(message, np.dtype(kind), channels)
+    if kind is np.uint16:
+        return (values[..., 0] >> 8).astype(np.uint8)
+    return np.ascontiguousarray(values[..., 0] if conversion is None else cv2.cvtColor(values, conversion))
+
+
+def _read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
+    """Values (H, W, channels) of an Image message, without the padding that its rows may have."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * kind.itemsize
+    data = np.frombuffer(message.data, np.uint8)
+    if not (0 < row <= step and 0 < height * step <= len(data)):
+        raise ValueError(
+            f"expected {height} rows of {row} bytes for {width} x {height} {message.encoding}, found steps of {step} in"
+            f" {len(data)} bytes"
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
+    return rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).reshape(height, width, channels)

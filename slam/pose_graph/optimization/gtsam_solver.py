@@ -1,8 +1,6 @@
-"""Batch optimisation of arrays of edges by GTSAM, in the plane and in space, and chordal initialisation.
+"""GTSAM behind NumPy arrays: factors of poses in space, and batch optimisation of edges in the plane and in space.
 
-GTSAM factors and values of poses in space: NumPy in, NumPy out.
-
-Keys are frame indices; Pose3's tangent space is ours (rotation first, right perturbation).
+Keys are frame indices; Pose3's tangent space is that of this package (rotation first, right perturbation).
 """
 
 from typing import Any
@@ -17,7 +15,6 @@ from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.lie_groups import planar_poses
 
 Array = NDArray[np.float64]
-
 ANCHOR_SIGMA = 1e-6  # rad and m; tight enough to hold the first pose, loose enough for the conditioning
 
 
@@ -34,19 +31,19 @@ def odometry_factor(first: int, second: int, T_first_second: Array, covariance: 
 
 
 def loop_factor(closure: LoopClosure) -> gtsam.BetweenFactorPose3:
-    """Factor of a loop that is taken to be right."""
+    """Factor of a loop with Gaussian noise."""
     return odometry_factor(closure.match, closure.query, closure.T_match_query, closure.covariance)
 
 
-def huber_factor(closure: LoopClosure, huber_width: float) -> gtsam.BetweenFactorPose3:
-    """Factor of a loop whose force does not grow beyond a width in sigmas (Huber)."""
-    kernel = gtsam.noiseModel.mEstimator.Huber.Create(huber_width)
+def huber_factor(closure: LoopClosure, huber_width_sigma: float) -> gtsam.BetweenFactorPose3:
+    """Factor of a loop with Huber's kernel: its pull grows no further beyond a width in sigmas."""
+    kernel = gtsam.noiseModel.mEstimator.Huber.Create(huber_width_sigma)
     noise = gtsam.noiseModel.Robust.Create(kernel, gtsam.noiseModel.Gaussian.Covariance(closure.covariance))
     return gtsam.BetweenFactorPose3(closure.match, closure.query, gtsam.Pose3(closure.T_match_query), noise)
 
 
 def to_values(poses: Array) -> gtsam.Values:
-    """GTSAM's Values of poses (N, 4, 4), keyed from 0."""
+    """GTSAM Values of poses (N, 4, 4), keyed from 0."""
     values = gtsam.Values()
     for key, T in enumerate(poses):
         values.insert(key, gtsam.Pose3(T))
@@ -106,7 +103,7 @@ def _levenberg_marquardt(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 
 
 def _chordal_starts(graph: gtsam.NonlinearFactorGraph, start: Array, edges: Edges) -> list[gtsam.Values]:
-    """The chordal start in a list; an empty list if there is none."""
+    """The chordal start in a list, which is empty where GTSAM finds none."""
     try:
         return [_chordal_values(graph, edges, start)]
     except RuntimeError:
@@ -119,7 +116,7 @@ def _chordal_values(graph: gtsam.NonlinearFactorGraph, edges: Edges, start: Arra
     diagonal = np.zeros_like(edges.information)
     index = np.arange(3)
     diagonal[:, index, index] = 1.0 / edges.covariance[:, index, index]
-    diagonal_only = Edges(edges.first, edges.second, edges.motions, diagonal)  # LAGO reads no other noise
+    diagonal_only = Edges(edges.first, edges.second, edges.motions, diagonal)  # LAGO reads diagonal noise only
     return gtsam.lago.initialize(_graph(diagonal_only, start[0]))
 
 

@@ -19,22 +19,27 @@ _SMALL_ANGLE = 1e-4
 
 
 class LieGroup(Protocol):
-    """The group that a graph's poses belong to.
-
-    Attributes:
-        size: rows of a pose matrix, 3 in the plane and 4 in space.
-        dof: length of a tangent vector.
-        rotation, translation: the parts of a tangent vector.
-    """
+    """The group of a graph's poses."""
 
     @property
-    def size(self) -> int: ...  # noqa: D102
+    def size(self) -> int:
+        """Rows of a pose matrix, 3 in the plane and 4 in space."""
+        ...
+
     @property
-    def dof(self) -> int: ...  # noqa: D102
+    def dof(self) -> int:
+        """Length of a tangent vector."""
+        ...
+
     @property
-    def rotation(self) -> slice: ...  # noqa: D102
+    def rotation(self) -> slice:
+        """Rotation part of a tangent vector."""
+        ...
+
     @property
-    def translation(self) -> slice: ...  # noqa: D102
+    def translation(self) -> slice:
+        """Translation part of a tangent vector."""
+        ...
 
     def exp(self, xi: Array) -> Array:
         """Motions (M, size, size) of tangent vectors (M, dof)."""

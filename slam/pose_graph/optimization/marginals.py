@@ -1,14 +1,13 @@
-"""Marginal covariances of all poses of an optimised trajectory.
+"""Covariances of poses in an optimised graph: marginals of single poses, and relative poses from posterior samples.
 
-Two parts are added. The graph's own marginals (Kaess and Dellaert, RAS 2009) count errors that are independent
-from motion to motion. A bias of odometry that lasts for the whole path is not one of the graph's unknowns, so it shifts
-the solution; by how much follows from the same linear system (the sandwich formula: covariance of an estimator under
-errors that it does not model).
+Two parts add up to a marginal. The graph's own marginals (Kaess and Dellaert, RAS 2009) count errors that are
+independent from motion to motion. A bias of odometry that lasts for the whole path is not one of the graph's unknowns,
+so it shifts the solution; by how much follows from the same linear system (the sandwich formula: covariance of an
+estimator under errors that it does not model).
 
-Covariance of the relative pose of any two poses of a graph, from samples of its posterior.
-
-A marginal for every proposed loop would need as many solves as there are loops; a fixed number of samples
-gives all of them at once (perturb-and-solve: Papandreou and Yuille, NIPS 2010).
+The covariance of the relative pose of any two poses comes from samples of the posterior. Exact marginals of every
+proposed loop would need as many solves as there are loops; a fixed number of samples gives all of them at once
+(perturb-and-solve: Papandreou and Yuille, NIPS 2010).
 """
 
 from collections.abc import Sequence
@@ -27,7 +26,8 @@ from slam.pose_graph.optimization.lie_groups import inverse
 
 Array = NDArray[np.float64]
 
-_DOF = 6
+_DOF = 6  # of a pose in space
+SAMPLES = 48  # of the posterior: the standard deviation of a variance is then a fifth of it, sqrt(2 / 48)
 
 
 def marginal_covariances(
@@ -37,7 +37,7 @@ def marginal_covariances(
 
     Args:
         motions: N - 1 motions T_previous_current (4, 4) with their covariances (6, 6), in order.
-        loops: loops that the poses are fitted to.
+        loops: loops to which the poses are fitted.
         poses: T_world_camera (N, 4, 4), metres, the solution of the graph.
         bias_sigmas: (N - 1, 6) standard deviation of the bias's error in each motion; all share its sign.
     """
@@ -66,15 +66,12 @@ def _response(linear: gtsam.GaussianFactorGraph, count: int, bias_sigmas: Array)
     # GTSAM counts from 1 and puts the right-hand side last.
     A = sparse.csr_array((values, (rows.astype(int) - 1, columns.astype(int) - 1)), shape=shape)[:, :-1]
     motions = sparse.csr_array(A[: count * _DOF].tocoo())
-    # The Jacobian of a motion by the pose that it leads to is what whitens its error.
+    # The Jacobian of a motion with respect to its second pose is the matrix that whitens its error.
     same_pose = sparse.block_diag([np.ones((_DOF, _DOF))] * count, format="csr")
     whitening = motions.multiply(same_pose).tocsr()
     errors = np.concatenate([np.zeros((1, _DOF)), bias_sigmas])[:, :, None] * np.eye(_DOF)
     right = A[: count * _DOF].T @ (whitening @ errors.reshape(-1, _DOF))
     return factorize((A.T @ A).tocsc()).solve(right).reshape(count, _DOF, _DOF)
-
-
-SAMPLES = 48  # a variance is then known to a fifth of itself, one standard deviation: sqrt(2 / 48)
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,7 @@ def sample_posterior(poses: Array, edges: Edges, seed: int = 0) -> Posterior:
     """Sample the posterior of a connected graph at poses (N, n, n), the first pose held."""
     dof = edges.group.dof
     jacobian = whitened_jacobian(poses, edges)[:, dof:]
-    # The least-squares answer to unit noise in the whitened errors is a sample of the posterior.
+    # The least-squares solution for unit noise in the whitened errors is a sample of the posterior.
     noise = np.random.default_rng(seed).normal(size=(jacobian.shape[0], SAMPLES))
     moved = factorize_jacobian(jacobian).solve(jacobian.T @ noise)
     samples = np.concatenate([np.zeros((dof, SAMPLES)), moved]).reshape(len(poses), dof, SAMPLES)

@@ -1,15 +1,10 @@
-"""Sim(3) pose graph of one camera: poses and scales are optimised together (Strasdat et al., RSS 2010).
+"""Monocular scale: log scales of all frames by loops, and the Sim(3) pose graph of poses and scales.
 
-A node is the similarity that takes points of a camera, in the unit that its depths had at that time, to the world. An
-edge measures one node in the frame and in the unit of another. Solved by GTSAM from poses and scales that are nearly
-right already.
-
-Motions and loops of one camera, whose scale drifts: brought to a common scale, and refined with their poses.
-
-Scale drift of one camera: the log scale of every frame, from loops that measure relative scale.
-
-Scale multiplies along the path, so its logarithm adds up and the graph is linear. The loops are weighted robustly
-(Geman and McClure). Scale is solved before the poses, so that the back ends work on rigid motions.
+Scale multiplies along the path, so its logarithm adds up and the graph of log scales is linear; its loops are weighted
+robustly (Geman and McClure). Scales are solved before the poses, so that the back ends work on rigid motions in one
+common scale. At the end poses and scales are refined together (Strasdat et al., RSS 2010): a node is the similarity
+that takes points of a camera, in the unit that its depths had at that time, to the world; an edge measures one node in
+the frame and in the unit of another. GTSAM solves this graph from poses and scales that are nearly right already.
 """
 
 from collections.abc import Sequence
@@ -24,8 +19,14 @@ from scipy.sparse.linalg import spsolve
 from slam.loop_closing.loop_closer import LoopClosure
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Motion = tuple[Array, Array]  # (4, 4) and its covariance (6, 6)
 
 _PRIOR_SIGMA = 1e-6  # of the first node, which is held: rad, m, log scale
+_MIN_STEP = 1e-3  # path length of a camera that stands still: its scale must have a finite information
+_UNKNOWN_SIGMA = 10.0  # of the log scale of a loop that does not measure it: e^10 leaves the scale free
+_ITERATIONS = 20  # of reweighting
+_KERNEL_CHI2 = 9.0  # chi-square of a loop at which its weight is a quarter: three sigmas
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class SimilarityEdge:
     Attributes:
         first, second: indices of the two nodes.
         T_first_second: (4, 4) second camera in the frame and the unit of the first one.
-        log_scale: logarithm of the length of the second camera's unit in that of the first.
+        log_scale: logarithm of the second camera's unit of length, as a multiple of the first one's.
         covariance: (7, 7) of the right perturbation: rotation, translation, log scale.
     """
 
@@ -51,106 +52,6 @@ def with_scale_variance(covariance: Array, sigma: float) -> Array:
     out = np.zeros((7, 7))
     out[:6, :6], out[6, 6] = covariance, sigma**2
     return out
-
-
-def optimize_sim3(edges: Sequence[SimilarityEdge], poses: Array, scales: Array) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and scales (N,) of least squared error, the first node held.
-
-    Args:
-        edges: measured similarities; a node without any edge stays where it is.
-        poses: (N, 4, 4) poses to start with.
-        scales: (N,) scales to start with.
-    """
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _PRIOR_SIGMA))
-    graph.add(gtsam.PriorFactorSimilarity3(0, _similarity(poses[0], scales[0]), held))
-    for edge in edges:
-        noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-        measured = _similarity(edge.T_first_second, float(np.exp(edge.log_scale)))
-        graph.add(gtsam.BetweenFactorSimilarity3(edge.first, edge.second, measured, noise))
-    for node, (pose, scale) in enumerate(zip(poses, scales, strict=True)):
-        values.insert(node, _similarity(pose, scale))
-    found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
-    nodes = [found.atSimilarity3(node) for node in range(len(poses))]
-    return np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
-
-
-def _similarity(T: Array, scale: float) -> gtsam.Similarity3:
-    """GTSAM's similarity of a pose and a scale.
-
-    It takes p to scale * (R p + t), so its translation is in the camera's unit.
-    """
-    return gtsam.Similarity3(gtsam.Rot3(T[:3, :3]), T[:3, 3] / scale, float(scale))
-
-
-def _pose(node: gtsam.Similarity3) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = node.rotation().matrix(), node.scale() * node.translation()
-    return T
-
-
-Motion = tuple[Array, Array]  # (4, 4) and its covariance (6, 6)
-
-_MIN_STEP = 1e-3  # path length of a camera that stands still: its scale must have a finite information
-_UNKNOWN_SIGMA = 10.0  # of the log scale of a loop that does not measure it: a factor of e^10 means nothing
-
-
-def in_common_scale(
-    motions: Sequence[Motion], loops: Sequence[LoopClosure], scales: Array
-) -> tuple[list[Motion], list[LoopClosure]]:
-    """Motions and loops in one unit of length.
-
-    Args:
-        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
-        loops: loops, each in the unit of its match.
-        scales: (N,) length of each frame's unit in the common one.
-    """
-    scaled = [scale_motion(*motion, scale) for motion, scale in zip(motions, scales[:-1], strict=True)]
-    return scaled, [_scale_loop(loop, scales[loop.match]) for loop in loops]
-
-
-def scale_motion(T: Array, covariance: Array, scale: float) -> Motion:
-    """A motion (4, 4) and its covariance (6, 6) with all lengths multiplied by a scale."""
-    T, factor = T.copy(), np.repeat([1.0, scale], 3)
-    T[:3, 3] *= scale
-    return T, covariance * np.outer(factor, factor)
-
-
-def _scale_loop(loop: LoopClosure, scale: float) -> LoopClosure:
-    T, covariance = scale_motion(loop.T_match_query, loop.covariance, scale)
-    return replace(loop, T_match_query=T, covariance=covariance)
-
-
-def refine_sim3(
-    motions: Sequence[Motion], loops: Sequence[LoopClosure], poses: Array, scales: Array, drift: float
-) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) and scales (N,) of least squared error in Sim(3), from ones that are nearly right.
-
-    Args:
-        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
-        loops: accepted loops, each in the unit of its match.
-        poses: (N, 4, 4) poses to start with, in the unit of the first frame.
-        scales: (N,) scales to start with, in the unit of the first frame.
-        drift: standard deviation of the log scale over a path of one; it grows with the root of the path.
-    """
-    edges = []
-    for k, (T, covariance) in enumerate(motions):
-        step = max(float(np.linalg.norm(T[:3, 3])), _MIN_STEP)
-        edges.append(_edge(k, k + 1, T, 0.0, covariance, drift * np.sqrt(step)))
-    for loop in loops:
-        sigma = loop.scale.sigma or _UNKNOWN_SIGMA
-        edges.append(_edge(loop.match, loop.query, loop.T_match_query, loop.scale.log, loop.covariance, sigma))
-    return optimize_sim3(edges, poses, scales)
-
-
-def _edge(first: int, second: int, T: Array, log_scale: float, covariance: Array, sigma: float) -> SimilarityEdge:
-    return SimilarityEdge(first, second, T, log_scale, with_scale_variance(covariance, sigma))
-
-
-Rows = NDArray[np.int64]
-
-_ITERATIONS = 20  # of reweighting
-_KERNEL_CHI2 = 9.0  # chi-square of a loop at which its weight is a quarter: three sigmas
 
 
 def estimate_log_scales(steps: Array, loops: Sequence[LoopClosure], drift: float) -> Array:
@@ -197,3 +98,91 @@ def _solve_differences(first: Rows, second: Rows, measured: Array, weights: Arra
     H = coo_matrix((np.concatenate([weights, weights, -weights, -weights]), (rows, columns)), (count, count)).tocsc()
     b = np.bincount(second, weights * measured, count) - np.bincount(first, weights * measured, count)
     return np.concatenate([[0.0], spsolve(H[1:, 1:], b[1:])])
+
+
+def in_common_scale(
+    motions: Sequence[Motion], loops: Sequence[LoopClosure], scales: Array
+) -> tuple[list[Motion], list[LoopClosure]]:
+    """Convert motions and loops to one unit of length.
+
+    Args:
+        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
+        loops: loops, each in the unit of its match.
+        scales: (N,) unit of length of each frame, as a multiple of the common one.
+    """
+    scaled = [scale_motion(*motion, scale) for motion, scale in zip(motions, scales[:-1], strict=True)]
+    return scaled, [_scale_loop(loop, scales[loop.match]) for loop in loops]
+
+
+def scale_motion(T: Array, covariance: Array, scale: float) -> Motion:
+    """A motion (4, 4) and its covariance (6, 6) with all lengths multiplied by a scale."""
+    T, factor = T.copy(), np.repeat([1.0, scale], 3)
+    T[:3, 3] *= scale
+    return T, covariance * np.outer(factor, factor)
+
+
+def _scale_loop(loop: LoopClosure, scale: float) -> LoopClosure:
+    T, covariance = scale_motion(loop.T_match_query, loop.covariance, scale)
+    return replace(loop, T_match_query=T, covariance=covariance)
+
+
+def refine_sim3(
+    motions: Sequence[Motion], loops: Sequence[LoopClosure], poses: Array, scales: Array, drift: float
+) -> tuple[Array, Array]:
+    """Poses (N, 4, 4) and scales (N,) of least squared error in Sim(3), from ones that are nearly right.
+
+    Args:
+        motions: (N - 1) motions from each frame to the next, each in the unit of its first frame.
+        loops: accepted loops, each in the unit of its match.
+        poses: (N, 4, 4) poses to start with, in the unit of the first frame.
+        scales: (N,) scales to start with, in the unit of the first frame.
+        drift: standard deviation of the log scale over a path of one; it grows with the root of the path.
+    """
+    edges = []
+    for k, (T, covariance) in enumerate(motions):
+        step = max(float(np.linalg.norm(T[:3, 3])), _MIN_STEP)
+        edges.append(_edge(k, k + 1, T, 0.0, covariance, drift * np.sqrt(step)))
+    for loop in loops:
+        sigma = loop.scale.sigma or _UNKNOWN_SIGMA
+        edges.append(_edge(loop.match, loop.query, loop.T_match_query, loop.scale.log, loop.covariance, sigma))
+    return optimize_sim3(edges, poses, scales)
+
+
+def _edge(first: int, second: int, T: Array, log_scale: float, covariance: Array, sigma: float) -> SimilarityEdge:
+    return SimilarityEdge(first, second, T, log_scale, with_scale_variance(covariance, sigma))
+
+
+def optimize_sim3(edges: Sequence[SimilarityEdge], poses: Array, scales: Array) -> tuple[Array, Array]:
+    """Poses (N, 4, 4) and scales (N,) of least squared error, the first node held.
+
+    Args:
+        edges: measured similarities; a node without any edge stays where it is.
+        poses: (N, 4, 4) poses to start with.
+        scales: (N,) scales to start with.
+    """
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _PRIOR_SIGMA))
+    graph.add(gtsam.PriorFactorSimilarity3(0, _similarity(poses[0], scales[0]), held))
+    for edge in edges:
+        noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+        measured = _similarity(edge.T_first_second, float(np.exp(edge.log_scale)))
+        graph.add(gtsam.BetweenFactorSimilarity3(edge.first, edge.second, measured, noise))
+    for node, (pose, scale) in enumerate(zip(poses, scales, strict=True)):
+        values.insert(node, _similarity(pose, scale))
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
+    nodes = [found.atSimilarity3(node) for node in range(len(poses))]
+    return np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
+
+
+def _similarity(T: Array, scale: float) -> gtsam.Similarity3:
+    """GTSAM's similarity of a pose and a scale.
+
+    It takes p to scale * (R p + t), so its translation is in the camera's unit.
+    """
+    return gtsam.Similarity3(gtsam.Rot3(T[:3, :3]), T[:3, 3] / scale, float(scale))
+
+
+def _pose(node: gtsam.Similarity3) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = node.rotation().matrix(), node.scale() * node.translation()
+    return T

@@ -57,14 +57,14 @@ class GateResult:
 
 @dataclass(frozen=True)
 class OptimizationResult:
-    """The corrected trajectory, and what became of each loop, in the order in which they were added.
+    """The corrected trajectory, and the decision on each loop, in the order in which the loops were added.
 
     Attributes:
         poses: (N, n, n) T_world_camera in space, metres.
         weights: (L,) weight of each loop by the back end, 0 to 1.
         residuals: (L,) square root of each loop's chi-square at `poses`.
-        kept: (L,) bool, the loops that the poses are fitted to.
-        reasons: (L,) why each loop was kept or left out, a sentence each.
+        kept: (L,) bool, the loops to which the poses are fitted.
+        reasons: (L,) reason why each loop was kept or left out, a sentence each.
         error_initial, error_final: half the chi-square of odometry and kept loops, at odometry and at `poses`.
         seconds: wall-clock time of the optimisation.
         scales: (N,) length of each frame's unit of length in that of `poses`; all one with a stereo camera.

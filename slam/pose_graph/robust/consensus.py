@@ -15,11 +15,9 @@ Each loop is a CANDIDATE, KEPT or EXCLUDED. The algorithm, in pseudo-code (mathe
 
 After every fit the likelihood ratios of all loops are computed anew, against the map of the kept loops.
 
-Which kept loops contradict a loop that was left out.
-
-One false loop that holds a stretch of the trajectory keeps every true one there out, however many there are. So the
-map is bent, to first order, until it agrees with the loop that was left out. Kept loops that then no longer fit are
-suspended for a round and must compete with it.
+The suspension answers a trap: one false loop that holds a stretch of the trajectory keeps every true one there out,
+however many there are. The map is bent, to first order, until it agrees with the loop that was left out; kept loops
+that then no longer fit are suspended for a round and must compete with it.
 """
 
 from dataclasses import dataclass, replace
@@ -51,55 +49,10 @@ from slam.pose_graph.robust.problem import LoopProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-MAX_CONTENDERS = 30  # the most likely ones: the dense solve of `_bends` grows with them
-
-
-def conflicting_loops(
-    problem: LoopProblem, poses: Array, kept: Mask, contenders: NDArray[np.int64], bound: float
-) -> Mask:
-    """(L,) kept loops that do not fit the map bent to agree with any one contender.
-
-    A contender that contradicts more kept loops than there are contenders counts for nothing: it could not win.
-
-    Args:
-        problem: trusted edges and loops.
-        poses: (N, n, n) poses fitted to the kept loops, metres.
-        kept: (L,) bool, the accepted loops.
-        contenders: rows of loops that were left out, the most likely first.
-        bound: chi-square that a true loop seldom exceeds.
-    """
-    dof, loops = problem.loops.group.dof, problem.loops
-    rows = np.flatnonzero(kept)
-    conflicting = np.zeros(len(loops), dtype=bool)
-    # The first pose is held: it has no columns.
-    bends = _bends(problem.edges_with(kept), poses, loops[contenders[:MAX_CONTENDERS]])
-    moved = jacobian_of_errors(poses, loops[rows])[:, dof:] @ bends
-    errors = loops[rows].errors(poses)[:, :, None] + moved.reshape(len(rows), dof, -1)
-    unfit = np.square(loops[rows].sqrt_information @ errors).sum(axis=1) > bound
-    outnumbered = unfit.sum(axis=0) > len(contenders)
-    conflicting[rows] = unfit[:, ~outnumbered].any(axis=1)
-    return conflicting
-
-
-def _bends(support: Edges, poses: Array, loops: Edges) -> Array:
-    """Most likely changes ((N - 1) dof, M) of all poses but the first that make each of M loops exact.
-
-    With the posterior covariance P of the poses and the loop's Jacobian J, the change is -P J^T (J P J^T)^-1 e.
-    """
-    dof = loops.group.dof
-    jacobian = jacobian_of_errors(poses, loops)[:, dof:].toarray().reshape(len(loops), dof, -1)
-    columns = jacobian.reshape(len(loops) * dof, -1).T
-    moved = factorize_jacobian(whitened_jacobian(poses, support)[:, dof:]).solve(columns)
-    moved = moved.T.reshape(len(loops), dof, -1)
-    covariance = jacobian @ np.swapaxes(moved, 1, 2)
-    multipliers = np.linalg.solve(covariance, loops.errors(poses)[..., None])[..., 0]
-    return -np.einsum("md,mdn->nm", multipliers, moved)
-
-
 Counts = NDArray[np.int64]
 Rows = NDArray[np.int64]
 
+MAX_CONTENDERS = 30  # the most likely left-out loops: the dense solve of `_bends` grows with them
 _MAX_ROUNDS = 50  # bound on the work
 _MIN_GROWTH = 0.1  # of the kept loops: a round that would add fewer also takes the next less likely loops
 _MIN_CHANGE = 0.002  # of the kept loops: a round that moves fewer ends the growth
@@ -186,7 +139,7 @@ def propose(state: Consensus) -> Mask:
     candidates = state.states == LoopState.CANDIDATE
     plausible = np.flatnonzero(candidates & (likelihood.log_ratio_at(scale) > -MIN_LOG_RATIO))
     candidates &= ~_mask(contradicted_by_neighbors(likelihood, plausible, scale), len(candidates))
-    rows = np.flatnonzero(_most_likely(state, candidates))
+    rows = np.flatnonzero(_likeliest(state, candidates))
     if not len(rows):
         rows = _likely_in_pairs(state, np.flatnonzero(candidates & is_compatible(likelihood, scale)))
     return _mask(pairwise_consistent(likelihood, rows, scale), len(candidates))
@@ -226,7 +179,7 @@ def test(screening: Screening, state: Consensus) -> Mask:
     chance = not_significant(kept, false_positives)
     if not chance.any():
         return chance
-    # A loop that fails is asked once more, against the map without all that failed, at a stricter rate.
+    # A loop that fails is tested once more, against the map without all that failed, at a stricter rate.
     without = fit(screening, state, kept & ~chance)
     remaining = expected_false_positives(without.likelihood.log_ratio_at(without.prediction_scale), kept)
     false_positives = np.where(chance, np.minimum(false_positives, remaining), false_positives)
@@ -242,7 +195,7 @@ def _empty(screening: Screening) -> Consensus:
 
 
 def _converge(screening: Screening, state: Consensus) -> Consensus:
-    """Accept proposed loops and suspend contradicted ones until hardly any moves."""
+    """Accept proposed loops and suspend contradicted ones until hardly any loop moves."""
     for round_ in range(_MAX_ROUNDS):
         proposed = propose(state)
         # The last round suspends none: a loop that is put aside must be able to come back.
@@ -257,12 +210,12 @@ def _converge(screening: Screening, state: Consensus) -> Consensus:
     return state
 
 
-def _most_likely(state: Consensus, candidates: Mask) -> Mask:
+def _likeliest(state: Consensus, candidates: Mask) -> Mask:
     """Candidates whose likelihood ratio outweighs the prior odds, else all that have some evidence.
 
     The threshold falls in three steps. The strictest corrects for the number of loops as Bonferroni does (one
     false loop in all of them), the last asks for the prior odds alone: few certain loops first make the map from
-    which the others can be judged.
+    which the others can be tested.
     """
     log_ratio = state.likelihood.log_ratio_at(state.prediction_scale)
     count = max(int(state.kept.sum()), 1)
@@ -301,7 +254,7 @@ def _fit_inliers(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus
         fits = kept & _fits(problem, poses, state.likelihood, scale)
         if np.array_equal(fits, kept):
             break
-        # A false loop bends the map round itself, so that true ones seem wrong. Who fits is asked again after
+        # A false loop bends the map round itself, so that true ones seem wrong. All are tested again after
         # graduated non-convexity has taken the weight from large errors.
         poses, _ = gnc(problem, kept, poses, max_inlier_chi2(state.likelihood.dof) * scale)
         kept = kept & _fits(problem, poses, state.likelihood, scale)
@@ -333,6 +286,48 @@ def _residual_scale(problem: LoopProblem, state: Consensus, poses: Array, kept: 
         factor = max((loops + min(odometry, _MAX_ODOMETRY_SHARE * loops)) / (dof * len(chi2)), 1e-9 * initial)
     share = len(chi2) / (_PRIOR_LOOPS_FIT + len(chi2))
     return float(factor**share * initial ** (1.0 - share))
+
+
+def conflicting_loops(
+    problem: LoopProblem, poses: Array, kept: Mask, contenders: NDArray[np.int64], bound: float
+) -> Mask:
+    """(L,) kept loops that do not fit the map bent to agree with any one contender.
+
+    A contender that contradicts more kept loops than there are contenders counts for nothing: it could not win.
+
+    Args:
+        problem: trusted edges and loops.
+        poses: (N, n, n) poses fitted to the kept loops, metres.
+        kept: (L,) bool, the accepted loops.
+        contenders: (M,) rows of loops that were left out, the most likely first.
+        bound: chi-square that a true loop seldom exceeds.
+    """
+    dof, loops = problem.loops.group.dof, problem.loops
+    rows = np.flatnonzero(kept)
+    conflicting = np.zeros(len(loops), dtype=bool)
+    # The first pose is held: it has no columns.
+    bends = _bends(problem.edges_with(kept), poses, loops[contenders[:MAX_CONTENDERS]])
+    moved = jacobian_of_errors(poses, loops[rows])[:, dof:] @ bends
+    errors = loops[rows].errors(poses)[:, :, None] + moved.reshape(len(rows), dof, -1)
+    unfit = np.square(loops[rows].sqrt_information @ errors).sum(axis=1) > bound
+    outnumbered = unfit.sum(axis=0) > len(contenders)
+    conflicting[rows] = unfit[:, ~outnumbered].any(axis=1)
+    return conflicting
+
+
+def _bends(support: Edges, poses: Array, loops: Edges) -> Array:
+    """Most likely changes ((N - 1) dof, M) of all poses but the first that make each of M loops exact.
+
+    With the posterior covariance P of the poses and the loop's Jacobian J, the change is -P J^T (J P J^T)^-1 e.
+    """
+    dof = loops.group.dof
+    jacobian = jacobian_of_errors(poses, loops)[:, dof:].toarray().reshape(len(loops), dof, -1)
+    columns = jacobian.reshape(len(loops) * dof, -1).T
+    moved = factorize_jacobian(whitened_jacobian(poses, support)[:, dof:]).solve(columns)
+    moved = moved.T.reshape(len(loops), dof, -1)
+    covariance = jacobian @ np.swapaxes(moved, 1, 2)
+    multipliers = np.linalg.solve(covariance, loops.errors(poses)[..., None])[..., 0]
+    return -np.einsum("md,mdn->nm", multipliers, moved)
 
 
 def _mask(rows: Rows, count: int) -> Mask:

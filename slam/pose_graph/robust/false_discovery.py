@@ -1,6 +1,6 @@
-"""False discovery control: which kept loops could be false by chance, judged by the loops that were left out.
+"""False discovery control: which kept loops could be false by chance, estimated from the loops that were left out.
 
-Where nothing but odometry tells of a place, its drift may explain a false loop as well as a true one. One false
+Where only odometry constrains a place, its drift may explain a false loop as well as a true one. One false
 loop in exp(e) has a log likelihood ratio of e or more; how many false loops that makes follows from the best of
 those left out (an empirical null: Efron, JASA 2004). Kept loops are then tested together at a false discovery rate
 (Benjamini and Hochberg, JRSS B 1995): a few loops must be more certain than many.
@@ -21,7 +21,7 @@ _MAX_TRUE_LEFT_OUT = 0.02  # of the kept loops
 
 
 def not_significant(kept: Mask, false_positives: Array, rate: float = RATE) -> Mask:
-    """(L,) kept loops that cannot be told from chance.
+    """(L,) kept loops that may have been kept by chance.
 
     Args:
         kept: (L,) bool, the loops to test.

@@ -2,7 +2,7 @@
 
 A true loop differs from the pose that the other edges predict by an error of Student's distribution, a Gaussian whose
 covariance is not quite known. A false loop measures any pose within the extent of the map. The logarithm of the ratio
-of the two densities, in nats, asks more than a gate does: where the prediction is uncertain, agreement proves little.
+of the two densities, in nats, is stricter than a gate: where the prediction is uncertain, agreement is weak evidence.
 Derivation: docs/math.md.
 """
 
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 INLIER_QUANTILE = 1.0 - 1e-4  # share of true loops within the chi-square limit
 MIN_LOG_RATIO = 3.0  # nats: a true loop is twenty times as likely
 STUDENT_DOF = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
-_STUDENT_DOFS = STUDENT_DOF * 2.0 ** np.arange(0.0, 5.0)  # that the kept loops may turn out to have
+_STUDENT_DOFS = STUDENT_DOF * 2.0 ** np.arange(0.0, 5.0)  # candidates, for the errors of the kept loops
 # The farthest a true loop may lie: a quantile of the F distribution, or twice as far as one in a hundred of the
 # kept loops. Without an end Student's tail would let the volume of a large map make any loop true.
 _TAIL_DOF = 10.0
 _TAIL_PROBABILITY = 1e-4
 _MAX_TAIL_FACTOR = 4.0  # in chi-square: twice as far
 _SCALE_ITERATIONS = 10  # EM steps of Student's distribution
-_MAX_OWN_SHARE = 0.5  # of the information about a loop: others know as much as the loop itself
+_MAX_OWN_SHARE = 0.5  # of the information about a loop: the other loops have as much as the loop itself
 # The share that a fit leaves of a loop's covariance is a difference of nearly equal, sampled numbers near zero.
 _MIN_COVARIANCE_LEFT = 0.1
 _MIN_SIDE_VARIANCE = 1e-3  # of the thinnest side of a map, relative to the widest: a flat map has volume too
@@ -105,7 +105,7 @@ class LoopLikelihood:
 
     @cached_property
     def own_share(self) -> Array:
-        """(L,) smallest share, over directions, that a kept loop has in what is known about its relative pose."""
+        """(L,) smallest share, over directions, that a kept loop has in the information about its relative pose."""
         return np.asarray(self._shares[0][:, 0])
 
     @cached_property

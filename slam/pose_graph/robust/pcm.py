@@ -1,4 +1,4 @@
-"""Pairwise consistency maximisation: a large set of loops of which every two agree (Mangelson et al., ICRA 2018).
+"""Pairwise consistency maximisation: a large set of loops that agree pairwise (Mangelson et al., ICRA 2018).
 
 Two loops agree where the cycle through both of them and the poses between closes within its covariance. Sets
 are weighted by the likelihood ratios of their loops and grown greedily, so that many true loops win over a clique of

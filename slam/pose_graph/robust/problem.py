@@ -15,7 +15,7 @@ MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
 
 @dataclass(frozen=True)
 class LoopProblem:
-    """Trusted edges that connect all poses, and loops of which some may be false.
+    """Trusted edges that connect all poses, and loops, some of them possibly false.
 
     Attributes:
         trusted: edges such as odometry that are taken to be right; without them the graph falls apart.

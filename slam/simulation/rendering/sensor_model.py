@@ -58,11 +58,11 @@ class SensorModel:
         if self.config.ideal_sensor:
             return _quantize(light * np.float32(255.0 * gain))
         camera = self.config.camera
-        share = _SHUTTER_S * self.config.frame_rate
+        share = _SHUTTER_S * self.config.frame_rate_hz
         image = blur_motion(light, depth, (motion[:3] - np.eye(3, 4)) * share, intrinsics_of(camera))
         sigma = _DEFOCUS_PX * max(camera.width / _KITTI_WIDTH, 0.5)
         image = cv2.GaussianBlur(image, (0, 0), sigma) * self.vignette
-        if self.config.rectification_error or self.config.lens_error:
+        if self.config.rectification_error_px or self.config.lens_error_px:
             image = cv2.remap(image, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         grey = image * np.float32(255.0 * gain * (1.0, _RIGHT_GAIN)[self.side])
         noise = self.config.rng(10, frame, self.side).standard_normal(grey.shape, dtype=np.float32)
@@ -98,7 +98,7 @@ def _rectification_shifts(config: SimulationConfig, side: int, a: Array, b: Arra
     """Smooth shifts (2, H, W), pixels, up to half the rectification error; a and b run from -1 to 1 over the image."""
     terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, a * a * a])
     shifts = np.tensordot(config.rng(11, side).normal(size=(2, len(terms))), terms, axes=1)
-    peak = 0.5 * config.rectification_error * config.width / _KITTI_WIDTH
+    peak = 0.5 * config.rectification_error_px * config.width / _KITTI_WIDTH
     return np.asarray(shifts * peak / np.abs(shifts).max(axis=(1, 2), keepdims=True))
 
 
@@ -116,7 +116,7 @@ def _lens_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
     p, q = _DECENTERING * np.sin(angle), _DECENTERING * np.cos(angle)
     across = -squared * x + q * (squared + 2 * x * x) + 2 * p * x * y
     down = -squared * y + p * (squared + 2 * y * y) + 2 * q * x * y
-    return np.stack([across, down]) * (config.lens_error * config.width / _KITTI_WIDTH)
+    return np.stack([across, down]) * (config.lens_error_px * config.width / _KITTI_WIDTH)
 
 
 def exposure_gain(config: SimulationConfig, light: Image, time: float) -> float:

@@ -1,13 +1,12 @@
-"""The light that each pixel receives: textures, shadows, sun and sky, compiled.
+"""Shading: the light that each pixel receives from textures, shadows, sun and sky; compiled.
 
 An image row is shaded in passes over its samples: gather the visible surfaces, cast rays, paint, light, resolve. Each
 pass takes the arrays that it needs out of their tuples before its loop: taking one out counts references, which inside
 the loop costs more than the arithmetic.
 
-Texture filtering: the mean brightness of a texture under the footprint of a pixel, compiled.
-
-Textures are mip-mapped (Williams, Pyramidal parametrics, 1983) and sampled along the longer axis of the pixel's
-footprint, so that road and facades seen at a grazing angle neither flicker nor blur away.
+The brightness of a surface is the mean of its texture under the footprint of a pixel. Textures are mip-mapped
+(Williams, Pyramidal parametrics, 1983) and sampled along the longer axis of the footprint, so that road and facades
+seen at a grazing angle neither flicker nor blur away.
 """
 
 from typing import Any, NamedTuple
@@ -19,13 +18,29 @@ from numpy.typing import NDArray
 from slam.simulation.rendering.rasterizer import SAMPLE_X, SAMPLE_Y, SAMPLES
 
 Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
+Vector = tuple[float, float, float]
 
-_MAX_TAPS = 4.0  # samples along a footprint; a longer one is read from a coarser level
+# Columns of the material table.
+TEXTURE, DETAIL, DETAIL_U, DETAIL_V, DETAIL_STRENGTH, GLOSS, LEAF = range(7)
+# Columns of the table of triangle attributes: gradient of the texture coordinate u in space (3) and its value at the
+# origin, the same for v, unit normal (3), tint.
+U_GRADIENT, U_OFFSET, V_GRADIENT, V_OFFSET, NORMAL, TINT = 0, 3, 4, 7, 8, 11
+ATTRIBUTES = 12
+# Columns of the texture table.
+_POWER, _HAS_GLOSS, _START = range(3)
+_SKY = -1  # triangle of a sample that hits nothing
+_HAZE_LENGTH_M = 900.0  # distance after which 1/e of the contrast is left
+_SHADOW_BIAS_M = 0.12  # more than a cell of the shadow map, against surfaces that shadow themselves
+_MIN_COSINE = 0.02  # of the angle between view and normal: bounds the length of the footprint to 50 pixel widths
+_MIN_GLOSS = 0.02  # weaker reflections are invisible and cost a look at the sky
+# Shift of the detail texture per unit of tint: houses of the same front, which differ in tint, get different stains.
+_DETAIL_SHIFT = 37.0
+_MAX_TAPS = 4.0  # samples along a footprint; a longer footprint is read from a coarser level of the texture
 _MIN_BLEND = 0.05  # share of the coarser level below which it is not read, to save time
 
 
 class Footprint(NamedTuple):
-    """What a pixel covers of a texture, in tiles.
+    """Area of a texture that a pixel covers, in tiles.
 
     Attributes:
         u, v: centre.
@@ -39,92 +54,6 @@ class Footprint(NamedTuple):
     dv: float
     short: float
     long: float
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _bilinear(texels: Buffer, start: int, power: int, u: float, v: float) -> Any:
-    """Value 0..255 at (u, v) tiles of the square level that starts at `start`, 2^power wide."""
-    size = 1 << power
-    x, y = u * size - 0.5, v * size - 0.5
-    fx, fy = np.floor(x), np.floor(y)
-    ax, ay = np.float32(x - fx), np.float32(y - fy)
-    mask = size - 1
-    x0, y0 = np.int64(fx) & mask, np.int64(fy) & mask
-    x1 = (x0 + 1) & mask
-    below, above = start + (y0 << power), start + (((y0 + 1) & mask) << power)
-    a, b = np.float32(texels[below + x0]), np.float32(texels[below + x1])
-    c, d = np.float32(texels[above + x0]), np.float32(texels[above + x1])
-    low = a + ax * (b - a)
-    return low + ay * (c + ax * (d - c) - low)
-
-
-@njit(cache=True, error_model="numpy")
-def sample_anisotropic(texels: Buffer, start: int, power: int, footprint: Footprint) -> Any:
-    """Mean brightness 0..1 of a texture over a footprint, by several samples along the long axis.
-
-    Args:
-        texels: (B,) uint8, the levels of all textures one after the other.
-        start: index of the first texel of the texture's finest level.
-        power: binary logarithm of the side of the finest level.
-        footprint: what the pixel covers.
-    """
-    u, v, du, dv, short, long = footprint
-    blur = max(short, long / _MAX_TAPS) * (1 << power)
-    if blur <= 1.0:
-        return _bilinear(texels, start, power, u, v) / np.float32(255.0)
-    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
-    level = min(np.log2(blur), power - 0.001)
-    if taps > 2:
-        level = np.floor(level + 0.5)  # at grazing angles the seam between levels is hidden by the taps' own blur
-    whole = min(int(level), power - 1)
-    for _ in range(whole):
-        start += 1 << (2 * power)
-        power -= 1
-    part = np.float32(level - whole)
-    total = np.float32(0.0)
-    for k in range(taps):
-        t = (k + 0.5) / taps - 0.5
-        fine = _bilinear(texels, start, power, u + t * du, v + t * dv)
-        if part > _MIN_BLEND:
-            coarse = _bilinear(texels, start + (1 << (2 * power)), power - 1, u + t * du, v + t * dv)
-            fine += part * (coarse - fine)
-        total += fine
-    return total / np.float32(255.0 * taps)
-
-
-@njit(cache=True, error_model="numpy")
-def sample_isotropic(texels: Buffer, start: int, power: int, footprint: Footprint) -> Any:
-    """Brightness 0..1 of a texture by a single sample, at the level of the footprint's mean width.
-
-    Args: as of `sample_anisotropic`.
-    """
-    blur = np.sqrt(footprint.short * footprint.long) * (1 << power)
-    # Levels change half way between powers of two. There is no blending: details are too faint for a seam to show.
-    while blur > 1.41 and power > 0:
-        blur *= 0.5
-        start += 1 << (2 * power)
-        power -= 1
-    return _bilinear(texels, start, power, footprint.u, footprint.v) / np.float32(255.0)
-
-
-Vector = tuple[float, float, float]
-
-# Columns of the material table.
-TEXTURE, DETAIL, DETAIL_U, DETAIL_V, DETAIL_STRENGTH, GLOSS, LEAF = range(7)
-# Columns of the table of triangle attributes: gradient of the texture coordinate u in space (3) and its value at the
-# origin, the same for v, unit normal (3), tint.
-U_GRADIENT, U_OFFSET, V_GRADIENT, V_OFFSET, NORMAL, TINT = 0, 3, 4, 7, 8, 11
-ATTRIBUTES = 12
-# Columns of the texture table.
-_POWER, _HAS_GLOSS, _START = range(3)
-
-_SKY = -1  # triangle of a sample that hits nothing
-_HAZE_LENGTH_M = 900.0  # distance after which 1/e of the contrast is left
-_SHADOW_BIAS_M = 0.12  # more than a cell of the shadow map, against surfaces that shadow themselves
-_MIN_COSINE = 0.02  # of the angle between view and normal: bounds the length of the footprint to 50 pixel widths
-_MIN_GLOSS = 0.02  # weaker reflections are invisible and cost a look at the sky
-# Shift of the detail texture per unit of tint: houses of the same front, which differ in tint, get different stains.
-_DETAIL_SHIFT = 37.0
 
 
 class SampleBuffers(NamedTuple):
@@ -206,7 +135,7 @@ class Lighting(NamedTuple):
     shadow: ShadowMap
 
 
-class Samples(NamedTuple):
+class RowSamples(NamedTuple):
     """Samples of an image row, one for each triangle that a pixel shows.
 
     Attributes:
@@ -245,6 +174,76 @@ def _sky(panorama: Buffer, dx: float, dy: float, dz: float) -> float:
     return low * (1.0 - ay) + (panorama[y0 + 1, xa] * (1.0 - ax) + panorama[y0 + 1, xb] * ax) * ay
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _bilinear(texels: Buffer, start: int, power: int, u: float, v: float) -> Any:
+    """Value 0..255 at (u, v) tiles of the square level that starts at `start`, 2^power wide."""
+    size = 1 << power
+    x, y = u * size - 0.5, v * size - 0.5
+    fx, fy = np.floor(x), np.floor(y)
+    ax, ay = np.float32(x - fx), np.float32(y - fy)
+    mask = size - 1
+    x0, y0 = np.int64(fx) & mask, np.int64(fy) & mask
+    x1 = (x0 + 1) & mask
+    below, above = start + (y0 << power), start + (((y0 + 1) & mask) << power)
+    a, b = np.float32(texels[below + x0]), np.float32(texels[below + x1])
+    c, d = np.float32(texels[above + x0]), np.float32(texels[above + x1])
+    low = a + ax * (b - a)
+    return low + ay * (c + ax * (d - c) - low)
+
+
+@njit(cache=True, error_model="numpy")
+def sample_anisotropic(texels: Buffer, start: int, power: int, footprint: Footprint) -> Any:
+    """Mean brightness 0..1 of a texture over a footprint, by several samples along the long axis.
+
+    Args:
+        texels: (B,) uint8, the levels of all textures one after the other.
+        start: index of the first texel of the texture's finest level.
+        power: binary logarithm of the side of the finest level.
+        footprint: area of the texture that the pixel covers.
+    """
+    u, v, du, dv, short, long = footprint
+    blur = max(short, long / _MAX_TAPS) * (1 << power)
+    if blur <= 1.0:
+        return _bilinear(texels, start, power, u, v) / np.float32(255.0)
+    taps = max(1, int(min(_MAX_TAPS, long / max(short, 1e-9)) + 0.5))
+    level = min(np.log2(blur), power - 0.001)
+    if taps > 2:
+        level = np.floor(level + 0.5)  # at grazing angles the seam between levels is hidden by the taps' own blur
+    whole = min(int(level), power - 1)
+    for _ in range(whole):
+        start += 1 << (2 * power)
+        power -= 1
+    part = np.float32(level - whole)
+    total = np.float32(0.0)
+    for k in range(taps):
+        t = (k + 0.5) / taps - 0.5
+        fine = _bilinear(texels, start, power, u + t * du, v + t * dv)
+        if part > _MIN_BLEND:
+            coarse = _bilinear(texels, start + (1 << (2 * power)), power - 1, u + t * du, v + t * dv)
+            fine += part * (coarse - fine)
+        total += fine
+    return total / np.float32(255.0 * taps)
+
+
+@njit(cache=True, error_model="numpy")
+def sample_isotropic(texels: Buffer, start: int, power: int, footprint: Footprint) -> Any:
+    """Brightness 0..1 of a texture by a single sample, at the level of the footprint's mean width.
+
+    Args:
+        texels: (B,) uint8, as for `sample_anisotropic`.
+        start: index of the first texel of the finest level.
+        power: binary logarithm of the side of the finest level.
+        footprint: area of the texture that the pixel covers.
+    """
+    blur = np.sqrt(footprint.short * footprint.long) * (1 << power)
+    # Levels change half way between powers of two. There is no blending: details are too faint for a seam to show.
+    while blur > 1.41 and power > 0:
+        blur *= 0.5
+        start += 1 << (2 * power)
+        power -= 1
+    return _bilinear(texels, start, power, footprint.u, footprint.v) / np.float32(255.0)
+
+
 @njit(cache=True, error_model="numpy")
 def _count_equal(ids: tuple[int, int, int, int], k: int) -> int:
     """Number of samples of a pixel that show the triangle of sample k, or 0 if an earlier sample shows it too."""
@@ -258,7 +257,7 @@ def _count_equal(ids: tuple[int, int, int, int], k: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(y: int, buffers: SampleBuffers, samples: Samples) -> int:
+def _gather(y: int, buffers: SampleBuffers, samples: RowSamples) -> int:
     """List what row y shows, one sample for each distinct triangle of a pixel; return their number."""
     ids, near = buffers.triangle, buffers.inverse_depth
     triangle, pixel, share, depth = samples.triangle, samples.pixel, samples.share, samples.depth
@@ -288,7 +287,7 @@ def _gather(y: int, buffers: SampleBuffers, samples: Samples) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _cast_rays(n: int, view: Viewpoint, samples: Samples) -> None:
+def _cast_rays(n: int, view: Viewpoint, samples: RowSamples) -> None:
     """Fill in the rays of n samples and where they meet their triangles."""
     Q, center, position, depth = view.Q, view.center, samples.position, samples.depth
     direction, point = samples.direction, samples.point
@@ -346,7 +345,7 @@ def _footprint(direction: Vector, point: Vector, width: float, attributes: Buffe
 
 
 @njit(cache=True, error_model="numpy")
-def _paint(n: int, pixel_angle: float, surfaces: Surfaces, samples: Samples) -> None:
+def _paint(n: int, pixel_angle: float, surfaces: Surfaces, samples: RowSamples) -> None:
     """Fill in brightness and gloss of the surfaces that n samples show."""
     attributes, material, materials = surfaces.attributes, surfaces.material, surfaces.materials
     texels, gloss_texels, textures = surfaces.texels, surfaces.gloss, surfaces.textures
@@ -376,7 +375,7 @@ def _paint(n: int, pixel_angle: float, surfaces: Surfaces, samples: Samples) -> 
 
 @njit(cache=True, error_model="numpy")
 def _scale(footprint: Footprint, su: float, sv: float, shift: float) -> Footprint:
-    """Footprint in tiles of a detail texture, of which (su, sv) cover one tile of the material's texture."""
+    """Footprint in tiles of a detail texture; one tile of the material's texture has (su, sv) of them."""
     scale = max(su, sv)
     return Footprint(
         footprint.u * su + shift,
@@ -419,7 +418,7 @@ def _sky_light(ambient: float, z: float, nz: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: Samples) -> None:
+def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: RowSamples) -> None:
     """Turn the surface brightness of n samples into the light that reaches the camera."""
     attributes, material, materials = surfaces.attributes, surfaces.material, surfaces.materials
     to_sun, sun, ambient, haze, panorama, shadow = lighting
@@ -451,8 +450,8 @@ def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: Samples) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def _allocate_samples(count: int) -> Samples:
-    return Samples(
+def _allocate_samples(count: int) -> RowSamples:
+    return RowSamples(
         np.empty(count, np.int32),
         np.empty(count, np.int32),
         np.empty(count),
@@ -466,7 +465,7 @@ def _allocate_samples(count: int) -> Samples:
 
 
 @njit(cache=True, error_model="numpy")
-def _resolve(n: int, samples: Samples, image: Buffer, depth: Buffer) -> None:
+def _resolve(n: int, samples: RowSamples, image: Buffer, depth: Buffer) -> None:
     """Combine n samples to the pixels of an image row (W,): mean light, and depth of the nearest surface."""
     triangle, pixel, share, value, z = samples.triangle, samples.pixel, samples.share, samples.value, samples.depth
     image[:], depth[:] = 0.0, np.inf

@@ -1,4 +1,4 @@
-"""Configuration of a simulated dataset: every pixel follows from it."""
+"""Configuration of a simulated dataset: it determines every pixel."""
 
 import math
 from dataclasses import dataclass
@@ -23,21 +23,21 @@ class SimulationConfig:
 
     Attributes:
         shape: path of a lap: `circle`, `figure-eight`, `blocks`, or the name of a KITTI pose file whose plan is driven
-            (laps, length, lateral_offset and reverse then do not apply).
+            (laps, length_m, lateral_offset_m and reverse then do not apply).
         laps: number of laps, at least 1.
-        length: length of one lap, metres.
+        length_m: length of one lap, metres.
         seed: seed of the town, the car's sway and the camera's noise.
-        speed: speed of the car, metres per second.
-        frame_rate: stereo pairs per second.
+        speed_m_per_s: speed of the car, metres per second.
+        frame_rate_hz: stereo pairs per second.
         width, height: image size, pixels; intrinsics scale from KITTI's 1241 x 376.
-        lateral_offset: distance of later laps to the right of the first, metres.
+        lateral_offset_m: distance of later laps to the right of the first, metres.
         reverse: whether every second lap is driven in the opposite direction, in the other lane.
         change_illumination: whether later laps have another sun and sky.
         perceptual_aliasing: whether two streets, each a tenth of a lap, have houses of the same design in the same
             order and at the same distances; gardens, fences, awnings, posters, cars and trees still differ.
         cars_per_360m: oncoming cars on each 360 m, plus one car that drives ahead for a while; 0 for no cars.
-        rectification_error: peak difference between the images and their calibration, pixels at KITTI's size.
-        lens_error: distortion that the calibration has left, pixels at 45 degrees off the axis, at KITTI's size.
+        rectification_error_px: peak difference between the images and their calibration, pixels at KITTI's size.
+        lens_error_px: distortion that the calibration has left, pixels at 45 degrees off the axis, at KITTI's size.
             The values of real pairs, from which both defaults come: docs/decisions/simulation_rendering.md.
         max_frames: largest number of frames; 0 for the whole drive.
         ideal_sensor: whether to leave out noise, blur, vignetting, calibration errors, exposure changes and wind.
@@ -46,19 +46,19 @@ class SimulationConfig:
 
     shape: str = "circle"
     laps: int = 2
-    length: float = 360.0
+    length_m: float = 360.0
     seed: int = 0
-    speed: float = 10.0
-    frame_rate: float = 10.0
+    speed_m_per_s: float = 10.0
+    frame_rate_hz: float = 10.0
     width: int = _KITTI_WIDTH
     height: int = _KITTI_HEIGHT
-    lateral_offset: float = 0.0
+    lateral_offset_m: float = 0.0
     reverse: bool = False
     change_illumination: bool = False
     perceptual_aliasing: bool = False
     cars_per_360m: int = 6
-    rectification_error: float = 0.6
-    lens_error: float = 12.0
+    rectification_error_px: float = 0.6
+    lens_error_px: float = 12.0
     max_frames: int = 0
     ideal_sensor: bool = False
     depth: bool = False
@@ -75,9 +75,9 @@ class SimulationConfig:
                 raise ConfigError(f"{name} of a simulated drive: expected {low:g} to {high:g}, got {value:g}")
 
     @property
-    def spacing(self) -> float:
+    def spacing_m(self) -> float:
         """Distance between two frames, metres."""
-        return self.speed / self.frame_rate
+        return self.speed_m_per_s / self.frame_rate_hz
 
     @property
     def from_file(self) -> bool:
@@ -101,15 +101,15 @@ class SimulationConfig:
 
 _RANGES: tuple[tuple[str, float, float], ...] = (
     ("laps", 1, 1000),
-    ("length", 150.0, 20000.0),
+    ("length_m", 150.0, 20000.0),
     ("seed", 0, 2**31),
-    ("speed", 0.1, 40.0),
-    ("frame_rate", 0.1, 200.0),
+    ("speed_m_per_s", 0.1, 40.0),
+    ("frame_rate_hz", 0.1, 200.0),
     ("width", 32, 4096),
     ("height", 24, 4096),
-    ("lateral_offset", -1.5, 1.5),
+    ("lateral_offset_m", -1.5, 1.5),
     ("cars_per_360m", 0, 100),
-    ("rectification_error", 0.0, 5.0),
-    ("lens_error", -50.0, 50.0),
+    ("rectification_error_px", 0.0, 5.0),
+    ("lens_error_px", -50.0, 50.0),
     ("max_frames", 0, 10**7),
 )

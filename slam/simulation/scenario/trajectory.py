@@ -145,7 +145,7 @@ def plan_base_path(config: SimulationConfig) -> Polyline:
     if config.from_file:
         plan = read_plan(Path(config.shape))
         return resample(gaussian_filter1d(plan, 1.5, axis=0, mode="nearest"), False)
-    return {"circle": _circle, "figure-eight": _figure_eight, "blocks": _blocks}[config.shape](config.length)
+    return {"circle": _circle, "figure-eight": _figure_eight, "blocks": _blocks}[config.shape](config.length_m)
 
 
 def plan_full_path(config: SimulationConfig) -> tuple[Polyline, list[float]]:
@@ -170,9 +170,9 @@ def _later_lap(base: Polyline, config: SimulationConfig, lap: int, before: Array
     back = config.reverse and lap % 2 == 1
     distance_m = np.arange(len(base.points)) * STEP
     # After turning round, the car is as far off its lane to the other side.
-    start = 0.0 if lap == 1 else config.lateral_offset * (-1 if config.reverse else 1)
+    start = 0.0 if lap == 1 else config.lateral_offset_m * (-1 if config.reverse else 1)
     blend = np.clip(distance_m / _BLEND, 0, 1)
-    offset = start + (config.lateral_offset - start) * blend * blend * (3 - 2 * blend)
+    offset = start + (config.lateral_offset_m - start) * blend * blend * (3 - 2 * blend)
     if back:
         # The parallel line in the other lane, from the same point in the opposite direction.
         offset = -(2 * LANE + np.roll(offset[::-1], 1))
@@ -219,20 +219,20 @@ class SimulatedTrajectory:
 
 
 def plan_trajectory(config: SimulationConfig) -> SimulatedTrajectory:
-    """Place a frame every `config.spacing` metres along all laps."""
+    """Place a frame every `config.spacing_m` metres along all laps."""
     path, ends = plan_full_path(config)
-    count = int(np.floor(path.length_m / config.spacing + 0.01)) + 1
+    count = int(np.floor(path.length_m / config.spacing_m + 0.01)) + 1
     count = min(count, config.max_frames) if config.max_frames else count
-    distance_m = np.arange(count, dtype=np.float64) * config.spacing
+    distance_m = np.arange(count, dtype=np.float64) * config.spacing_m
     lap = np.minimum(np.searchsorted(ends, distance_m, side="right"), len(ends) - 1)
     positions, headings = path.interpolate(distance_m)
     poses = _camera_poses(positions, headings, _sway(config, count))
-    return SimulatedTrajectory(path, distance_m, lap, poses, np.arange(count) / config.frame_rate)
+    return SimulatedTrajectory(path, distance_m, lap, poses, np.arange(count) / config.frame_rate_hz)
 
 
 def _sway(config: SimulationConfig, count: int) -> Array:
     """Yaw, pitch and roll (rad) and height (m) that suspension and road add to a car's motion, (N, 4)."""
-    time = np.arange(count) / config.frame_rate
+    time = np.arange(count) / config.frame_rate_hz
     rng = config.rng(1)
     # (amplitude of yaw, pitch, roll in degrees and height in metres) at body, axle and slow frequencies,
     # hertz.

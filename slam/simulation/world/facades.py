@@ -51,7 +51,7 @@ def _wall(rng: np.random.Generator) -> Array:
 
 
 def _window_style(rng: np.random.Generator) -> tuple[float, float, str]:
-    """Half width and half height in texels, and what is beside the glass."""
+    """Half width and half height in texels, and the objects beside the glass."""
     return (
         float(rng.integers(42, 80)),
         float(rng.integers(70, 105)),

@@ -1,10 +1,7 @@
-"""Street furniture: lamps, signs, fences, railings and walls.
+"""Objects beside the street: lamps, signs, garden borders, trees, bushes and hedges.
 
-Each mesh stands on the origin; borders run along +x, metres.
-
-Trees, bushes and hedges: trunks, branches and some thousand sprays of leaves each.
-
-Prototypes stand on the origin; the town places turned, scaled and tinted copies.
+Prototypes stand on the origin, and borders run along +x, metres; the town places turned, scaled and tinted copies.
+Plants are trunks, branches and some thousand sprays of leaves each.
 """
 
 import numpy as np
@@ -159,6 +156,6 @@ def hedge(rng: np.random.Generator, length: float = 4.0, height: float = 1.3) ->
 
 
 def grove(rng: np.random.Generator) -> list[Mesh]:
-    """Grow the prototypes that the town draws its trees from: broadleaves, conifers, saplings."""
+    """Grow the prototypes of the town's trees: broadleaves, conifers, saplings."""
     broad = [broadleaf(rng, h, size=0.031 * h) for h in (6.0, 8.0, 9.5, 12.0)]
     return [*broad, conifer(rng), conifer(rng, 8.0), sapling(rng), sapling(rng)]

@@ -178,7 +178,7 @@ def _middle_line(image: Array, rng: np.random.Generator) -> None:
 
 
 def panorama(rng: np.random.Generator, columns: int = 4096) -> NDArray[np.float32]:
-    """Paint what is infinitely far, (columns / 2, columns): sky, clouds, wooded hills; ground below."""
+    """Paint the panorama (columns / 2, columns) at infinite distance: sky, clouds, wooded hills; ground below."""
     rows = columns // 2
     elevation = (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows) * 180.0
     sky = np.interp(elevation, [0, 6, 25, 90], [0.82, 0.74, 0.56, 0.42]).astype(np.float32)

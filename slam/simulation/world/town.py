@@ -1,4 +1,4 @@
-"""Builds the town around a trajectory: which mesh stands where. The path of the camera stays free."""
+"""Builds the town around a trajectory: places all meshes, and keeps the path of the camera free."""
 
 from dataclasses import dataclass, field
 
@@ -95,7 +95,7 @@ class TownBuilder:
     """Walks along all streets and fills both sides, plot by plot."""
 
     def __init__(self, config: SimulationConfig, trajectory: SimulatedTrajectory) -> None:
-        """Lay the streets and build the meshes of which copies are placed."""
+        """Lay the streets and build the meshes whose copies are placed."""
         self.config = config
         self.streets: Streets = lay_streets(plan_base_path(config), trajectory)
         self.plots = _Plots()

@@ -1,8 +1,7 @@
-"""Cars: extruded side outlines with glass, wheels, lamps and number plates.
+"""Cars and traffic: extruded side outlines with glass, wheels, lamps and number plates, and where they drive.
 
-A car stands on the origin, x forward, y left, z up, metres.
-
-Moving cars: oncoming ones in the other lane, and one that drives ahead for a while.
+A car stands on the origin, x forward, y left, z up, metres. Moving cars are oncoming ones in the other lane, and one
+that drives ahead for a while.
 """
 
 import numpy as np
@@ -33,16 +32,19 @@ _BODIES = {
             [(1.9, 1.15), (1.1, 2.0), (-2.35, 2.05), (-2.4, 1.3)]),
 }  # fmt: skip
 CAR_TYPES = tuple(_BODIES)
-_HALF_WIDTH = 0.87  # metres
+_HALF_WIDTH_M = 0.87
+_MAX_DISTANCE_M = 140.0  # along the path: cars farther away are not drawn
+_LAP_M = 360.0  # path length to which `cars_per_360m` refers
+_LEAD_M = 120.0  # a car drives ahead on every second stretch of this length
 
 
 def car(car_type: str, paint: float) -> Mesh:
     """Build a car of one of `CAR_TYPES`; paint is the brightness factor of its body."""
     body, cabin = (np.array(line) for line in _BODIES[car_type])
-    cabin_low, cabin_high = _HALF_WIDTH - 0.03, _HALF_WIDTH - 0.17
+    cabin_low, cabin_high = _HALF_WIDTH_M - 0.03, _HALF_WIDTH_M - 0.17
     across = np.interp(cabin[:, 1], [1.0, cabin[:, 1].max()], [cabin_low, cabin_high])
     parts = [
-        _extrude(body, np.full(len(body), _HALF_WIDTH), m.PAINT, paint),
+        _extrude(body, np.full(len(body), _HALF_WIDTH_M), m.PAINT, paint),
         _extrude(cabin, across, m.PAINT, paint),
     ]
     parts.append(_windows(cabin, across, car_type))
@@ -68,7 +70,7 @@ def _extrude(outline: Array, half_width: Array, material: int, tint: float) -> M
 
 
 def _windows(cabin: Array, across: Array, car_type: str) -> Mesh:
-    """Wind screen, rear window and side windows, a finger before the cabin's skin."""
+    """Windscreen, rear window and side windows, 1.5 cm before the cabin's skin."""
     (x0, z0), (x1, z1), (x2, z2), (x3, z3) = cabin
     parts = []
     for a, b in ((0, 1), (3, 2)):
@@ -105,10 +107,10 @@ def _wheel(x: float, side: int) -> Mesh:
         (0.06, 0.03, m.RUBBER, 0.3),
     ):
         ring = np.stack(
-            [x + radius * np.cos(a), np.full_like(a, side * (_HALF_WIDTH + out)), 0.32 + radius * np.sin(a)],
+            [x + radius * np.cos(a), np.full_like(a, side * (_HALF_WIDTH_M + out)), 0.32 + radius * np.sin(a)],
             1,
         )
-        centre = np.broadcast_to([x, side * (_HALF_WIDTH + out), 0.32], (12, 3))
+        centre = np.broadcast_to([x, side * (_HALF_WIDTH_M + out), 0.32], (12, 3))
         fan = np.stack([ring[:-1], ring[1:], centre], axis=1)
         parts.append(triangles(fan, fan[:, :, [0, 2]], material, tint))
     return merge_meshes(parts)
@@ -135,37 +137,32 @@ def fleet(rng: np.random.Generator, count: int = 14) -> list[Mesh]:
 
 
 def bin_and_box(rng: np.random.Generator) -> Mesh:
-    """Build a dust bin and a grey cabinet, as stand on pavements."""
+    """Build a dust bin and a grey cabinet on the pavement."""
     cabinet = boxes(np.array([[0.8, 0.0, 0.0]]), np.array([[1.9, 0.4, 1.1]]), m.METAL, float(rng.uniform(0.6, 1.2)))
     return merge_meshes([boxes(np.array([[0, 0, 0]]), np.array([[0.55, 0.6, 1.05]]), m.PAINT, 0.25), cabinet])
-
-
-_MAX_DISTANCE_M = 140.0  # along the path: cars farther away are not drawn
-_LAP_M = 360.0  # path length that `cars_per_360m` refers to
-_LEAD_M = 120.0  # a car drives ahead on every second stretch of this length
 
 
 class Traffic:
     """All moving cars of a dataset as functions of time."""
 
     def __init__(self, config: SimulationConfig, trajectory: SimulatedTrajectory, cars: list[Mesh]) -> None:
-        """Draw where each car is met and how fast it drives, at random."""
+        """Draw the meeting point, the speed and the kind of each car at random."""
         rng = config.rng(13)
         count = round(config.cars_per_360m * trajectory.path.length_m / _LAP_M)
         self.trajectory, self.config, self.cars = trajectory, config, cars
-        self.met_at = rng.uniform(0.0, max(trajectory.path.length_m, _LAP_M), count)
-        self.speeds = config.speed * rng.uniform(0.6, 1.3, count)
+        self.meeting_m = rng.uniform(0.0, max(trajectory.path.length_m, _LAP_M), count)
+        self.speeds_m_per_s = config.speed_m_per_s * rng.uniform(0.6, 1.3, count)
         self.kinds = rng.integers(0, len(cars), count + 1)
 
     def meshes_at(self, frame: int) -> list[Mesh]:
         """Return the cars around the camera at a frame, in the town frame."""
         distance_m = float(self.trajectory.distance_m[frame])
-        time = distance_m / self.config.speed
-        # A car that is met at s is at s when the camera is there, and approaches it before.
-        places = self.met_at - self.speeds * (time - self.met_at / self.config.speed)
-        seen = np.flatnonzero(np.abs(places - distance_m) < _MAX_DISTANCE_M)
-        out = [self._car_at(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in seen]
-        if len(self.met_at) and distance_m % (2 * _LEAD_M) < _LEAD_M:
+        time = distance_m / self.config.speed_m_per_s
+        # An oncoming car is at its meeting point at the moment when the camera is there.
+        places = self.meeting_m - self.speeds_m_per_s * (time - self.meeting_m / self.config.speed_m_per_s)
+        visible = np.flatnonzero(np.abs(places - distance_m) < _MAX_DISTANCE_M)
+        out = [self._car_at(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in visible]
+        if len(self.meeting_m) and distance_m % (2 * _LEAD_M) < _LEAD_M:
             ahead = (
                 16.0
                 + 9.0 * np.sin(distance_m / 25.0)

@@ -24,7 +24,7 @@ paradigms = ["pixel-sequences", "global-descriptor"]
 [[sources]]
 name = "street"
 simulate = "circle"
-length = 150
+length_m = 150
 width = 310
 height = 94
 max_frames = 8

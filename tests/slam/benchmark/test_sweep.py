@@ -23,7 +23,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
     lists = 'paradigms = ["tracked-words", "pixel-sequences"]\nrobust = ["gnc", "pcm+gnc"]\nseeds = [0, 7]\n'
-    two = '[[sources]]\npath = "kitti"\nsequence = "05"\n[[sources]]\nsimulate = "blocks"\nlaps = 2\nlength = 300\n'
+    two = '[[sources]]\npath = "kitti"\nsequence = "05"\n[[sources]]\nsimulate = "blocks"\nlaps = 2\nlength_m = 300\n'
     sweep = read_sweep(written(tmp_path, lists + two))
     jobs = make_jobs(sweep, tmp_path / "out")
     assert len({job.name for job in jobs}) == len(jobs) == 2 * 2 * 2 * 2
@@ -31,7 +31,7 @@ def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
     first, last = jobs[0], jobs[-1]
     assert first.name == "kitti-05.tracked-words.gnc.0"
     assert first.source == DatasetSpec(tmp_path / "kitti", "05")
-    assert last.name == "blocks-laps-2-length-300.pixel-sequences.pcm+gnc.7"
+    assert last.name == "blocks-laps-2-length_m-300.pixel-sequences.pcm+gnc.7"
     assert (last.config.paradigm, last.config.robust, last.config.seed) == ("pixel-sequences", "pcm+gnc", 7)
 
 
@@ -99,8 +99,8 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         (f'[[sources]]\nsimulate = "{999 * "x"}"', "simulate: expected a path"),
         ('config = "\\u0000"\n' + SOURCE, "config: expected a path"),
         (
-            '[[sources]]\nsimulate = "circle"\nlength = 1' + 400 * "0",
-            "length: expected a number, found one beyond all bounds",
+            '[[sources]]\nsimulate = "circle"\nlength_m = 1' + 400 * "0",
+            "length_m: expected a number, found one beyond all bounds",
         ),
         ('[[sources]]\nsimulate = "circle"\nlaps = 1' + 400 * "0", "int too large"),
     ],
@@ -116,7 +116,8 @@ words = st.text(max_size=8) | st.sampled_from(["circle", "kitti", "tracked-words
 things = st.none() | st.booleans() | st.integers() | st.just(10**400) | st.floats() | words
 recorded = st.fixed_dictionaries({"path": words}, optional=dict.fromkeys(["sequence", "format", "name"], words))
 simulated = st.fixed_dictionaries(
-    {"simulate": st.just("circle") | words}, optional=dict.fromkeys(["laps", "length", "seed", "clean", "name"], things)
+    {"simulate": st.just("circle") | words},
+    optional=dict.fromkeys(["laps", "length_m", "seed", "clean", "name"], things),
 )
 entries = st.lists(recorded | simulated | st.dictionaries(words, things, max_size=2) | things, max_size=3)
 sweeps = st.fixed_dictionaries(

@@ -17,7 +17,7 @@ from odometry import se3
 from slam.datasets.rectification import Rectification, rectify_pair
 from slam.io.trajectory import write_tum
 
-from .rig import RIGS, SIZE, Rig, Walls, way
+from .rig import RIGS, SIZE, Rig, Walls, rig_poses
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -28,7 +28,7 @@ TRUTH_RATE = 200.0
 
 @dataclass(frozen=True)
 class Taken:
-    """What a rig saw on its way.
+    """What a rig recorded along its path.
 
     Attributes:
         rig: the cameras.
@@ -58,7 +58,7 @@ class Taken:
 
 
 def taken(name: str, count: int = 5) -> Taken:
-    walls, poses = Walls(), way(count)
+    walls, poses = Walls(), rig_poses(count)
     return Taken(RIGS[name], poses, [walls.pair(RIGS[name], T) for T in poses])
 
 
@@ -67,9 +67,9 @@ T_BODY_LEFT = se3.pose(Rotation.from_euler("xyz", [10, -5, 90], degrees=True).as
 
 def write_euroc(root: Path, drive: Taken) -> Path:
     """EuRoC, its truth ten times as often as its images, and from a tenth of a second before to one after."""
-    eyes = ((drive.rig.left, T_BODY_LEFT), (drive.rig.right, T_BODY_LEFT @ drive.rig.T_left_right))
+    cameras = ((drive.rig.left, T_BODY_LEFT), (drive.rig.right, T_BODY_LEFT @ drive.rig.T_left_right))
     nanoseconds = [round(time * 1e9) for time in drive.times]
-    for camera, (lens, T_body_camera) in enumerate(eyes):
+    for camera, (lens, T_body_camera) in enumerate(cameras):
         folder = root / "mav0" / f"cam{camera}"
         (folder / "data").mkdir(parents=True)
         lines = ["#timestamp [ns],filename"] + [f"{t},{t}.png" for t in nanoseconds]

@@ -119,7 +119,7 @@ def seen_at(lens: CameraModel, points_camera: Array) -> Array:
     return cv2.projectPoints(points_camera, zero, zero, lens.K, D)[0].reshape(-1, 2)
 
 
-def way(count: int = 6) -> Array:
+def rig_poses(count: int = 6) -> Array:
     """Poses T_world_left (N, 4, 4) of a drive ahead that turns a little."""
     step, poses = turned((0.1, 0.6, 0.0), (0.02, 0.0, 0.15)), [turned((3.0, -4.0, 2.0), (1.0, 2.0, -0.5))]
     for _ in range(count - 1):

@@ -70,7 +70,7 @@ def test_stopping_early_ends_the_thread() -> None:
     assert threading.active_count() == before
 
 
-def test_an_empty_drive_gives_nothing() -> None:
+def test_an_empty_recording_gives_nothing() -> None:
     assert list(prefetch(Recorded(0))) == []
 
 

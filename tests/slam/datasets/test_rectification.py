@@ -62,7 +62,7 @@ def test_matches_of_rectified_images_lie_in_common_rows(name: str) -> None:
     assert 5.0 < np.percentile(depth, 10) < np.percentile(depth, 90) < 14.0
 
 
-def test_the_same_images_unrectified_do_not() -> None:
+def test_matches_of_unrectified_images_do_not_lie_in_common_rows() -> None:
     left, right = Walls().pair(RIGS["radtan"], np.eye(4))
     assert np.median(np.abs(match_displacements(left, right)[:, 1])) > 2.0
 
@@ -87,7 +87,7 @@ def test_the_axes_are_those_of_opencv_up_to_a_turn_about_the_baseline(name: str)
     assert mine[:, 2] @ R_view_left[2] > np.cos(np.radians(1.0))
 
 
-def test_one_camera_becomes_straight() -> None:
+def test_images_of_one_camera_are_undistorted() -> None:
     lens = RIGS["radtan"].left
     alone = rectify_parallel(lens, SIZE)
     image = alone.left(Walls().image(lens, np.eye(4)))
@@ -106,7 +106,7 @@ def test_one_camera_becomes_straight() -> None:
         (turned((0, 60, 0), (0.3, 0, 0)), "more than 45 degrees between them"),
     ],
 )
-def test_cameras_that_are_no_pair_are_refused(T_left_right: np.ndarray, message: str) -> None:
+def test_cameras_that_cannot_form_a_pair_are_refused(T_left_right: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rectify_pair(IDEAL.left, IDEAL.right, T_left_right, SIZE)
 
@@ -128,7 +128,7 @@ numbers = st.floats(-0.3, 0.3)
     coefficients=st.tuples(numbers, numbers, numbers, numbers),
     focal=st.floats(30.0, 2000.0),
 )
-def test_any_lens_is_undone_or_refused(model: str, coefficients: tuple[float, ...], focal: float) -> None:
+def test_any_distortion_is_undone_or_refused(model: str, coefficients: tuple[float, ...], focal: float) -> None:
     lens = CameraModel(focal, focal, 160.0, 120.0, model, coefficients)
     try:
         alone = rectify_parallel(lens, SIZE)

@@ -102,7 +102,7 @@ def test_a_pause_among_the_images_makes_the_truth_unknown_and_one_outside_does_n
     assert after.poses is not None
 
 
-def test_a_measurement_of_another_day_is_not_used() -> None:
+def test_ground_truth_of_another_day_is_not_used() -> None:
     result = interpolate_poses(np.arange(5.0), np.arange(5.0) + 1e6, steady(np.arange(5.0)))
     assert (result.poses, result.frames) == (None, slice(0, 5))
     assert "another time" in result.remark

@@ -49,7 +49,7 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     assert found.inliers[wrong].sum() <= 3  # by chance
 
 
-def test_the_covariance_tells_how_wrong_poses_are() -> None:
+def test_errors_of_the_pose_agree_with_its_covariance() -> None:
     scores = []
     for seed in range(150):
         T_base_camera, matches = scene(seed, noise_px=EXACT.sigma_px)
@@ -60,7 +60,7 @@ def test_the_covariance_tells_how_wrong_poses_are() -> None:
     assert 5.0 < np.mean(scores) < 7.0  # chi-square with 6 degrees of freedom; 150 of them: 6 +- 0.28
 
 
-def test_a_feature_found_twice_is_measured_once() -> None:
+def test_a_feature_with_two_matches_counts_as_one_measurement() -> None:
     T_base_camera, once = scene(3, noise_px=0.7)
     indices = np.tile(np.arange(len(once)), 2)
     twice = MapMatches(once.pixels[indices], once.points_base[indices], once.noise_base[indices], indices)

@@ -58,7 +58,7 @@ def test_a_folder_gives_a_table_and_a_file(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
-def test_a_name_that_is_no_text_is_refused(
+def test_a_file_name_with_invalid_characters_is_refused(
     map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     image = tmp_path / os.fsdecode(b"a\xff\n[b].png")
@@ -66,7 +66,7 @@ def test_a_name_that_is_no_text_is_refused(
     for images in (image, tmp_path):
         assert run(monkeypatch, "locate", map_path, images) == 1
         said = capsys.readouterr().err
-        assert "a? [b].png: expected a file name of characters" in said
+        assert "a? [b].png: expected a file name in Unicode" in said
         assert said.count("\n") == 1
 
 
@@ -94,7 +94,7 @@ def test_an_image_alone_gives_the_same_as_in_the_drive(
     assert alone | {"image": ""} == within | {"image": ""}
 
 
-def test_what_does_not_fit_is_said_in_one_line(
+def test_wrong_input_is_refused_in_one_line(
     map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "empty").mkdir()
@@ -112,7 +112,7 @@ def test_what_does_not_fit_is_said_in_one_line(
         assert words in said
         assert said.count("\n") == 1
     assert run(monkeypatch, "locate", tmp_path / "no.db", photos) == 1
-    assert "expected a map store, found none" in capsys.readouterr().err
+    assert "expected a map database, found none" in capsys.readouterr().err
 
 
 def test_another_camera_is_refused(

@@ -28,7 +28,7 @@ def image(drive: Path, frame: int) -> np.ndarray:
     return open_dataset(drive)[frame].left
 
 
-def test_images_of_the_next_lap_are_placed_where_they_were_taken(
+def test_images_of_the_next_lap_are_localized_where_they_were_taken(
     locator: Localizer, saved: SavedMap, circle_drive: Path, truth: np.ndarray
 ) -> None:
     fit = umeyama(saved.poses[:, :3, 3], truth[list(MAPPED), :3, 3])
@@ -44,14 +44,16 @@ def test_images_of_the_next_lap_are_placed_where_they_were_taken(
         assert np.degrees(np.linalg.norm(error[:3])) < 0.3
 
 
-def test_an_image_of_the_map_is_found_where_it_stands(locator: Localizer, saved: SavedMap, circle_drive: Path) -> None:
+def test_an_image_of_the_map_is_localized_at_its_own_pose(
+    locator: Localizer, saved: SavedMap, circle_drive: Path
+) -> None:
     found = locator.locate(image(circle_drive, MAPPED[20]))
     assert isinstance(found, LocalizationResult)
     T_there_found = se3.inverse(saved.poses[20]) @ found.T_world_camera
     assert np.linalg.norm(se3.log(T_there_found)) < 0.02
 
 
-def test_what_the_map_does_not_show_is_not_found(locator: Localizer, circle_drive: Path) -> None:
+def test_places_outside_the_map_are_not_localized(locator: Localizer, circle_drive: Path) -> None:
     shape = image(circle_drive, 0).shape
     noise = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
     strangers = [noise, np.zeros(shape, np.uint8), image(circle_drive, LAP + 5)[:, ::-1].copy()]
@@ -67,9 +69,7 @@ def test_features_of_another_kind_are_refused(saved: SavedMap, circle_drive: Pat
         Localizer(saved, Sift()).locate(image(circle_drive, 0))
 
 
-def test_an_answer_does_not_depend_on_what_was_asked_before(
-    locator: Localizer, saved: SavedMap, circle_drive: Path
-) -> None:
+def test_a_result_does_not_depend_on_earlier_images(locator: Localizer, saved: SavedMap, circle_drive: Path) -> None:
     asked = [locator.locate(image(circle_drive, frame)) for frame in (LAP + 20, LAP + 60)]
     anew = Localizer(saved, Surf()).locate(image(circle_drive, LAP + 60))
     assert isinstance(anew, LocalizationResult)

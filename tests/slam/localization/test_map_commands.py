@@ -35,10 +35,10 @@ def change(path: Path, statement: str, *values: object) -> None:
         connection.execute(statement, values)
 
 
-def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
+def test_the_summary_counts_the_rows(map_path: Path) -> None:
     summary = summarize(map_path)
     with MapDatabase.open(map_path) as store:
-        frames, candidates = list(store.frames()), list(store.candidates())
+        frames, candidates = list(store.frames()), list(store.loops())
     (drive,) = summary.sessions
     keys = [frame for frame in frames if frame.is_key_frame]
     assert (drive.frames, drive.key_frames) == (len(frames), len(keys))
@@ -53,7 +53,7 @@ def test_the_numbers_are_those_of_the_rows(map_path: Path) -> None:
     assert json.loads(as_json(summary))["sessions"][0]["versions"] == {"revisit-slam": "0"}
 
 
-def test_a_sound_map_serves_for_everything(map_path: Path) -> None:
+def test_a_sound_map_passes_every_check(map_path: Path) -> None:
     for path in (map_path, map_path.parent):
         assert is_map(path)
         inspection = inspect_map(path)
@@ -103,14 +103,14 @@ UNTRUE: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "session",
     ),
     "an answer about nothing": (
-        lambda path: change(path, "UPDATE candidate SET query = 999 WHERE number = 0"),
+        lambda path: change(path, "UPDATE loop SET query = 999 WHERE number = 0"),
         "loops",
         "found 999",
     ),
     "a lost column": (
-        lambda path: change(path, "ALTER TABLE candidate DROP COLUMN weight"),
+        lambda path: change(path, "ALTER TABLE loop DROP COLUMN weight"),
         "tables",
-        "candidate.weight",
+        "loop.weight",
     ),
     "settings of another kind": (lambda path: change(path, "UPDATE session SET camera = '[1]'"), "drives", "damaged"),
     "no drive": (lambda path: change(path, "DELETE FROM session"), "drives", "expected a drive, found none"),
@@ -118,7 +118,7 @@ UNTRUE: dict[str, tuple[Callable[[Path], None], str, str]] = {
 
 
 @pytest.mark.parametrize("fault", UNTRUE)
-def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
+def test_impossible_values_are_found(damaged: Path, fault: str) -> None:
     harm, topic, words = UNTRUE[fault]
     assert faults(damaged) == {}
     harm(damaged)
@@ -126,9 +126,9 @@ def test_what_cannot_be_true_is_found(damaged: Path, fault: str) -> None:
     assert MapUse.LOCATE not in inspect_map(damaged).possible_uses
 
 
-def test_a_damaged_checkpoint_forbids_no_more_than_going_on(damaged: Path) -> None:
-    change(damaged, "UPDATE piece SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
-    assert "piece of the checkpoint" in faults(damaged)["checkpoint"]
+def test_a_damaged_checkpoint_prevents_resuming_only(damaged: Path) -> None:
+    change(damaged, "UPDATE chunk SET bytes = zeroblob(length(bytes)) WHERE rowid = 2")
+    assert "chunk of the checkpoint" in faults(damaged)["checkpoint"]
     assert inspect_map(damaged).possible_uses == (MapUse.LOCATE,)
 
 
@@ -142,12 +142,12 @@ NO_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda path: (path.unlink(), change(path, "CREATE TABLE mine (x)")),
         "found another SQLite database",
     ),
-    "another version": (lambda path: change(path, "PRAGMA user_version = 99"), "expected a map store of version"),
+    "another version": (lambda path: change(path, "PRAGMA user_version = 99"), "expected a map database of version"),
 }
 
 
 @pytest.mark.parametrize("kind", NO_MAPS)
-def test_what_is_no_map_is_told_in_a_line(damaged: Path, kind: str) -> None:
+def test_files_that_are_no_map_are_refused_in_one_line(damaged: Path, kind: str) -> None:
     harm, words = NO_MAPS[kind]
     harm(damaged)
     path = damaged / "map.db" if damaged.is_dir() else damaged
@@ -190,7 +190,7 @@ def test_a_map_on_a_disk_that_nobody_can_write_to_is_read(damaged: Path, monkeyp
             writer.delete_loops_from(0)
         monkeypatch.setattr("os.access", lambda path, mode: False)
         with MapDatabase.open(damaged) as store:
-            assert store.count("candidate") == 0  # what still waits in the log is read
+            assert store.count("loop") == 0  # what still waits in the log is read
 
 
 def test_commands_print_a_table_or_json(

@@ -29,7 +29,7 @@ def hypothesis(image: int, agreeing: range, sigma_m: float = 0.05, aside_m: floa
     return Hypothesis(image, image, np.array(agreeing), pose)
 
 
-def test_what_agrees_everywhere_is_believed(saved: SavedMap, features: LocalFeatures) -> None:
+def test_a_pose_that_explains_the_image_is_accepted(saved: SavedMap, features: LocalFeatures) -> None:
     assert rejection_reason(hypothesis(3, range(100)), [], features, saved, CONFIG) is None
 
 
@@ -42,15 +42,13 @@ def test_what_agrees_everywhere_is_believed(saved: SavedMap, features: LocalFeat
         (replace(hypothesis(3, range(100)), pose=None), "no pose"),
     ],
 )
-def test_what_speaks_against_a_pose_is_said(
+def test_the_reason_for_rejecting_a_pose_is_given(
     saved: SavedMap, features: LocalFeatures, found: Hypothesis, words: str
 ) -> None:
     assert words in rejection_reason(found, [], features, saved, CONFIG)
 
 
-def test_another_place_counts_where_it_is_elsewhere_and_explains_as_much(
-    saved: SavedMap, features: LocalFeatures
-) -> None:
+def test_a_rival_is_a_distant_place_that_explains_as_much(saved: SavedMap, features: LocalFeatures) -> None:
     best = hypothesis(3, range(100))
     beside, weak, strong = hypothesis(4, range(95)), hypothesis(30, range(40)), hypothesis(30, range(95))
     assert rejection_reason(best, [beside, weak], features, saved, CONFIG) is None
@@ -63,7 +61,7 @@ def test_another_place_counts_where_it_is_elsewhere_and_explains_as_much(
     assert "elsewhere" in rejection_reason(best, [moved], features, saved, CONFIG)
 
 
-def test_the_share_explained_is_what_lies_near(features: LocalFeatures) -> None:
+def test_the_explained_fraction_counts_features_near_inliers(features: LocalFeatures) -> None:
     spacing = float(features.pixels[1, 0] - features.pixels[0, 0])
     assert explained_fraction(features, hypothesis(0, range(10, 11)), 2.5 * spacing) == pytest.approx(0.05)
     assert explained_fraction(features, hypothesis(0, range(0, 100, 5)), 2.5 * spacing) == pytest.approx(0.98)

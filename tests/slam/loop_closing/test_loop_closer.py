@@ -96,7 +96,7 @@ def test_a_loop_is_closed_with_the_right_pose() -> None:
     assert 100 < answer.inliers <= answer.matches
 
 
-def test_the_covariance_is_honest() -> None:
+def test_errors_of_the_relative_pose_agree_with_its_covariance() -> None:
     nees = []
     for seed in range(25):
         config = LoopCloserConfig(relative_pose=UNBIASED)
@@ -237,7 +237,7 @@ def test_the_same_images_give_the_same_bits() -> None:
     assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
-def test_a_frame_that_was_not_added_is_named() -> None:
+def test_the_error_for_a_frame_that_was_not_added_names_it() -> None:
     with pytest.raises(ValueError, match="expected a frame that was added, got 4"):
         closer_over(world(), [np.eye(4)]).verify(4, 0)
 
@@ -302,7 +302,7 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.0, 1.7])
-def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(scale: float) -> None:
+def test_a_loop_of_one_camera_measures_the_relative_scale(scale: float) -> None:
     """The query's depths are in a unit of its own: the loop is in that of the match, with the ratio of the two."""
     scene = world()
 
@@ -319,7 +319,7 @@ def test_the_unit_of_one_cameras_depths_is_compared_with_the_loop(scale: float) 
     assert loop.scale.sigma < 0.05
 
 
-def test_units_of_places_that_are_not_the_same_are_not_compared() -> None:
+def test_no_scale_is_measured_between_different_places() -> None:
     rng = np.random.default_rng(4)
     one, other = (rng.uniform([-10, -4, 4], [10, 2, 40], (4, 3)) for _ in range(2))
     assert estimate_relative_scale(CAMERA, one, other, RelativePoseConfig()) == UNIT_SCALE

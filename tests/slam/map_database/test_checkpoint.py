@@ -26,7 +26,7 @@ NESTED = st.recursive(
 
 
 @given(NESTED)
-def test_plain_states_come_back(state: Any):
+def test_plain_states_are_restored(state: Any):
     back = there_and_back(state)
     assert back == state
     assert repr(back) == repr(state)  # -0.0 and 0, True and 1
@@ -37,14 +37,14 @@ def test_plain_states_come_back(state: Any):
         st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_, np.complex64]), hnp.array_shapes()
     )
 )
-def test_arrays_come_back_to_the_bit(array: np.ndarray):
+def test_arrays_are_restored_bit_for_bit(array: np.ndarray):
     for one in (array, np.asfortranarray(array), array[::-1]):
         back = there_and_back({"array": one})["array"]
         assert back.dtype == one.dtype
         assert back.tobytes() == one.tobytes()
 
 
-def test_numbers_that_json_does_not_know_come_back():
+def test_numbers_outside_json_are_restored():
     back = there_and_back([math.nan, math.inf, -math.inf, np.float32(0.1), np.float64(0.1)])
     assert math.isnan(back[0])
     assert back[1:3] == [math.inf, -math.inf]
@@ -57,7 +57,7 @@ def test_tuples_come_back_as_lists():
 
 
 @pytest.mark.parametrize("strange", [{1: 2}, {1, 2}, object(), b"bytes", {"inner": [range(3)]}])
-def test_what_is_no_plain_state_is_refused(strange: Any):
+def test_objects_that_are_no_plain_state_are_refused(strange: Any):
     with pytest.raises(TypeError, match="expected plain values, arrays, lists and dicts with text keys"):
         serialize(strange)
 

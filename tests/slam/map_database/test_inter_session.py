@@ -82,7 +82,7 @@ def test_the_recogniser_of_the_map_counts_all_images_and_all_of_the_path():
     assert inner.asked == [(47, 1002.5)]
 
 
-def test_a_match_in_the_session_is_handed_on_in_its_numbers():
+def test_a_match_in_the_session_has_the_numbers_of_the_session():
     beliefs, recognizer, closer = observed(Belief(46, 42, 9.0, accepted=True))
     assert beliefs == [Belief(6, 2, 9.0, accepted=True)]
     assert closer.asked == []  # the system verifies it
@@ -144,7 +144,7 @@ def test_records_come_back_from_the_map_in_the_numbers_of_the_session():
 
 @pytest.mark.parametrize("geometry", [None, Rejection("no"), closure(9, 2)])
 @pytest.mark.parametrize("first", [0, FIRST])
-def test_a_loop_goes_into_the_map_and_back(geometry: LoopClosure | Rejection | None, first: int):
+def test_a_loop_is_written_into_the_map_and_restored(geometry: LoopClosure | Rejection | None, first: int):
     candidate = LoopCandidate(Belief(9, 2, 4.0, accepted=geometry is not None), geometry, None)
     record = loop_in_map(candidate, first + 11, first)
     back = loop_in_session(record, first)

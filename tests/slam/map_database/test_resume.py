@@ -84,7 +84,7 @@ def said(log: RunLog) -> list[tuple[object, ...]]:
 
 
 @pytest.mark.parametrize("paradigm", PARADIGMS)
-def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_path: Path, paradigm: str):
+def test_a_session_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_path: Path, paradigm: str):
     config = RunConfig(paradigm=paradigm)
     whole = drive_on(drive, config, NullSessionRecorder())
     for stop in (45, 110):
@@ -106,7 +106,7 @@ def test_a_drive_that_stopped_twice_ends_with_the_same_bits(drive: Every, tmp_pa
         )
 
 
-def test_one_camera_goes_on_with_the_same_bits(circle_drive: Path, tmp_path: Path):
+def test_a_resumed_run_with_one_camera_gives_the_same_bits(circle_drive: Path, tmp_path: Path):
     drive, config = Every(open_dataset(DatasetSpec(circle_drive)), 1), RunConfig(mono=True)
     first = Every(replace_length(drive.drive, 70), 1)
     whole = drive_on(first, config, NullSessionRecorder())
@@ -131,7 +131,7 @@ def replace_length(drive: Dataset, frames: int) -> Dataset:
     return Shorter()  # type: ignore[return-value]
 
 
-def test_every_frame_comes_back_as_it_was(drive: Every, tmp_path: Path):
+def test_every_frame_is_restored(drive: Every, tmp_path: Path):
     config, seen = RunConfig(), []
 
     class Spy(MapSessionRecorder):
@@ -163,24 +163,25 @@ def test_a_transaction_that_fails_leaves_nothing(drive: Every, tmp_path: Path):
     config = RunConfig()
     with kept(tmp_path / "map.db", drive, config) as (store, recorder):
         drive_on(drive, config, recorder, 20)
-        answers = store.count("candidate")
+        answers = store.count("loop")
         with contextlib.suppress(RuntimeError), store.writing():
             store.delete_loops_from(0)
-            assert store.count("candidate") == 0
+            assert store.count("loop") == 0
             raise RuntimeError
-        assert store.count("candidate") == answers > 0
+        assert store.count("loop") == answers > 0
         with pytest.raises(OutputError, match="cannot be written"), store.writing():
             store.add_frame(next(store.frames()), 0)  # there is one of this number
         assert store.images() == 20
 
 
 @pytest.mark.parametrize(("table", "column"), [("frame", "reason"), ("session", "camera"), ("landmark", "grey")])
-def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
+def test_a_missing_column_is_reported_in_one_line(drive: Every, tmp_path: Path, table: str, column: str):
     config, path = RunConfig(paradigm="global-descriptor"), tmp_path / "map.db"
     with kept(path, drive, config) as (store, recorder):
         drive_on(drive, config, recorder, 3)
         store._connection.execute(f"ALTER TABLE {table} RENAME COLUMN {column} TO damaged")
-    with MapDatabase.open(path) as store, pytest.raises(DataError, match="expected a map store, found a damaged one"):
+    fault = "expected a map database, found a damaged one"
+    with MapDatabase.open(path) as store, pytest.raises(DataError, match=fault):
         _ = store.sessions(), list(store.frames())
 
 
@@ -188,7 +189,7 @@ def test_a_column_of_another_name_is_told_in_one_line(drive: Every, tmp_path: Pa
     ("change", "found"),
     [
         ("UPDATE checkpoint SET structure = replace(structure, 'history', 'other')", "the structure of the checkpoint"),
-        ("UPDATE piece SET bytes = zeroblob(length(bytes))", "a piece of the checkpoint"),
+        ("UPDATE chunk SET bytes = zeroblob(length(bytes))", "a chunk of the checkpoint"),
         ("DELETE FROM checkpoint_array WHERE number = 0", "IndexError"),
     ],
 )

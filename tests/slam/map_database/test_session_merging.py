@@ -73,7 +73,7 @@ def test_a_second_lap_ends_in_the_frame_of_the_first(circle_drive: Path, first: 
     assert (first / "map.db").read_bytes() == before
 
 
-def test_drives_that_never_meet_stay_apart(circle_drive: Path, first: Path, tmp_path: Path):
+def test_sessions_without_common_places_are_not_merged(circle_drive: Path, first: Path, tmp_path: Path):
     source = part_of(circle_drive, tmp_path / "drive", 0, 120, mirrored=True)
     metrics = run(source, tmp_path / "run", first)
     alone = run(source, tmp_path / "alone")
@@ -88,7 +88,7 @@ def test_drives_that_never_meet_stay_apart(circle_drive: Path, first: Path, tmp_
     assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
-def test_only_the_same_recogniser_and_camera_go_on(circle_drive: Path, first: Path, tmp_path: Path):
+def test_a_session_needs_the_recogniser_and_the_camera_of_its_map(circle_drive: Path, first: Path, tmp_path: Path):
     source = part_of(circle_drive, tmp_path / "drive", 0, 20)
     with pytest.raises(ConfigError, match="expected the recogniser that made"):
         run(source, tmp_path / "out", first, paradigm="global-descriptor")
@@ -96,7 +96,7 @@ def test_only_the_same_recogniser_and_camera_go_on(circle_drive: Path, first: Pa
     calibration.write_text(calibration.read_text().replace("P1: 3", "P1: 4", 1).replace("P0: 3", "P0: 4", 1))
     with pytest.raises(DataError):
         run(source, tmp_path / "out", first)
-    with pytest.raises(DataError, match="expected a map store, found none"):
+    with pytest.raises(DataError, match="expected a map database, found none"):
         run(source, tmp_path / "out", tmp_path / "nothing.db")
 
 
@@ -109,7 +109,7 @@ def loops(
     ]
 
 
-def test_where_drives_meet_is_what_most_loops_say():
+def test_sessions_are_aligned_by_the_majority_of_loops():
     known = np.array([se3.exp(np.array([0, 0.02 * k, 0, 0, 0, 1.0 * k])) for k in range(60)])
     own = np.array([se3.exp(np.array([0, -0.01 * k, 0, 0, 0, 0.8 * k])) for k in range(60)])
     true = se3.exp(np.array([0.1, 1.2, -0.1, 30.0, 2.0, -15.0]))

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 
 from odometry.camera import StereoCamera
 from place_recognition.growing_array import SpillFile
+from slam import run_log
 from slam.cli import app
 from slam.errors import OutputError
 from slam.io.metrics import read_metrics
@@ -50,7 +51,7 @@ def only_line(capsys: pytest.CaptureFixture[str]) -> str:
     return line
 
 
-def test_a_recording_that_goes_midway_is_named_and_the_earlier_run_stays(
+def test_the_error_for_a_dataset_that_disappears_names_it_and_keeps_the_earlier_run(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drive, out, driven = shutil.copytree(recording, tmp_path / "drive"), tmp_path / "out", []
@@ -61,7 +62,7 @@ def test_a_recording_that_goes_midway_is_named_and_the_earlier_run_stays(
         driven.append(processed)
         shutil.rmtree(drive, ignore_errors=True)
 
-    monkeypatch.setattr(pipeline, "note", pull_out_the_disk)
+    monkeypatch.setattr(pipeline, "log_frame", pull_out_the_disk)
     assert revisit(drive, "--out", out, "--no-record", "--overwrite") == 1
     assert 0 < len(driven) < FRAMES
     assert only_line(capsys).endswith(
@@ -89,7 +90,7 @@ def disk_of(free: int) -> Callable[[object], tuple[int, int, int]]:
     return lambda _folder: usage._replace(free=free)
 
 
-def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
+def test_without_room_for_the_recording_the_run_goes_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert revisit(recording, "--out", tmp_path / "whole", "--no-map") == 0
@@ -102,7 +103,7 @@ def test_a_recording_for_which_there_is_no_room_costs_nothing_but_itself(
     assert read_metrics(tmp_path / "out" / "metrics.json")["frames"] == FRAMES
 
 
-def test_a_disk_that_fills_up_ends_the_recording_and_what_there_is_can_be_read(
+def test_a_full_disk_ends_the_recording_and_its_beginning_can_be_read(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     free = iter([2, 2, 2, 2])  # of the reserve: at the start, then for each frame
@@ -149,15 +150,15 @@ def test_other_errors_of_the_system_keep_their_traceback() -> None:
 
 
 def test_a_log_that_finds_no_room_does_not_end_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with largest_file(2000), pipeline.log_to_file(tmp_path / "run.log"):
+    with largest_file(2000), run_log.log_to_file(tmp_path / "run.log"):
         for _ in range(100):
-            pipeline.log.info("frame 1: motion predicted")
+            run_log.log.info("frame 1: motion predicted")
     assert (tmp_path / "run.log").stat().st_size <= 2000
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("out", ["file/out", 300 * "x", "nobody/out"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_drive(
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str
 ) -> None:
     (tmp_path / "file").write_text("")

@@ -48,7 +48,7 @@ def test_another_thread_extracts_the_same_features(circle_drive: Path, name: str
         assert same(frame.features, extractor.extract(frame.left))
 
 
-def test_features_that_are_there_are_not_extracted_again(circle_drive: Path):
+def test_existing_features_are_not_extracted_again(circle_drive: Path):
     extractor = CountingExtractor(make_extractor("surf"))
     frame = open_kitti(circle_drive)[0].with_features(extractor)
     assert frame.with_features(extractor) is frame
@@ -56,7 +56,7 @@ def test_features_that_are_there_are_not_extracted_again(circle_drive: Path):
 
 
 @pytest.mark.parametrize("ahead", [True, False], ids=["read ahead", "in the system"])
-def test_every_image_is_described_once_for_all_stages(circle_drive: Path, ahead: bool):
+def test_features_of_an_image_are_extracted_once_for_all_stages(circle_drive: Path, ahead: bool):
     dataset, config = open_kitti(circle_drive), RunConfig(paradigm="tracked-words")
     expected = Slam(build_components(dataset.camera, config))
     slam = Slam(build_components(dataset.camera, config))

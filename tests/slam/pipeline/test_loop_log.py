@@ -19,34 +19,36 @@ def closure(query: int, match: int) -> LoopClosure:
 
 
 def optimized(*kept: bool) -> OptimizationResult:
-    verdicts = np.array(kept, dtype=bool)
+    decisions = np.array(kept, dtype=bool)
     reasons = tuple("kept" if keep else "left out" for keep in kept)
     residuals = np.full(len(kept), 1.5)
-    return OptimizationResult(np.eye(4)[None], verdicts * 1.0, residuals, verdicts, reasons, 2.0, 1.0, 0.1, np.ones(1))
+    return OptimizationResult(
+        np.eye(4)[None], decisions * 1.0, residuals, decisions, reasons, 2.0, 1.0, 0.1, np.ones(1)
+    )
 
 
-def ledger(*candidates: LoopCandidate, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
+def log_rows(*candidates: LoopCandidate, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
     return loop_rows(candidates, optimized(*kept), lambda query, match, closure: None)
 
 
 def test_a_belief_without_a_match_has_no_row():
-    assert ledger(LoopCandidate(Belief(3, None, 0.0, False), None, None)) == ()
+    assert log_rows(LoopCandidate(Belief(3, None, 0.0, False), None, None)) == ()
 
 
 def test_a_belief_that_was_not_accepted_says_why():
-    (low,) = ledger(LoopCandidate(Belief(9, 1, 2.5, False), None, None))
-    (unproved,) = ledger(LoopCandidate(Belief(9, 1, 20.0, False, inliers=5, verified=False), None, None))
+    (low,) = log_rows(LoopCandidate(Belief(9, 1, 2.5, False), None, None))
+    (unverified,) = log_rows(LoopCandidate(Belief(9, 1, 20.0, False, inliers=5, verified=False), None, None))
     assert low.reason == "not accepted: score 2.5 is below the recogniser's threshold"
-    assert unproved.reason == "not accepted: 5 matches agree with one epipolar geometry, too few"
+    assert unverified.reason == "not accepted: 5 matches agree with one epipolar geometry, too few"
 
 
-def test_a_rejection_hands_on_its_numbers_and_its_reason():
-    (row,) = ledger(LoopCandidate(Belief(9, 1, 20.0, True), Rejection("too far", 12, 7), None))
+def test_the_row_of_a_rejection_has_its_numbers_and_its_reason():
+    (row,) = log_rows(LoopCandidate(Belief(9, 1, 20.0, True), Rejection("too far", 12, 7), None))
     assert (row.matches, row.inliers, row.verified, row.reason) == (12, 7, False, "too far")
 
 
-def test_each_closure_gets_its_own_verdict_though_others_failed_in_between():
-    rows = ledger(
+def test_each_closure_has_its_own_decision_though_others_failed_in_between():
+    rows = log_rows(
         LoopCandidate(Belief(8, 1, 20.0, True), closure(8, 1), PASSED),
         LoopCandidate(Belief(9, 2, 20.0, True), Rejection("no"), None),
         LoopCandidate(Belief(10, 3, 20.0, True), closure(10, 3), PASSED),
@@ -57,12 +59,12 @@ def test_each_closure_gets_its_own_verdict_though_others_failed_in_between():
     assert all(row.verified == (row.query != 9) for row in rows)
 
 
-def test_rows_are_in_the_order_of_the_queries_however_late_the_answer_came():
+def test_rows_are_sorted_by_query_also_where_answers_come_late():
     late, early = Belief(4, 0, 1.0, False), Belief(9, 1, 1.0, False)
-    assert [row.query for row in ledger(LoopCandidate(early, None, None), LoopCandidate(late, None, None))] == [4, 9]
+    assert [row.query for row in log_rows(LoopCandidate(early, None, None), LoopCandidate(late, None, None))] == [4, 9]
 
 
-def test_the_judge_sees_the_measured_pose_of_a_closure():
+def test_ground_truth_is_compared_with_the_measured_pose_of_a_closure():
     seen = []
     candidate = LoopCandidate(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
     loop_rows([candidate], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
@@ -77,7 +79,7 @@ def candidates() -> list[LoopCandidate]:
     ]
 
 
-def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
+def test_stage_rows_have_the_relative_pose_and_the_gate_of_each_closure():
     late, first, refused = stage_rows(candidates(), [GATE, GATE])
     assert [row.query for row in (late, first, refused)] == [7, 8, 9]
     assert first.epipolar_inliers == 30
@@ -86,7 +88,7 @@ def test_stages_hand_on_the_relative_pose_and_the_gate_of_each_closure():
     assert np.isnan(refused.x_m)
 
 
-def test_events_name_their_loop_and_keep_their_order():
+def test_events_have_their_loop_and_keep_their_order():
     history = [LoopEvent(8, 0, False, "waits"), LoopEvent(9, 1, True, "joined"), LoopEvent(9, 0, True, "joined")]
     assert event_rows(candidates(), history) == (
         LoopEventRow(7, 3, 9, True, "joined"),
@@ -100,13 +102,13 @@ def test_a_belief_without_a_match_has_no_stages():
     assert stage_rows([LoopCandidate(Belief(3, None, 0.0, False), None, None)], []) == ()
 
 
-def test_matches_are_handed_on_of_closures_and_rejections_alike():
+def test_matched_pixels_are_those_of_closures_and_rejections_alike():
     here, there = np.float32([[1, 2], [3, 4]]), np.float32([[5, 6], [7, 8]])
-    proved = LoopClosure(8, 1, np.eye(4), np.eye(6), 2, 60, here, there)
+    verified = LoopClosure(8, 1, np.eye(4), np.eye(6), 2, 60, here, there)
     candidates = [
         LoopCandidate(Belief(6, None, 0.0, False), None, None),
         LoopCandidate(Belief(7, 0, 1.0, False), None, None),
-        LoopCandidate(Belief(8, 1, 20.0, True, pixels=np.hstack([there, here])), proved, PASSED),
+        LoopCandidate(Belief(8, 1, 20.0, True, pixels=np.hstack([there, here])), verified, PASSED),
         LoopCandidate(Belief(9, 2, 20.0, True), Rejection("no", 30, 2, there, here), None),
     ]
     for geometry in (None, Rejection("no pose", 30)):  # then what the recogniser saw is shown

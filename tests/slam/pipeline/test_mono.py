@@ -76,7 +76,7 @@ def test_every_loop_has_a_reason_and_there_is_a_map(run: Path):
         assert (run / name).stat().st_size > 1000
 
 
-def test_the_settings_written_say_mono(run: Path):
+def test_the_written_settings_have_mono(run: Path):
     assert read_config(run / "config.toml").mono
 
 

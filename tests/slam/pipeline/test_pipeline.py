@@ -100,7 +100,7 @@ def test_there_is_one_pose_for_every_frame(clip05: Path):
 
 
 @pytest.mark.parametrize("sequence", ["05", "06"])
-def test_a_real_drive_home_closes_true_loops_and_ends_nearer_to_the_truth(
+def test_a_real_drive_closes_true_loops_and_comes_closer_to_the_ground_truth(
     test_data: Path, tmp_path: Path, sequence: str
 ):
     source = out_and_back(test_data / "kitti_clips", sequence, tmp_path / "drive")
@@ -137,7 +137,7 @@ def test_a_paradigm_that_answers_late_closes_loops_all_the_same(test_data: Path,
     assert max(max(row["lines"]) for row in kept) < details["width"]
 
 
-def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):
+def test_an_invalid_vocabulary_is_refused_before_anything_is_written(test_data: Path, tmp_path: Path):
     (tmp_path / "x.vocabulary").write_bytes(b"no words")
     settings = {
         "paradigm": "sequence-histograms",
@@ -149,7 +149,7 @@ def test_a_vocabulary_that_is_none_is_refused_before_anything_is_written(test_da
     assert not (tmp_path / "out").exists()
 
 
-def test_the_same_drive_gives_the_same_bits_with_any_number_of_threads(test_data: Path, tmp_path: Path):
+def test_the_same_dataset_gives_the_same_bits_with_any_number_of_threads(test_data: Path, tmp_path: Path):
     source = out_and_back(test_data / "kitti_clips", "06", tmp_path / "drive")
     threads = cv2.getNumThreads()
     for count in (1, 2):
@@ -160,14 +160,14 @@ def test_the_same_drive_gives_the_same_bits_with_any_number_of_threads(test_data
         assert (tmp_path / "out1" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes(), name
 
 
-def test_an_earlier_run_is_not_overwritten_unasked(clip05: Path, test_data: Path):
+def test_an_earlier_run_is_overwritten_only_on_request(clip05: Path, test_data: Path):
     before = (clip05 / "metrics.json").read_bytes()
     with pytest.raises(OutputError, match="--overwrite"):
         run(test_data / "kitti_clips", clip05, "05")
     assert (clip05 / "metrics.json").read_bytes() == before
 
 
-def test_a_drive_with_one_camera_is_refused_by_name(test_data: Path, tmp_path: Path):
+def test_the_error_for_a_dataset_with_one_camera_names_it(test_data: Path, tmp_path: Path):
     with pytest.raises(DataError, match=r"kitti_clips.*left"):
         run(test_data / "kitti_clips", tmp_path / "out", "07")
     assert not (tmp_path / "out").exists()

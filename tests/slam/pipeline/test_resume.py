@@ -1,4 +1,4 @@
-"""Runs that are killed, stopped or lose their source, and go on with --resume."""
+"""Runs that are killed, stopped or lose their source, and continue with --resume."""
 
 import json
 import os
@@ -72,7 +72,7 @@ def results(out: Path) -> dict[str, object]:
 
 def map_of(out: Path) -> list[bytes]:
     with MapDatabase.open(out / "map.db") as store:
-        tables = ("frame", "landmark", "candidate", "checkpoint_array")
+        tables = ("frame", "landmark", "loop", "checkpoint_array")
         columns = "image, T_previous_camera, T_world_camera, covariance", "*", "*", "*"
         return [repr([tuple(row) for row in store._connection.execute(f"SELECT {some} FROM {table}")]).encode()
                 for table, some in zip(tables, columns, strict=True)]  # fmt: skip
@@ -86,7 +86,7 @@ def assert_as_undisturbed(out: Path, undisturbed: Path) -> None:
     assert unfinished(out) == []
 
 
-def test_a_killed_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path):
+def test_a_killed_run_can_be_resumed(drive: Path, undisturbed: Path, tmp_path: Path):
     out = tmp_path / "o'ut <b> 街"
     command = [
         sys.executable,
@@ -105,7 +105,7 @@ def test_a_killed_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path):
     process.wait()
     assert 100 <= _frames(out) <= FRAMES
     assert not (out / "metrics.json").exists()
-    with pytest.raises(OutputError, match=r"stopped after .* go on with --resume"):
+    with pytest.raises(OutputError, match=r"stopped after .* continue it with --resume"):
         run(drive, out)
     run(drive, out, resume=True)
     assert_as_undisturbed(out, undisturbed)
@@ -119,14 +119,14 @@ def _frames(out: Path) -> int:
     return stopped.frames if stopped else 0
 
 
-def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed: Path, tmp_path: Path):
+def test_a_run_whose_source_disappeared_can_be_resumed_once_it_is_back(drive: Path, undisturbed: Path, tmp_path: Path):
     source, out = tmp_path / "drive", tmp_path / "out"
     shutil.copytree(drive, source, symlinks=True)
     image = source / "sequences" / "00" / "image_1" / "000120.png"
     there = image.readlink()
     image.unlink()
     image.write_bytes(b"gone")
-    with pytest.raises(DataError, match=r"000120.png.* 100 frames are kept in .*out: go on with --resume"):
+    with pytest.raises(DataError, match=r"000120.png.* 100 frames are kept in .*out: continue with --resume"):
         run(source, out)
     image.unlink()
     image.symlink_to(there)
@@ -134,7 +134,9 @@ def test_a_source_that_disappears_midway_may_come_back(drive: Path, undisturbed:
     assert_as_undisturbed(out, undisturbed)
 
 
-def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_interrupted_run_can_be_resumed(
+    drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     out, show = tmp_path / "out", "slam.pipeline.visualization.RunVisualizer.show"
     from slam.pipeline.visualization import RunVisualizer
 
@@ -154,27 +156,29 @@ def test_an_interrupted_run_goes_on(drive: Path, undisturbed: Path, tmp_path: Pa
     assert_as_undisturbed(out, undisturbed)
 
 
-def test_a_complete_run_has_nothing_to_go_on_with(drive: Path, undisturbed: Path):
+def test_a_complete_run_has_nothing_to_resume(drive: Path, undisturbed: Path):
     before = results(undisturbed)
     assert not run(drive, undisturbed, resume=True)
     assert results(undisturbed) == before
 
 
-def test_only_the_same_run_goes_on(drive: Path, undisturbed: Path, circle_drive: Path, tmp_path: Path):
+def test_a_run_is_resumed_with_its_own_settings_and_dataset_only(
+    drive: Path, undisturbed: Path, circle_drive: Path, tmp_path: Path
+):
     out = tmp_path / "out"
     left = out / ".unfinished-1"
     left.mkdir(parents=True)
     shutil.copy(undisturbed / "map.db", left)
     with pytest.raises(ConfigError, match="other settings"):
         run(drive, out, resume=True, paradigm="global-descriptor")
-    with pytest.raises(DataError, match="expected the drive that it was made of"):
+    with pytest.raises(DataError, match="expected the dataset from which it was made"):
         run(circle_drive, out, resume=True)
     (left / "map.db").write_bytes(b"SQLite format 3\0 and then nothing")
-    with pytest.raises(DataError, match=r"map\.db: expected a map store, found a damaged one"):
+    with pytest.raises(DataError, match=r"map\.db: expected a map database, found a damaged one"):
         run(drive, out, resume=True)
 
 
-def test_without_a_map_nothing_is_kept(drive: Path, tmp_path: Path):
+def test_without_a_map_nothing_can_be_resumed(drive: Path, tmp_path: Path):
     run(drive, tmp_path / "out", save_map=False)
     assert not (tmp_path / "out" / "map.db").exists()
 
@@ -197,5 +201,5 @@ def test_other_loops_are_found_with_another_paradigm(undisturbed: Path, circle_d
     name = "trajectory_odometry.txt"
     assert (tmp_path / "other" / name).read_bytes() == (undisturbed / name).read_bytes()
     elsewhere = RunOptions(source=circle_drive, out=tmp_path / "never", reuse_map=undisturbed)
-    with pytest.raises(DataError, match="expected the drive that it was made of"):
+    with pytest.raises(DataError, match="expected the dataset from which it was made"):
         run_pipeline(elsewhere, WITHOUT_RECORDING, QUIET, QUIET)

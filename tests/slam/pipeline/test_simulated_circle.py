@@ -56,7 +56,7 @@ def test_closing_the_loops_joins_the_laps(metrics: dict):
     assert metrics["corrected"]["end_error_m"] < 0.4 * metrics["odometry"]["end_error_m"]
 
 
-def test_the_recogniser_is_judged_beside_the_trajectory(metrics: dict):
+def test_metrics_of_the_recogniser_stand_beside_those_of_the_trajectory(metrics: dict):
     assert metrics["places"]["recall_at_100_precision"] > 0.5
     assert metrics["places"]["truth_rows"] > 100
 
@@ -67,7 +67,7 @@ def test_every_belief_has_a_row_with_a_reason(circle: Path):
     assert [row.query for row in rows] == sorted({row.query for row in rows})
 
 
-def test_all_that_was_kept_was_first_proved(circle: Path):
+def test_every_kept_loop_was_verified(circle: Path):
     assert all(row.accepted and row.verified for row in read_loops(circle / "loops.csv") if row.in_graph)
 
 
@@ -138,7 +138,7 @@ def test_the_dense_map_has_a_page_to_which_the_report_links_and_a_recording(circ
     assert (short / "dense.rrd").stat().st_size > 1_000_000
 
 
-def test_a_damaged_recording_costs_no_map(short: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_damaged_recording_does_not_lose_the_dense_map(short: Path, capsys: pytest.CaptureFixture[str]):
     (short / "recording.rrd").write_text("not ours")
     build_dense_map(DenseOptions(short), Console(stderr=True))
     (line,) = capsys.readouterr().err.splitlines()
@@ -183,7 +183,7 @@ def everything(circle: Path, circle_drive: Path, tmp_path_factory: pytest.TempPa
 
 
 @pytest.mark.parametrize("shown", SHOWN.values(), ids=str)
-def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_printed_command_can_be_run(shown: Shown, everything: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(everything)
     result = CliRunner().invoke(app.app, list(shown.words), env={"TERM": "xterm-256color"})
     assert result.exit_code == 0, result.output
@@ -191,6 +191,6 @@ def test_a_shown_command_runs_as_it_stands(shown: Shown, everything: Path, monke
     assert "\x1b" not in result.output
 
 
-def test_a_voxel_of_no_size_is_refused_before_anything_is_read(tmp_path: Path):
+def test_a_voxel_size_of_zero_is_refused_before_anything_is_read(tmp_path: Path):
     with pytest.raises(ConfigError, match="--voxel-size, --max-depth: expected positive numbers"):
         build_dense_map(DenseOptions(tmp_path, voxel_m=0.0), QUIET)

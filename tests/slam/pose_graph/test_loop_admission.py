@@ -58,7 +58,7 @@ def test_lone_false_loops_among_true_ones_never_enter() -> None:
     np.testing.assert_allclose(settled(mixed).poses(), settled(clean).poses(), atol=0.05)
 
 
-def test_two_true_loops_of_one_stretch_close_the_drive() -> None:
+def test_two_true_loops_of_one_stretch_are_used() -> None:
     graph, _ = driven(BIG, BIG.loops[:2])
     first, *_, last = graph.loop_events
     assert not first.used
@@ -89,7 +89,7 @@ def test_false_loops_that_agree_leave_when_true_ones_contradict_them(seed: int) 
         assert "taken out" in last.reason
 
 
-def test_a_loop_that_was_taken_out_leaves_no_trace() -> None:
+def test_a_removed_loop_leaves_no_trace() -> None:
     graph, never = PoseGraph(), PoseGraph()
     for g in (graph, never):
         for T in BIG.motions[:620]:
@@ -119,7 +119,7 @@ def test_every_change_is_logged_once_and_in_order() -> None:
     assert all(change.reason for change in graph.loop_events)
 
 
-def test_two_drives_give_the_same_bits() -> None:
+def test_two_runs_give_the_same_bits() -> None:
     loops = [*drift_like(BIG, 480, 100, 4.5, 0, count=3), *BIG.loops]
     (one, known), (two, again) = driven(BIG, loops), driven(BIG, loops)
     assert known.tobytes() == again.tobytes()

@@ -90,6 +90,6 @@ def test_the_covariance_of_a_moved_loop_is_that_of_random_trials() -> None:
     assert nees.mean() == pytest.approx(6.0, abs=0.4)
 
 
-def test_a_loop_within_one_node_is_none() -> None:
+def test_a_loop_within_one_node_cannot_be_moved_to_nodes() -> None:
     nodes, *_ = filled(NodeSpacing(1000.0, NO_TURN))
     assert nodes.between_nodes(loop_between(np.random.default_rng(0), laps().poses, 50, 5)) is None

@@ -22,7 +22,7 @@ from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, s
 CREDULOUS = LoopSelectionConfig(1e9, 1e9, LoopClusterConfig(max_agreement_chi2=1e9))
 PLAIN = PoseGraphConfig(
     nodes=NodeSpacing(min_distance_m=0.0),
-    incremental=IncrementalConfig(huber_width=1e6, relinearize_threshold=1e-6),
+    incremental=IncrementalConfig(huber_width_sigma=1e6, relinearize_threshold=1e-6),
     loop_selection=CREDULOUS,
 )
 
@@ -40,7 +40,7 @@ def test_one_loop_at_the_end_of_a_square_takes_most_of_the_error(drive: Drive) -
 
 
 @pytest.mark.parametrize("name", BACK_ENDS)
-def test_true_loops_put_the_drive_right_under_every_back_end(drive: Drive, name: str) -> None:
+def test_true_loops_correct_the_trajectory_with_every_back_end(drive: Drive, name: str) -> None:
     result = drive.graph().optimize(name)
     assert result.kept.all()
     assert drive.ate(result.poses) < 0.25 * drive.ate(drive.graph([]).odometry_poses())
@@ -57,7 +57,7 @@ def test_without_loops_the_answer_is_odometry(drive: Drive, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BACK_ENDS)
-def test_a_perfect_drive_stays_as_it_is(name: str) -> None:
+def test_a_perfect_trajectory_stays_as_it_is(name: str) -> None:
     drive = laps(laps=1.2)
     motions = list(se3.inverse(drive.poses[:-1]) @ drive.poses[1:])
     exact = LoopClosure(104, 4, se3.inverse(drive.poses[4]) @ drive.poses[104], LOOP_COVARIANCE, 50)
@@ -79,7 +79,7 @@ def test_false_loops_do_not_spoil_gnc(share: float, seed: int) -> None:
     assert all("left out" in reason for reason in result.reasons[len(drive.loops) :])
 
 
-def test_the_order_of_loops_changes_no_verdict(drive: Drive) -> None:
+def test_the_order_of_loops_changes_no_decision(drive: Drive) -> None:
     loops = [*drive.loops[:20], *false_loops(np.random.default_rng(3), len(drive.poses), 10)]
     order = np.random.default_rng(4).permutation(len(loops))
     straight = drive.graph(loops).optimize("gnc")
@@ -89,8 +89,8 @@ def test_the_order_of_loops_changes_no_verdict(drive: Drive) -> None:
 
 
 def test_where_all_loops_are_false_gnc_leaves_odometry(drive: Drive) -> None:
-    one_way = Drive(drive.poses[:80], drive.motions[:79], [])
-    graph = one_way.graph(false_loops(np.random.default_rng(5), 80, 12))
+    first_lap = Drive(drive.poses[:80], drive.motions[:79], [])
+    graph = first_lap.graph(false_loops(np.random.default_rng(5), 80, 12))
     result = graph.optimize("gnc")
     if result.kept.any():
         pytest.fail(f"kept {result.reasons}")
@@ -122,7 +122,7 @@ def test_online_is_batch_where_nothing_is_robust(drive: Drive) -> None:
     np.testing.assert_allclose(graph.current_pose(), online[-1], atol=1e-9)
 
 
-def test_online_estimates_as_the_drive_goes(drive: Drive) -> None:
+def test_online_estimates_follow_the_trajectory(drive: Drive) -> None:
     graph, loops, errors = PoseGraph(), {loop.query: loop for loop in drive.loops}, []
     for frame, T in enumerate(drive.motions, start=1):
         graph.add_odometry(T, STEP_COVARIANCE)
@@ -161,13 +161,13 @@ def test_an_unknown_back_end_is_named_with_the_known_ones(drive: Drive) -> None:
         drive.graph().optimize("hubert")
 
 
-def test_a_loop_to_a_frame_that_is_not_there_is_an_error() -> None:
+def test_a_loop_to_a_missing_frame_is_an_error() -> None:
     with pytest.raises(GraphError, match=r"loop 5 -> 0: expected .* among the 1 in the graph"):
         PoseGraph().add_loop(LoopClosure(5, 0, np.eye(4), LOOP_COVARIANCE, 30))
 
 
 @pytest.mark.parametrize("bad", [np.zeros((6, 6)), np.full((6, 6), np.nan), np.eye(3), -np.eye(6)])
-def test_a_covariance_that_is_none_is_an_error(bad: np.ndarray) -> None:
+def test_an_invalid_covariance_is_an_error(bad: np.ndarray) -> None:
     with pytest.raises(GraphError, match="motion to frame 1: expected a finite, positive definite covariance"):
         PoseGraph().add_odometry(np.eye(4), bad)
 

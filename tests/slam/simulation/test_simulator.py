@@ -8,7 +8,7 @@ import pytest
 from slam.errors import OutputError
 from slam.simulation import SimulationConfig, simulate
 
-SMALL = SimulationConfig(width=320, height=96, max_frames=4, length=200, depth=True)
+SMALL = SimulationConfig(width=320, height=96, max_frames=4, length_m=200, depth=True)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_pose_lines_have_twelve_numbers_and_no_trailing_space(drive):
         assert len(line.split()) == 12
 
 
-def test_the_manifest_holds_the_whole_spec(drive):
+def test_the_manifest_has_the_whole_configuration(drive):
     assert SimulationConfig(**json.loads((drive / "drive.json").read_text())["config"]) == SMALL
 
 
@@ -55,7 +55,7 @@ def test_depth_is_stored_in_256ths_of_a_metre(drive):
     assert np.median(row) == pytest.approx(expected, rel=0.15)
 
 
-def test_equal_specs_give_equal_bits(drive, tmp_path):
+def test_equal_configurations_give_equal_bits(drive, tmp_path):
     assert same_files(drive, simulate(SMALL, tmp_path / "b"))
 
 
@@ -68,7 +68,7 @@ def test_another_seed_gives_another_drive(drive, tmp_path):
     assert (drive / name).read_bytes() != (other / name).read_bytes()
 
 
-def test_a_drive_that_is_there_is_not_rendered_again(drive):
+def test_an_existing_drive_is_not_rendered_again(drive):
     before = {p: p.stat().st_mtime_ns for p in drive.rglob("*")}
     calls = []
     assert simulate(SMALL, drive, lambda done, total: calls.append(done)) == drive
@@ -83,7 +83,7 @@ def test_a_folder_with_something_else_is_refused_and_left_alone(tmp_path):
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
-def test_a_broken_off_drive_leaves_nothing_behind(tmp_path):
+def test_an_interrupted_simulation_leaves_nothing_behind(tmp_path):
     def stop(done, total):
         raise KeyboardInterrupt
 
@@ -94,6 +94,6 @@ def test_a_broken_off_drive_leaves_nothing_behind(tmp_path):
 
 def test_progress_counts_to_the_end(tmp_path):
     calls = []
-    config = SimulationConfig(width=64, height=32, max_frames=3, length=200)
+    config = SimulationConfig(width=64, height=32, max_frames=3, length_m=200)
     simulate(config, tmp_path / "e", lambda done, total: calls.append((done, total)))
     assert calls == [(1, 3), (2, 3), (3, 3)]

@@ -37,7 +37,7 @@ def test_images_are_grey(tmp_path: Path) -> None:
     assert (image.shape, image.dtype) == ((4, 6), np.uint8)
 
 
-def test_times_beside_the_images_win(tmp_path: Path) -> None:
+def test_a_file_of_times_beside_the_images_is_used(tmp_path: Path) -> None:
     write(tmp_path, "1.png", "2.png")
     (tmp_path / "times.txt").write_text("5.0\n7.5\n")
     assert open_image_sequence(tmp_path, fps=1.0).timestamps.tolist() == [5.0, 7.5]
@@ -57,7 +57,7 @@ def test_a_kitti_sequence_is_chosen_by_name(root: Path, write_drive: Callable[..
 
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_rate_that_is_none_is_refused(tmp_path: Path, fps: float) -> None:
+def test_an_invalid_frame_rate_is_refused(tmp_path: Path, fps: float) -> None:
     write(tmp_path, "1.png", "2.png")
     with pytest.raises(DataError, match=r"times.txt: expected the times of 2 images, found none, and --fps"):
         open_image_sequence(tmp_path, fps=fps)

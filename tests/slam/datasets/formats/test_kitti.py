@@ -22,7 +22,7 @@ def drive_poses() -> np.ndarray:
     return poses
 
 
-def test_a_drive_knows_its_camera_times_and_truth(root: Path) -> None:
+def test_camera_times_and_ground_truth_are_read(root: Path) -> None:
     drive = open_dataset(root)
     assert (drive.name, len(drive), drive.has_right) == ("00", 3, True)
     assert (drive.camera.fx, drive.camera.width, drive.camera.height) == (50.0, 64, 32)
@@ -39,7 +39,7 @@ def test_frames_are_the_images_on_disk(root: Path, folder: Path) -> None:
             np.testing.assert_array_equal(image, expected)
 
 
-def test_an_index_beyond_the_drive_is_an_index_error(root: Path) -> None:
+def test_an_index_beyond_the_dataset_is_an_index_error(root: Path) -> None:
     with pytest.raises(IndexError, match="from 0 to 2, got 3"):
         open_kitti(root)[3]
 

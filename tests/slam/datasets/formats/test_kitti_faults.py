@@ -135,13 +135,13 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         open_kitti(tmp_path / "nowhere")
 
 
-def test_a_file_is_no_drive(tmp_path: Path) -> None:
+def test_a_file_is_refused_as_a_dataset(tmp_path: Path) -> None:
     (tmp_path / "drive").write_text("")
     with pytest.raises(DataError, match=r"drive: expected a folder .*found a file"):
         open_kitti(tmp_path / "drive")
 
 
-def test_an_empty_folder_is_told_what_belongs_there(tmp_path: Path) -> None:
+def test_the_error_for_an_empty_folder_names_the_expected_file(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"expected sequences/XX/image_0/000000.png, found none"):
         open_kitti(tmp_path)
 
@@ -152,7 +152,7 @@ def test_one_of_several_sequences_must_be_named(root: Path, write_drive: WriteDr
         open_kitti(root)
 
 
-def test_an_unknown_sequence_lists_those_that_are_there(root: Path) -> None:
+def test_the_error_for_an_unknown_sequence_lists_the_existing_ones(root: Path) -> None:
     with pytest.raises(DataError, match="expected sequence 42, found 00"):
         open_kitti(root, "42")
 
@@ -182,14 +182,14 @@ def test_colour_images_need_their_own_calibration(tmp_path: Path, write_drive: W
         open_kitti(tmp_path)
 
 
-def test_left_images_more_than_right_ones_name_both_folders(root: Path, folder: Path) -> None:
+def test_the_error_for_missing_right_images_names_both_folders(root: Path, folder: Path) -> None:
     for index in (3, 4):
         shutil.copy(folder / "image_0/000000.png", folder / f"image_0/{index:06d}.png")
     with pytest.raises(DataError, match=r"image_1: expected 5 images as in image_0, found 3"):
         open_kitti(root)
 
 
-def test_a_camera_alone_needs_no_calibration_of_another(root: Path, folder: Path) -> None:
+def test_one_camera_needs_no_calibration_of_the_other(root: Path, folder: Path) -> None:
     shutil.rmtree(folder / "image_1")
     calib(P0)(folder)
     drive = open_kitti(root)

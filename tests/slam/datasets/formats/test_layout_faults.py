@@ -159,7 +159,7 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
         toml(lambda t: 'left = "nowhere"\n' + t),
         r"expected images or a video called nowhere",
     ),
-    "poses missing": (toml(lambda t: 'ground_truth = "way.txt"\n' + t), r"way.txt: expected this file, found none"),
+    "poses missing": (toml(lambda t: 'ground_truth = "poses.txt"\n' + t), r"poses.txt: expected this file, found none"),
     "fewer right images": (lambda r: (r / "right" / "8.png").unlink(), r"right: expected 3 images as in left, found 2"),
     "times of other images": (
         lambda r: (r / "left" / "times.txt").write_text("1\n2\n"),
@@ -173,7 +173,7 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("fault", OWN)
-def test_faults_of_ones_own_camera(tmp_path: Path, rough: Taken, fault: str) -> None:
+def test_faults_of_a_custom_camera(tmp_path: Path, rough: Taken, fault: str) -> None:
     spoil, message = OWN[fault]
     root = write_own(tmp_path / "mine", rough)
     spoil(root)
@@ -181,7 +181,7 @@ def test_faults_of_ones_own_camera(tmp_path: Path, rough: Taken, fault: str) -> 
         drive_all(root)
 
 
-def test_images_without_calibration_serve_for_places_alone(tmp_path: Path, rough: Taken) -> None:
+def test_images_without_calibration_serve_place_recognition_only(tmp_path: Path, rough: Taken) -> None:
     root = write_own(tmp_path / "mine", rough)
     (root / "camera.toml").unlink()
     with pytest.raises(DataError, match=r"camera.toml: expected the calibration of the camera, found none; write it"):
@@ -189,14 +189,14 @@ def test_images_without_calibration_serve_for_places_alone(tmp_path: Path, rough
     assert len(open_images(DatasetSpec(root))) == 3
 
 
-def test_a_tum_folder_of_no_known_camera_asks_for_it(tmp_path: Path, rough: Taken) -> None:
+def test_a_tum_folder_of_an_unknown_camera_asks_for_its_calibration(tmp_path: Path, rough: Taken) -> None:
     with pytest.raises(DataError, match=r"camera.toml: expected the calibration, as the folder's name has no freiburg"):
         open_dataset(write_tum_rgbd(tmp_path / "room", rough))
     images = open_images(DatasetSpec(tmp_path / "room"))  # for places it need not be known
     np.testing.assert_array_equal(images[2], rough.pairs[2][0])
 
 
-def test_euroc_without_a_calibration_serves_for_places(tmp_path: Path, rough: Taken) -> None:
+def test_euroc_without_a_calibration_serves_place_recognition(tmp_path: Path, rough: Taken) -> None:
     (write_euroc(tmp_path / "MH_01", rough) / CAM0 / "sensor.yaml").unlink()
     with pytest.raises(DataError, match=r"sensor.yaml: expected this file, found none"):
         open_dataset(tmp_path / "MH_01")
@@ -204,13 +204,13 @@ def test_euroc_without_a_calibration_serves_for_places(tmp_path: Path, rough: Ta
 
 
 @pytest.mark.parametrize("data", [b"", b"no video" * 100, b"RIFF\xff\xff\xff\xffAVI LIST"])
-def test_a_file_that_is_no_video_is_named(tmp_path: Path, data: bytes) -> None:
+def test_the_error_for_a_file_that_is_no_video_names_it(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "drive.avi").write_bytes(data)
     with pytest.raises(DataError, match=r"drive.avi: expected a video, found .* decoded; copy it again or convert it"):
         open_images(DatasetSpec(tmp_path / "drive.avi"))
 
 
-def test_what_is_left_of_a_cut_video_is_read(tmp_path: Path, rough: Taken) -> None:
+def test_the_readable_part_of_a_truncated_video_is_read(tmp_path: Path, rough: Taken) -> None:
     path = write_video(tmp_path / "drive.avi", [left for left, _ in rough.pairs] * 20)
     cut(path, 0.5)
     images = open_images(DatasetSpec(path))
@@ -237,7 +237,9 @@ def test_faults_of_bags(tmp_path: Path, rough: Taken) -> None:
 
 
 @pytest.mark.parametrize("storage", ["ros1", "sqlite3", "mcap"])
-def test_a_bag_with_holes_or_an_early_end_is_a_data_error_or_a_bag(tmp_path: Path, rough: Taken, storage: str) -> None:
+def test_a_damaged_or_truncated_bag_is_read_or_refused_with_a_data_error(
+    tmp_path: Path, rough: Taken, storage: str
+) -> None:
     path = write_bag(tmp_path, rough, BagStyle(storage))
     file = path if path.is_file() else next(item for item in path.iterdir() if item.suffix in (".mcap", ".db3"))
     intact, rng = file.read_bytes(), random.Random(0)
@@ -253,18 +255,18 @@ def test_a_bag_with_holes_or_an_early_end_is_a_data_error_or_a_bag(tmp_path: Pat
 
 
 @pytest.mark.parametrize("path", ["nowhere", "empty"])
-def test_nothing_is_no_recording(tmp_path: Path, path: str) -> None:
+def test_a_missing_path_is_refused(tmp_path: Path, path: str) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=f"{path}: expected"):
         open_dataset(tmp_path / path)
 
 
-def test_an_unknown_kind_is_a_wrong_word(tmp_path: Path) -> None:
+def test_an_unknown_format_is_a_configuration_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--format: expected one of bag, euroc, .*, found 'rosbag'"):
         open_dataset(DatasetSpec(tmp_path, format="rosbag"))
 
 
-def test_recordings_of_places_are_refused_for_driving(tmp_path: Path) -> None:
+def test_image_datasets_without_calibration_are_refused_for_slam(tmp_path: Path) -> None:
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"CAMERA1_{k}.5_left.jpg"), np.zeros((8, 8), np.uint8))
     with pytest.raises(

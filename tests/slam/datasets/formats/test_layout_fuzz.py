@@ -82,7 +82,7 @@ def test_any_sensor_is_read_or_refused_by_name(tmp_path: Path, table: dict[str, 
     assert_read_or_refused(path, lambda: read_sensor_yaml(path))
 
 
-def test_yaml_that_unfolds_into_a_million_is_refused_at_once(tmp_path: Path) -> None:
+def test_yaml_that_expands_to_a_million_values_is_refused_at_once(tmp_path: Path) -> None:
     lines = ["a0: &a0 [1,1,1,1,1,1,1,1,1,1]"] + [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 9)]
     path = tmp_path / "sensor.yaml"
     path.write_text("\n".join([*lines, "intrinsics: *a8", "T_BS: *a8"]))

@@ -1,4 +1,4 @@
-"""A drive written in any layout is read back to the same frames, the same times and the same way."""
+"""A dataset written in any layout is read back with the same frames, times and poses."""
 
 from collections.abc import Callable
 from dataclasses import astuple
@@ -71,7 +71,7 @@ def test_euroc_chooses_among_sequences(tmp_path: Path, rough: Taken) -> None:
     assert open_dataset(tmp_path, "V1_02").name == "V1_02"
 
 
-def test_images_without_a_partner_are_left_out_and_that_is_said(tmp_path: Path, rough: Taken) -> None:
+def test_images_without_a_partner_are_left_out_with_a_remark(tmp_path: Path, rough: Taken) -> None:
     table = write_euroc(tmp_path / "MH", rough) / "mav0" / "cam1" / "data.csv"
     lines = table.read_text().splitlines()
     table.write_text("\n".join(lines[:2] + lines[3:]))
@@ -82,7 +82,7 @@ def test_images_without_a_partner_are_left_out_and_that_is_said(tmp_path: Path, 
     np.testing.assert_allclose(drive.ground_truth, np.delete(rough.truth, 1, axis=0), atol=1e-5)
 
 
-def test_images_beyond_the_truth_are_left_out_and_that_is_said(tmp_path: Path, rough: Taken) -> None:
+def test_images_outside_the_ground_truth_are_left_out_with_a_remark(tmp_path: Path, rough: Taken) -> None:
     table = write_euroc(tmp_path / "MH", rough) / "mav0" / "state_groundtruth_estimate0" / "data.csv"
     lines = table.read_text().splitlines()
     table.write_text("\n".join([lines[0], *lines[9:]]))  # begins 0.04 s after the first image
@@ -92,7 +92,7 @@ def test_images_beyond_the_truth_are_left_out_and_that_is_said(tmp_path: Path, r
 
 
 @pytest.mark.parametrize("name", ["rgbd_dataset_freiburg3_room", "my_room"])
-def test_tum_rgbd_with_the_cameras_of_the_benchmark_or_ones_own(tmp_path: Path, rough: Taken, name: str) -> None:
+def test_tum_rgbd_with_the_cameras_of_the_benchmark_or_a_custom_one(tmp_path: Path, rough: Taken, name: str) -> None:
     folder = write_tum_rgbd(tmp_path / name, rough)
     if name == "my_room":
         (folder / "camera.toml").write_text(camera_toml(rough.rig, pair=False))
@@ -107,7 +107,7 @@ def test_tum_rgbd_with_the_cameras_of_the_benchmark_or_ones_own(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_folders_of_ones_own_pair(tmp_path: Path, rig: str) -> None:
+def test_folders_of_a_custom_stereo_pair(tmp_path: Path, rig: str) -> None:
     drive = taken(rig, 3)
     assert_frames(open_dataset(write_folders(tmp_path / "mine", drive, fps=RATE)), drive)
 
@@ -125,8 +125,8 @@ def test_five_numbers_are_enough_for_a_pair_and_four_for_one_camera(tmp_path: Pa
 
 
 def test_a_folder_of_images_with_truth(tmp_path: Path, rough: Taken) -> None:
-    folder = write_folders(tmp_path / "mine", rough, fps=RATE, ground_truth="way.txt")
-    write_kitti(folder / "way.txt", rough.poses)
+    folder = write_folders(tmp_path / "mine", rough, fps=RATE, ground_truth="poses.txt")
+    write_kitti(folder / "poses.txt", rough.poses)
     truth = open_dataset(folder).ground_truth
     assert truth is not None
     np.testing.assert_allclose(truth, rough.truth, atol=1e-9)
@@ -152,7 +152,7 @@ def test_any_image_of_a_video_is_found_again(tmp_path: Path, rough: Taken, codec
         np.testing.assert_array_equal(drive[index].left, in_order[index])
 
 
-def test_a_video_alone_serves_for_places(tmp_path: Path, rough: Taken) -> None:
+def test_a_video_without_calibration_serves_place_recognition(tmp_path: Path, rough: Taken) -> None:
     path = write_video(tmp_path / "drive.avi", [left for left, _ in rough.pairs])
     images = open_images(DatasetSpec(path))
     assert (detect_format(DatasetSpec(path)), images.name, len(images), images.ground_truth) == (
@@ -184,12 +184,12 @@ def test_every_encoding_of_a_bag_gives_the_same_grey(tmp_path: Path, rough: Take
         assert_alike(images[index], rough.pairs[index][0], 0.0)
 
 
-def test_a_file_of_an_mcap_bag_is_one(tmp_path: Path, rough: Taken) -> None:
+def test_a_single_mcap_file_is_a_bag(tmp_path: Path, rough: Taken) -> None:
     path = next(write_bag(tmp_path, rough, BagStyle("mcap")).glob("*.mcap"))
     assert_frames(open_dataset(path), rough)
 
 
-def test_topics_are_chosen_and_calibrated_by_hand(tmp_path: Path, rough: Taken) -> None:
+def test_topics_and_calibration_can_be_given_by_the_user(tmp_path: Path, rough: Taken) -> None:
     path = write_bag(tmp_path, rough, BagStyle("mcap", infos=False, topics=("/a/image", "/b/image")))
     (tmp_path / "camera.toml").write_text(camera_toml(rough.rig))
     assert_frames(open_dataset(DatasetSpec(path, topics=("/a/image", "/b/image"))), rough)
@@ -197,10 +197,10 @@ def test_topics_are_chosen_and_calibrated_by_hand(tmp_path: Path, rough: Taken) 
     assert_frames(open_dataset(path), rough)
 
 
-def test_a_bag_has_its_truth_in_a_file_beside(tmp_path: Path, rough: Taken) -> None:
+def test_ground_truth_of_a_bag_is_read_from_a_file_beside_it(tmp_path: Path, rough: Taken) -> None:
     path = write_bag(tmp_path, rough, BagStyle("sqlite3"))
-    (path / "camera.toml").write_text(camera_toml(rough.rig, ground_truth="way.txt"))
-    write_tum(path / "way.txt", *finely(rough))
+    (path / "camera.toml").write_text(camera_toml(rough.rig, ground_truth="poses.txt"))
+    write_tum(path / "poses.txt", *finely(rough))
     truth = open_dataset(path).ground_truth
     assert truth is not None
     np.testing.assert_allclose(truth, rough.truth, atol=1e-5)
@@ -226,7 +226,7 @@ def test_topics_are_found_by_their_names(
     assert (found.left, found.right) == chosen
 
 
-def test_the_command_line_names_every_kind() -> None:
+def test_the_command_line_names_every_format() -> None:
     assert sorted(app.FORMAT_NAMES.split(", ")) == sorted(FORMATS)
 
 
@@ -240,7 +240,9 @@ WRITERS: dict[str, Write] = {
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_the_kind_is_recognised_and_its_left_images_are_the_drives(tmp_path: Path, rough: Taken, kind: str) -> None:
+def test_the_format_is_detected_and_its_images_are_the_left_images_of_the_dataset(
+    tmp_path: Path, rough: Taken, kind: str
+) -> None:
     source = DatasetSpec(WRITERS[kind](tmp_path / "drive", rough))
     assert detect_format(source) == kind
     drive, images = open_dataset(source), open_images(source)
@@ -252,7 +254,7 @@ def test_the_kind_is_recognised_and_its_left_images_are_the_drives(tmp_path: Pat
     "source",
     [DatasetSpec(Path("a b")), DatasetSpec(Path("c"), "00", "bag", 12.5, ("/left", "/right"))],
 )
-def test_how_a_recording_was_read_comes_back_from_the_metrics(source: DatasetSpec, tmp_path: Path):
+def test_the_dataset_spec_is_restored_from_the_metrics(source: DatasetSpec, tmp_path: Path):
     write_metrics(tmp_path / "metrics.json", {"recording": source.as_metrics()})
     metrics = read_metrics(tmp_path / "metrics.json")
     assert DatasetSpec.from_metrics(metrics["recording"]) == source

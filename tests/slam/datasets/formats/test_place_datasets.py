@@ -41,14 +41,18 @@ def test_new_college_takes_every_twentieth_left_image_at_one_hertz(tmp_path: Pat
     assert images[0].shape == (6, 8)
 
 
-def test_city_centre_takes_the_images_of_one_camera(tmp_path: Path) -> None:
+def test_city_centre_takes_the_images_of_one_camera_at_seven_hertz(tmp_path: Path) -> None:
     write(tmp_path / "CityCentre" / "Images", *(f"{k:04d}.jpg" for k in range(1, 12)))
     images = open_city_centre(tmp_path)
     assert [file.stem for file in images.files] == ["0001", "0003", "0005", "0007", "0009", "0011"]
+    assert images.timestamps is not None
+    assert np.allclose(images.timestamps, np.arange(6) / 7.0)
 
 
 @pytest.mark.parametrize("opener", OPENERS)
-def test_a_missing_recording_says_where_to_get_it(tmp_path: Path, opener: Callable[[Path], ImageSequence]) -> None:
+def test_the_error_for_a_missing_dataset_says_where_to_get_it(
+    tmp_path: Path, opener: Callable[[Path], ImageSequence]
+) -> None:
     with pytest.raises(DataError, match=r"nowhere: expected the .* recording, found nothing; get it from http"):
         opener(tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"expected images such as .*, found none; get them from http"):

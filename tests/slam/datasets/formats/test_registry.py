@@ -48,7 +48,7 @@ def test_each_format_is_detected_by_its_files(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.parametrize(("first", "second"), [("bag", "euroc"), ("euroc", "images"), ("tum-rgbd", "own-camera")])
-def test_of_two_formats_the_more_distinctive_one_wins(tmp_path: Path, first: str, second: str) -> None:
+def test_the_more_distinctive_of_two_matching_formats_is_used(tmp_path: Path, first: str, second: str) -> None:
     assert list(FORMATS).index(first) < list(FORMATS).index(second)
     assert detect_format(DatasetSpec(touch(tmp_path, *FILES[first], *FILES[second]))) == first
 
@@ -57,13 +57,13 @@ def test_a_requested_format_is_not_questioned(tmp_path: Path) -> None:
     assert detect_format(DatasetSpec(touch(tmp_path, *FILES["euroc"]), format="images")) == "images"
 
 
-def test_nothing_that_is_known_is_refused_with_all_formats(tmp_path: Path) -> None:
+def test_the_error_for_an_unknown_dataset_lists_all_formats(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"nor a recording of another format .*bag, euroc"):
         detect_format(DatasetSpec(touch(tmp_path, "thesis.txt")))
 
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf"), 1e9])
-def test_a_rate_that_no_camera_has_is_refused(fps: float) -> None:
+def test_an_impossible_frame_rate_is_refused(fps: float) -> None:
     assert not is_valid_fps(fps)
     with pytest.raises(ConfigError, match="expected images per second"):
         DatasetSpec(Path("x"), fps=fps)
@@ -142,7 +142,7 @@ def test_a_subset_keeps_images_and_times_together(indices: list[int]) -> None:
     np.testing.assert_array_equal(subset.timestamps, np.array(indices) / 10)
 
 
-def test_all_images_are_no_subset() -> None:
+def test_a_subset_of_all_images_is_the_stream_itself() -> None:
     stream = CameraStream(Numbered(), np.arange(9) / 10)
     assert stream.subset(np.arange(9)) is stream
     assert isinstance(stream.subset(np.arange(8)).images, ImageSubset)

@@ -89,7 +89,7 @@ def test_camera_info_without_a_projection_is_of_a_single_camera() -> None:
     np.testing.assert_array_equal(found.R_view_camera, np.eye(3))
 
 
-def test_the_names_of_ros_1_serve_as_well() -> None:
+def test_the_field_names_of_ros_1_are_understood() -> None:
     small = vars(info())
     large = SimpleNamespace(**{name.upper() if len(name) == 1 else name: value for name, value in small.items()})
     np.testing.assert_array_equal(read_camera_info(large).P, read_camera_info(info()).P)
@@ -104,7 +104,7 @@ def test_the_names_of_ros_1_serve_as_well() -> None:
         ({"k": [0.0] * 9}, "positive focal lengths"),
     ],
 )
-def test_camera_info_of_no_camera_is_refused(changes: dict[str, object], text: str) -> None:
+def test_impossible_camera_info_is_refused(changes: dict[str, object], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         read_camera_info(info(**changes))
 

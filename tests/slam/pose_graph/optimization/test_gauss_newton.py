@@ -50,7 +50,7 @@ def test_the_inverse_cancels(group: LieGroup) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_steps_come_to_the_minimum_that_gtsam_finds(group: LieGroup) -> None:
+def test_steps_reach_the_minimum_that_gtsam_finds(group: LieGroup) -> None:
     edges, true = ring(group)
     start = compose(true[0], edges.motions[: len(true) - 1])
     ours = irls(start, edges, lambda chi2, step: np.ones(len(chi2)))
@@ -61,7 +61,7 @@ def test_steps_come_to_the_minimum_that_gtsam_finds(group: LieGroup) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_a_weight_of_zero_takes_an_edge_out(group: LieGroup) -> None:
+def test_a_weight_of_zero_removes_an_edge(group: LieGroup) -> None:
     edges, true = ring(group)
     spoilt = Edges(edges.first, edges.second, edges.motions.copy(), edges.information)
     spoilt.motions[-1] = np.eye(group.size)
@@ -88,7 +88,7 @@ def test_samples_spread_as_the_marginals_of_a_chain(group: LieGroup) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_the_chordal_start_needs_no_start(group: LieGroup) -> None:
+def test_chordal_initialization_does_not_depend_on_the_start(group: LieGroup) -> None:
     edges, true = ring(group, noise=1e-3)
     lost = np.tile(np.eye(group.size), (len(true), 1, 1))
     np.testing.assert_allclose(chordal_initialization(edges, lost), true, atol=0.1)

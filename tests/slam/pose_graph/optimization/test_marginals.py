@@ -59,7 +59,7 @@ def test_with_loops_they_are_those_of_dense_inversion() -> None:
     np.testing.assert_allclose(graph.covariances(graph.optimize("none")), dense(graph), rtol=1e-6, atol=1e-9)
 
 
-def test_a_loop_never_makes_a_pose_less_sure_of_independent_errors() -> None:
+def test_a_loop_never_increases_the_covariance_by_independent_errors() -> None:
     free = PoseGraphConfig(drift=OdometryDriftModel(0.0, 0.0))
     before = SMALL.graph([], free).odometry_covariances()
     graph = SMALL.graph(LOOPS, free)

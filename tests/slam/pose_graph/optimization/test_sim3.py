@@ -9,13 +9,13 @@ from odometry import se3
 from slam.evaluation.trajectory import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.loop_closing.relative_pose import ScaleRatio
-from slam.pose_graph.odometry_chain import OdometryDriftModel, chained
+from slam.pose_graph.odometry_chain import OdometryDriftModel, chain_motions
 from slam.pose_graph.optimization.sim3 import SimilarityEdge, estimate_log_scales, optimize_sim3, with_scale_variance
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 LAP, COUNT = 100, 200
 STEP = se3.exp(np.array([0.0, 2 * np.pi / LAP, 0.0, 0.0, 0.0, 1.0]))
-TRUTH = chained([STEP] * (COUNT - 1))
+TRUTH = chain_motions([STEP] * (COUNT - 1))
 MOTION_COVARIANCE = np.diag([1e-7] * 3 + [1e-5] * 3)
 LOOP_COVARIANCE = np.diag([4e-6] * 3 + [1e-3] * 3)
 
@@ -68,7 +68,7 @@ def test_the_first_frame_keeps_its_place_and_its_unit(laps):
     assert result.scales[0] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_points_of_one_place_meet_though_they_were_seen_in_other_units(laps, drifting):
+def test_points_of_one_place_meet_though_they_were_measured_in_other_units(laps, drifting):
     _, result = laps
     point_world = se3.transform(TRUTH[150], np.array([[1.0, -2.0, 12.0]]))
     seen = [se3.transform(se3.inverse(TRUTH[k]), point_world) / np.exp(drifting[k]) for k in (50, 150)]
@@ -76,7 +76,7 @@ def test_points_of_one_place_meet_though_they_were_seen_in_other_units(laps, dri
     np.testing.assert_allclose(here[0], here[1], atol=0.2)
 
 
-def test_a_stereo_graph_knows_of_no_unit(drifting):
+def test_a_stereo_graph_has_no_scale_drift(drifting):
     level = np.zeros(COUNT)
     loops = [loop(TRUTH, level, query, query - LAP) for query in range(LAP, COUNT, 20)]
     result = graph_of(level, loops, scale_drift=0.0).optimize()
@@ -84,12 +84,12 @@ def test_a_stereo_graph_knows_of_no_unit(drifting):
     np.testing.assert_array_equal(result.similarities, result.poses)
 
 
-def test_loops_that_compare_nothing_leave_every_unit_alone():
+def test_loops_without_a_measured_scale_change_no_scale():
     plain = [LoopClosure(150, 50, np.eye(4), LOOP_COVARIANCE, 50)]
     np.testing.assert_array_equal(estimate_log_scales(np.ones(COUNT - 1), plain, 0.01), 0.0)
 
 
-def test_a_false_comparison_among_true_ones_moves_no_unit(drifting):
+def test_a_false_scale_measurement_among_true_ones_changes_no_scale(drifting):
     true = [loop(TRUTH, drifting, query, query - LAP) for query in range(LAP, COUNT, 4)]
     false = LoopClosure(160, 20, np.eye(4), LOOP_COVARIANCE, 50, scale=ScaleRatio(1.5, 0.01))
     steps = np.ones(COUNT - 1)

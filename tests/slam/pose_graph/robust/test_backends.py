@@ -68,7 +68,7 @@ def test_without_false_loops_every_back_end_keeps_the_true_ones(group: str, name
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize(("kind", "share"), [("random", 0.7), ("grouped", 0.5), ("coherent", 0.5)])
-def test_the_default_stands_false_loops_of_every_kind(group: str, kind: str, share: float) -> None:
+def test_the_default_back_end_rejects_false_loops_of_every_kind(group: str, kind: str, share: float) -> None:
     problem = laps(GROUPS[group])
     clean = everything(problem)
     best = optimize(clean, problem.start)
@@ -81,7 +81,7 @@ def test_the_default_stands_false_loops_of_every_kind(group: str, kind: str, sha
 
 
 @pytest.mark.parametrize("factor", [1 / 16, 16.0])
-def test_scaling_every_covariance_changes_no_verdict(factor: float) -> None:
+def test_scaling_every_covariance_changes_no_decision(factor: float) -> None:
     problem = laps(SE2())
     mixed = inject_outliers(problem, problem.start, OutlierConfig("coherent", 0.4)).problem
     other = LoopProblem(scaled(mixed.trusted, factor), scaled(mixed.loops, factor), mixed.start)
@@ -109,7 +109,7 @@ def test_one_true_loop_is_found_among_a_hundred_false_ones() -> None:
     assert not outcome.kept[~mixed.true].any()
 
 
-def test_the_order_of_loops_changes_no_verdict() -> None:
+def test_the_order_of_loops_changes_no_decision() -> None:
     problem = laps(SE2())
     mixed = inject_outliers(problem, problem.start, OutlierConfig("random", 0.5)).problem
     order = np.random.default_rng(4).permutation(len(mixed.loops))
@@ -124,7 +124,7 @@ def test_two_runs_give_the_same_bits(name: str) -> None:
 
 
 @pytest.mark.parametrize("kernel", [huber, dcs, switchable])
-def test_kernels_trust_small_errors_and_fall(kernel: object) -> None:
+def test_kernels_have_weight_one_at_zero_and_fall(kernel: object) -> None:
     weights = kernel(np.array([0.0, 1.0, 10.0, 1e3, 1e6]), 10.0)  # type: ignore[operator]
     assert weights[0] == 1.0
     assert (np.diff(weights) <= 0).all()
@@ -137,7 +137,7 @@ def test_truncated_squares_become_binary_as_they_harden() -> None:
     assert (gnc_tls_weights(chi2[:3], 10.0, 0.5) > 0.2).all()
 
 
-def test_a_crowd_outvotes_a_clique() -> None:
+def test_many_true_loops_outweigh_a_clique_of_false_ones() -> None:
     agree = np.zeros((8, 8), dtype=bool)
     agree[:5, :5] = agree[5:, 5:] = True
     np.testing.assert_array_equal(greedy_max_weight_clique(agree, np.ones(8)), np.arange(5))

@@ -29,7 +29,7 @@ def drive(group: LieGroup, count: int = 95) -> LoopProblem:
 
 
 @pytest.mark.parametrize("group", [SE2(), SE3()])
-def test_the_least_error_and_the_poses_are_those_of_the_whole_graph(group: LieGroup) -> None:
+def test_the_smallest_error_and_the_poses_are_those_of_the_whole_graph(group: LieGroup) -> None:
     whole = drive(group)
     small = condense(whole)
     every = np.ones(2, dtype=bool)
@@ -44,7 +44,7 @@ def test_the_least_error_and_the_poses_are_those_of_the_whole_graph(group: LieGr
 
 
 @pytest.mark.parametrize("group", [SE2(), SE3()])
-def test_loops_err_as_before_and_the_start_comes_back(group: LieGroup) -> None:
+def test_errors_of_loops_and_the_start_are_unchanged(group: LieGroup) -> None:
     whole = drive(group)
     small = condense(whole)
     np.testing.assert_allclose(small.problem.loops.chi2(small.problem.start), whole.loops.chi2(whole.start))
@@ -52,7 +52,7 @@ def test_loops_err_as_before_and_the_start_comes_back(group: LieGroup) -> None:
     np.testing.assert_allclose(small.expand(small.problem.start), whole.start, atol=1e-9)
 
 
-def test_edges_that_are_no_chain_stay_as_they_are() -> None:
+def test_edges_that_form_no_chain_stay_as_they_are() -> None:
     whole = drive(SE2())
     backwards = replace(whole.trusted, first=whole.trusted.second, second=whole.trusted.first)
     other = replace(whole, trusted=backwards)

@@ -43,7 +43,7 @@ def test_a_false_loop_that_drift_explains_is_contradicted_by_its_neighbors(seed:
     assert not len(contradicted_by_neighbors(likelihood, rows[30:31], 1.0))
 
 
-def test_two_loops_far_from_the_map_do_not_contradict_each_other_for_that() -> None:
+def test_two_loops_far_from_the_map_need_not_contradict_each_other() -> None:
     problem = laps({10: 0.4, 60: -0.4})
     every = np.ones(len(problem.loops), dtype=bool)
     every[[10, 60]] = False
@@ -65,7 +65,7 @@ def test_a_pair_counts_only_if_its_loops_are_far_apart() -> None:
     assert np.isneginf(best_pair_log_ratio(likelihood, np.arange(20), 1.0)).all()
 
 
-def test_a_loop_that_was_left_out_names_the_false_one_in_its_place() -> None:
+def test_a_left_out_loop_identifies_the_false_loop_that_excludes_it() -> None:
     problem = laps({40: 1.5})
     kept = np.isin(np.arange(len(problem.loops)), [5, 40])
     poses = optimize(problem.edges_with(kept), problem.start)
@@ -74,7 +74,7 @@ def test_a_loop_that_was_left_out_names_the_false_one_in_its_place() -> None:
     assert not conflicting_loops(problem, poses, kept, np.array([4]), 21.0).any()
 
 
-def test_the_tails_of_errors_are_found() -> None:
+def test_the_heavy_tail_of_errors_is_estimated() -> None:
     rng = np.random.default_rng(3)
     gaussian = rng.chisquare(3, 3000)
     heavy = gaussian / (rng.chisquare(5, 3000) / 5)

@@ -109,7 +109,7 @@ def test_the_same_problem_gives_the_same_bits(name: str) -> None:
 
 @pytest.mark.parametrize("name", BACK_ENDS)
 def test_a_problem_is_not_changed(name: str) -> None:
-    problem, same = two_laps(SE2()), two_laps(SE3())
+    problem, same = two_laps(SE3()), two_laps(SE3())
     solve(problem, name)
     for edges, other in ((problem.trusted, same.trusted), (problem.loops, same.loops)):
         np.testing.assert_array_equal(edges.motions, other.motions)

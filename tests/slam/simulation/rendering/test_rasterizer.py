@@ -86,7 +86,7 @@ def test_a_triangle_that_reaches_behind_the_camera_is_drawn_without_clipping() -
 
 
 @pytest.mark.parametrize("z", [-5.0, 0.05])
-def test_what_is_behind_or_at_the_camera_is_not_drawn(z: float) -> None:
+def test_triangles_behind_or_at_the_camera_are_not_drawn(z: float) -> None:
     _, ids = draw(np.array([[[-1.0, -1, z], [1, -1, z], [0, 1, z]]]))
     assert (ids == -1).all()
 

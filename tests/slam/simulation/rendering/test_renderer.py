@@ -87,7 +87,7 @@ def test_disparity_agrees_with_what_the_right_camera_sees(street):
     assert error.mean() < 0.35 * unmoved.mean()
 
 
-def test_what_moves_hides_what_stands(street):
+def test_moving_objects_hide_static_ones(street):
     stage, poses, see = street
     camera, T = CONFIG.camera, poses[5]
     board = build_board(T, 4.0)

@@ -9,13 +9,13 @@ from slam.simulation.scenario.config import SimulationConfig
 CONFIG = SimulationConfig(width=160, height=64)
 
 
-def test_a_standing_camera_does_not_smear():
+def test_a_standing_camera_does_not_blur():
     image = np.random.default_rng(0).random((64, 160), dtype=np.float32)
     out = blur_motion(image, np.full_like(image, 5.0), np.zeros((3, 4)), intrinsics_of(CONFIG.camera))
     np.testing.assert_array_equal(out, image)
 
 
-def test_near_things_smear_more_than_far_ones():
+def test_near_objects_blur_more_than_far_ones():
     stripes = np.tile((np.arange(160) % 16 < 8).astype(np.float32), (64, 1))
     step = np.zeros((3, 4))
     step[0, 3] = 0.2  # sideways
@@ -25,7 +25,7 @@ def test_near_things_smear_more_than_far_ones():
     assert near[:, 20:140].std() < 0.8 * far[:, 20:140].std()
 
 
-def test_a_clean_camera_only_counts_light():
+def test_an_ideal_camera_only_measures_light():
     sensor = build_sensor_model(dataclasses.replace(CONFIG, ideal_sensor=True), 0)
     light = np.linspace(0, 1, 64 * 160, dtype=np.float32).reshape(64, 160)
     grey = sensor.expose(light, np.full_like(light, 9.0), np.eye(4), 1.0, 0)
@@ -33,7 +33,7 @@ def test_a_clean_camera_only_counts_light():
 
 
 def test_the_calibration_error_stays_within_half_its_size_in_each_camera():
-    config = SimulationConfig(rectification_error=1.0, lens_error=0.0)
+    config = SimulationConfig(rectification_error_px=1.0, lens_error_px=0.0)
     for side in (0, 1):
         sensor = build_sensor_model(config, side)
         x, y = np.meshgrid(np.arange(config.width), np.arange(config.height))
@@ -42,7 +42,7 @@ def test_the_calibration_error_stays_within_half_its_size_in_each_camera():
 
 
 def test_the_lens_error_is_the_same_in_both_cameras_and_nothing_on_the_axis():
-    left, right = (build_sensor_model(SimulationConfig(rectification_error=0.0), side) for side in (0, 1))
+    left, right = (build_sensor_model(SimulationConfig(rectification_error_px=0.0), side) for side in (0, 1))
     np.testing.assert_array_equal(left.map_x, right.map_x)
     np.testing.assert_array_equal(left.map_y, right.map_y)
     camera = SimulationConfig().camera
@@ -50,14 +50,14 @@ def test_the_lens_error_is_the_same_in_both_cameras_and_nothing_on_the_axis():
     assert abs(left.map_x[row, column] - column) < 1e-3
 
 
-@pytest.mark.parametrize("lens_error", [3.0, 6.0])
-def test_the_lens_error_grows_with_the_cube_of_the_angle_once_its_lopsided_part_cancels(lens_error: float):
-    config = SimulationConfig(rectification_error=0.0, lens_error=lens_error)
+@pytest.mark.parametrize("lens_error_px", [3.0, 6.0])
+def test_the_lens_error_grows_with_the_cube_of_the_angle_once_its_lopsided_part_cancels(lens_error_px: float):
+    config = SimulationConfig(rectification_error_px=0.0, lens_error_px=lens_error_px)
     sensor, camera = build_sensor_model(config, 0), config.camera
     row, steps = round(camera.cy), np.array([100, 300, 500])
     right, left = round(camera.cx) + steps, round(camera.cx) - steps
     shrunk = ((sensor.map_x[row, right] - right) - (sensor.map_x[row, left] - left)) / 2
-    np.testing.assert_allclose(shrunk, -lens_error * (steps / camera.fx) ** 3, atol=0.03)
+    np.testing.assert_allclose(shrunk, -lens_error_px * (steps / camera.fx) ** 3, atol=0.03)
 
 
 def test_noise_differs_between_frames_and_sides_but_not_between_runs():

@@ -26,12 +26,12 @@ def test_a_smaller_image_keeps_the_field_of_view():
     [
         ({"shape": "spiral"}, "shape .spiral.: expected circle, figure-eight, blocks or the path"),
         ({"laps": 0}, "laps of a simulated drive: expected 1 to 1000, got 0"),
-        ({"speed": float("nan")}, "speed .* got nan"),
-        ({"lateral_offset": 3.0}, "lateral_offset .* expected -1.5 to 1.5, got 3"),
+        ({"speed_m_per_s": float("nan")}, "speed_m_per_s .* got nan"),
+        ({"lateral_offset_m": 3.0}, "lateral_offset_m .* expected -1.5 to 1.5, got 3"),
         ({"width": 8}, "width .* got 8"),
     ],
 )
-def test_a_spec_that_cannot_work_says_what_was_expected(wrong, message):
+def test_the_error_for_an_invalid_configuration_says_what_was_expected(wrong, message):
     with pytest.raises(ConfigError, match=message):
         SimulationConfig(**wrong)
 

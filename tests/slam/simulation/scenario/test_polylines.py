@@ -72,7 +72,7 @@ def test_distance_along_the_line_is_distance_driven(start: float, step: float) -
     assert np.linalg.norm(positions[1] - positions[0]) == pytest.approx(chord, rel=2e-3, abs=1e-4)
 
 
-def test_points_that_coincide_are_no_trouble() -> None:
+def test_coinciding_points_are_resampled() -> None:
     line = resample(np.array([[0.0, 0.0], [0.0, 0.0], [4.0, 0.0], [4.0, 0.0]]), False)
     assert isinstance(line, Polyline)
     assert line.length_m == pytest.approx(4.0)
@@ -80,7 +80,7 @@ def test_points_that_coincide_are_no_trouble() -> None:
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_laps_follow_one_another_without_gaps(reverse: bool) -> None:
-    config = SimulationConfig(shape="blocks", length=500, laps=3, reverse=reverse, lateral_offset=1.0)
+    config = SimulationConfig(shape="blocks", length_m=500, laps=3, reverse=reverse, lateral_offset_m=1.0)
     path, ends = plan_full_path(config)
     assert len(ends) == 3
     assert (np.diff(ends) > 0).all()
@@ -90,7 +90,7 @@ def test_laps_follow_one_another_without_gaps(reverse: bool) -> None:
 
 @pytest.mark.parametrize("laps", [1, 2, 3])
 def test_every_lap_has_as_many_frames_as_its_length_asks_for(laps: int) -> None:
-    trajectory = plan_trajectory(SimulationConfig(length=300, laps=laps, speed=10.0, frame_rate=10.0))
+    trajectory = plan_trajectory(SimulationConfig(length_m=300, laps=laps, speed_m_per_s=10.0, frame_rate_hz=10.0))
     counts = np.bincount(trajectory.lap)
     assert len(counts) == laps
     np.testing.assert_allclose(counts, 300, atol=3)
@@ -99,5 +99,5 @@ def test_every_lap_has_as_many_frames_as_its_length_asks_for(laps: int) -> None:
 
 
 def test_a_shorter_dataset_is_the_beginning_of_a_longer_one() -> None:
-    long, short = (plan_trajectory(SimulationConfig(length=300, max_frames=n)) for n in (80, 30))
+    long, short = (plan_trajectory(SimulationConfig(length_m=300, max_frames=n)) for n in (80, 30))
     np.testing.assert_allclose(short.T_town_camera, long.T_town_camera[:30])

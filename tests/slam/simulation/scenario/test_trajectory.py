@@ -14,8 +14,8 @@ def plan(trajectory):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_frames_are_as_far_apart_as_speed_and_rate_say(shape):
-    trajectory = plan_trajectory(SimulationConfig(shape=shape, length=600, speed=12, frame_rate=8, laps=1))
+def test_frames_are_as_far_apart_as_speed_and_frame_rate_require(shape):
+    trajectory = plan_trajectory(SimulationConfig(shape=shape, length_m=600, speed_m_per_s=12, frame_rate_hz=8, laps=1))
     steps = np.linalg.norm(np.diff(plan(trajectory), axis=0), axis=1)
     assert np.median(steps) == pytest.approx(1.5, rel=5e-3)
     assert steps.max() < 1.51
@@ -23,42 +23,42 @@ def test_frames_are_as_far_apart_as_speed_and_rate_say(shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_lap_is_as_long_as_asked_and_closes(shape):
-    path = plan_base_path(SimulationConfig(shape=shape, length=500))
+    path = plan_base_path(SimulationConfig(shape=shape, length_m=500))
     assert path.closed
     assert path.length_m == pytest.approx(500, rel=3e-3)
     assert np.linalg.norm(path.points[0] - path.points[-1]) < 0.3
 
 
 def test_the_circle_is_round():
-    points = plan_base_path(SimulationConfig(length=400)).points
+    points = plan_base_path(SimulationConfig(length_m=400)).points
     radius = np.linalg.norm(points - points.mean(axis=0), axis=1)
     np.testing.assert_allclose(radius, 400 / (2 * np.pi), rtol=1e-3)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_headings_follow_the_way_without_jumps(shape):
-    config = SimulationConfig(shape=shape, length=600, reverse=True, laps=3, lateral_offset=0.7)
+def test_headings_follow_the_path_without_jumps(shape):
+    config = SimulationConfig(shape=shape, length_m=600, reverse=True, laps=3, lateral_offset_m=0.7)
     turns = np.abs(np.diff(plan_full_path(config)[0].headings))
     assert turns.max() < np.radians(6)  # over a quarter of a metre, in the tightest turn
 
 
 def test_a_second_lap_passes_the_same_places():
-    trajectory = plan_trajectory(SimulationConfig(length=360, laps=2))
+    trajectory = plan_trajectory(SimulationConfig(length_m=360, laps=2))
     first, second = plan(trajectory)[:360], plan(trajectory)[360:720]
     assert np.linalg.norm(first - second[: len(first)], axis=1).max() < 0.3
 
 
 def test_a_later_lap_is_offset_to_the_right():
-    path, ends = plan_full_path(SimulationConfig(length=360, laps=2, lateral_offset=1.2))
-    base = plan_base_path(SimulationConfig(length=360))
+    path, ends = plan_full_path(SimulationConfig(length_m=360, laps=2, lateral_offset_m=1.2))
+    base = plan_base_path(SimulationConfig(length_m=360))
     there, heading = path.interpolate(np.array([ends[0] + 180.0]))
     right = np.array([np.sin(heading[0]), -np.cos(heading[0])])
     nearest = base.points[np.linalg.norm(base.points - there[0], axis=1).argmin()]
     assert (there[0] - nearest) @ right == pytest.approx(1.2, abs=0.05)
 
 
-def test_the_opposite_way_is_driven_in_the_other_lane():
-    trajectory = plan_trajectory(SimulationConfig(length=360, laps=2, reverse=True))
+def test_the_opposite_direction_is_driven_in_the_other_lane():
+    trajectory = plan_trajectory(SimulationConfig(length_m=360, laps=2, reverse=True))
     forward = trajectory.T_town_camera[:, :3, 2]
     late = np.flatnonzero(trajectory.lap == 1)[120]
     gaps = np.linalg.norm(plan(trajectory)[trajectory.lap == 0] - plan(trajectory)[late], axis=1)
@@ -66,7 +66,7 @@ def test_the_opposite_way_is_driven_in_the_other_lane():
     assert forward[gaps.argmin()] @ forward[late] < -0.99
 
 
-def test_poses_are_rigid_and_look_along_the_way():
+def test_poses_are_rigid_and_look_along_the_path():
     trajectory = plan_trajectory(SimulationConfig(max_frames=50))
     R = trajectory.T_town_camera[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-12)

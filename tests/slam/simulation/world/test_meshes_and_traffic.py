@@ -33,7 +33,7 @@ def test_yaw_turns_counter_clockwise_from_above() -> None:
     np.testing.assert_allclose(point.transform(np.pi / 2, np.zeros(3)).corners[0, 0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-def test_merging_keeps_every_triangle_and_of_nothing_is_nothing() -> None:
+def test_merging_keeps_every_triangle_also_of_no_mesh() -> None:
     parts = [
         boxes([0, 0, 0], [1, 1, 1], 3),
         prism(0.1, 0.1, 2.0, 4),
@@ -65,7 +65,7 @@ def test_cars_have_the_size_of_cars_and_stand_on_the_road(car_type: str) -> None
     assert 0.0 <= corners[:, 2].min() < 0.1
 
 
-CONFIG = SimulationConfig(length=720, laps=1, cars_per_360m=6)
+CONFIG = SimulationConfig(length_m=720, laps=1, cars_per_360m=6)
 
 
 @pytest.fixture(scope="module")
@@ -79,18 +79,18 @@ def centres(traffic: Traffic, frame: int) -> np.ndarray:
 
 
 def test_the_number_of_cars_is_per_360_m(traffic: Traffic) -> None:
-    assert len(traffic.met_at) == 12
-    none = SimulationConfig(length=720, cars_per_360m=0)
+    assert len(traffic.meeting_m) == 12
+    none = SimulationConfig(length_m=720, cars_per_360m=0)
     trajectory = plan_trajectory(none)
     assert all(Traffic(none, trajectory, fleet(none.rng(3))).meshes_at(frame) == [] for frame in (0, 100, 400))
 
 
-def test_each_car_is_met_where_it_was_drawn_to_be(traffic: Traffic) -> None:
+def test_each_car_is_met_at_its_meeting_point(traffic: Traffic) -> None:
     trajectory = traffic.trajectory
-    for met_at in traffic.met_at:
-        if not 5.0 < met_at < trajectory.distance_m[-1] - 5.0:
+    for meeting_m in traffic.meeting_m:
+        if not 5.0 < meeting_m < trajectory.distance_m[-1] - 5.0:
             continue
-        frame = round(met_at / CONFIG.spacing)
+        frame = round(meeting_m / CONFIG.spacing_m)
         camera = trajectory.T_town_camera[frame, :2, 3]
         assert np.linalg.norm(centres(traffic, frame) - camera, axis=1).min() < 2 * LANE + 2.5
 

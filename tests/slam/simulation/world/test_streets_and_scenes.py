@@ -13,7 +13,7 @@ from slam.simulation.world.buildings import build_house, draw_house
 from slam.simulation.world.materials import FRONTS
 from slam.simulation.world.streets import ROAD_HALF, ground, lay_streets
 
-CONFIG = SimulationConfig(shape="blocks", length=800, width=160, height=64)
+CONFIG = SimulationConfig(shape="blocks", length_m=800, width=160, height=64)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_every_frame_has_one_scene_in_order(stream: SceneStream) -> None:
 
 
 def test_scenes_end_with_the_lap_where_the_light_changes() -> None:
-    config = SimulationConfig(length=200, laps=3, change_illumination=True, width=160, height=64)
+    config = SimulationConfig(length_m=200, laps=3, change_illumination=True, width=160, height=64)
     stream = SceneStream.__new__(SceneStream)  # without its town, which takes seconds to build
     stream.config, stream.trajectory = config, plan_trajectory(config)
     for run in stream._stretches():
@@ -109,7 +109,7 @@ def test_bounding_spheres_contain_their_clusters(stream: SceneStream) -> None:
 
 
 @pytest.mark.parametrize("urban", [True, False])
-def test_houses_fill_their_measures_and_stand_on_the_ground(urban: bool) -> None:
+def test_houses_have_their_size_and_stand_on_the_ground(urban: bool) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         house = draw_house(rng, 12.0, urban)

@@ -21,7 +21,7 @@ def solid_below(parts, height):
 
 @pytest.mark.parametrize(("shape", "reverse"), [("circle", True), ("figure-eight", False), ("blocks", False)])
 def test_nothing_stands_on_the_route(shape, reverse):
-    config = SimulationConfig(shape=shape, length=400, reverse=reverse, lateral_offset=1.0)
+    config = SimulationConfig(shape=shape, length_m=400, reverse=reverse, lateral_offset_m=1.0)
     trajectory = plan_trajectory(config)
     corners = solid_below(TownBuilder(config, trajectory).build(), 2.0)
     # Points all over each triangle, so that no long wall slips through between its corners.
@@ -47,18 +47,18 @@ def test_streets_are_lined_on_both_sides():
 
 def test_the_town_of_a_seed_is_always_the_same_and_another_seed_has_another():
     def corners(seed):
-        config = SimulationConfig(length=200, seed=seed)
+        config = SimulationConfig(length_m=200, seed=seed)
         return [mesh.position for mesh in TownBuilder(config, plan_trajectory(config)).build()]
 
     assert corners(1) == corners(1)
     assert corners(1) != corners(2)
 
 
-def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
+def test_similar_streets_have_houses_of_the_same_design(monkeypatch):
     def designs(alike):
         drawn = []
         monkeypatch.setattr(town, "build_house", lambda house, *rest: drawn.append(house) or build_house(house, *rest))
-        config = SimulationConfig(shape="blocks", length=1000, perceptual_aliasing=alike)
+        config = SimulationConfig(shape="blocks", length_m=1000, perceptual_aliasing=alike)
         TownBuilder(config, plan_trajectory(config)).build()
         return drawn
 
@@ -67,7 +67,7 @@ def test_alike_streets_have_houses_of_the_same_design(monkeypatch):
     assert len(others) == len(set(others))
 
 
-def test_a_street_driven_twice_is_laid_once():
-    config = SimulationConfig(shape="blocks", length=800)
+def test_a_street_driven_twice_is_built_once():
+    config = SimulationConfig(shape="blocks", length_m=800)
     streets = TownBuilder(config, plan_trajectory(config)).streets
     assert streets.joined.sum() < 0.8 * len(streets.points)
