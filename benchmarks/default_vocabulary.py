@@ -29,7 +29,11 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.surf import Surf
 from place_recognition.vocabulary import vocabulary
-from place_recognition.vocabulary.training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
+from place_recognition.vocabulary.vocabulary_training import (
+    DescriptorSample,
+    VocabularyTrainingConfig,
+    train_vocabulary,
+)
 from slam.simulation import SimulationConfig, simulate
 
 Image = NDArray[np.uint8]

@@ -21,13 +21,13 @@ from rich.table import Table
 
 from odometry import se3
 from slam.apps.dense import MappedRun, read_run
-from slam.evaluation.trajectory import Similarity, umeyama
+from slam.evaluation.trajectory_errors import Similarity, umeyama
 from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
 from slam.pipeline.provenance import peak_memory_mb
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.simulator import MANIFEST, ground_truth_surfaces
 
 Array = NDArray[np.float64]

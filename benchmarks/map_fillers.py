@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
+from place_recognition.paradigms.sequence_paradigms import make_dynamic_sequences, make_sequence_histograms
 from place_recognition.paradigms.sequence_recognizer import SequenceRecognizer
-from place_recognition.paradigms.sequences import make_dynamic_sequences, make_sequence_histograms
 from place_recognition.paradigms.tracked_words import TrackedWords
 from place_recognition.vocabulary.tf_idf import word_vector
-from place_recognition.vocabulary.tracked_words import Words
 from place_recognition.vocabulary.vocabulary import default_vocabulary
+from place_recognition.vocabulary.word_tracking import Words
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Floats = NDArray[np.float32]

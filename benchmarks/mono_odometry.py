@@ -16,7 +16,7 @@ from odometry_drives import Array, Drive, StageTimes, chain_poses, measure, path
 from odometry import MonoOdometry, Motion
 from odometry.mono import mono_frontend, mono_tracking
 from odometry.mono.mono_bundle_adjustment import MonoBundle
-from slam.evaluation.trajectory import trajectory_errors
+from slam.evaluation.trajectory_errors import trajectory_errors
 
 STAGES = (
     (mono_frontend, "detect_corners", "detection"),

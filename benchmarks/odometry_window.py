@@ -16,7 +16,7 @@ import numpy as np
 from odometry_drives import Array, Drive, end_error, run
 
 from odometry import Motion, StereoOdometryConfig, se3
-from slam.evaluation.trajectory import trajectory_errors
+from slam.evaluation.trajectory_errors import trajectory_errors
 
 STRETCHES = (1, 5, 20, 50, 100)  # images
 _LEARNING_FRAMES = 30  # at the start, that do not count: the calibration is still being estimated

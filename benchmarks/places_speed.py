@@ -27,7 +27,7 @@ from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.place_map import PlaceSegmentation
 from place_recognition.paradigms import hierarchical_places
 from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
-from place_recognition.vocabulary import tracked_words as tracking
+from place_recognition.vocabulary import word_tracking as tracking
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Image = NDArray[np.uint8]

@@ -29,7 +29,7 @@ from slam.io.g2o_problem import classify_edges
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import chordal_initialization, optimize, refine
-from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from slam.apps.localize import LocateOptions, QueryResult, locate
 from slam.datasets.dataset import DatasetSpec
-from slam.evaluation.trajectory import absolute_trajectory_error, path_length, umeyama
-from slam.io.trajectory import read_kitti
+from slam.evaluation.trajectory_errors import absolute_trajectory_error, path_length, umeyama
+from slam.io.trajectory_files import read_kitti
 from slam.localization.localizer import LocalizationResult
 from slam.map_database.database import MapDatabase, map_file
 

@@ -11,7 +11,7 @@ from street import arguments, street
 
 from odometry.stereo.stereo_odometry import StereoOdometry
 from slam.datasets.formats.registry import open_dataset
-from slam.evaluation.trajectory import absolute_trajectory_error, distances_along, end_error
+from slam.evaluation.trajectory_errors import absolute_trajectory_error, distances_along, end_error
 from slam.report import colours
 from slam.report.trajectory_figure import new_figure, save_png, style_axes
 

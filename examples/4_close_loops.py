@@ -12,7 +12,7 @@ from street import arguments, street
 from slam.components import build_components
 from slam.config import RunConfig
 from slam.datasets.formats.registry import open_dataset
-from slam.evaluation.trajectory import absolute_trajectory_error
+from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.report import colours
 from slam.report.trajectory_figure import new_figure, save_png, style_axes
 from slam.system import Slam

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from odometry import se3
-from slam.evaluation.trajectory import absolute_trajectory_error
+from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.report import colours

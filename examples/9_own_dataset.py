@@ -21,7 +21,7 @@ from slam.datasets.formats.recording import (
 )
 from slam.datasets.formats.timestamped_lists import ListFormat
 from slam.datasets.rectification import rectify_parallel
-from slam.io.trajectory import write_tum
+from slam.io.trajectory_files import write_tum
 
 # The format: left.list and right.list with "milliseconds;file" in each line, and ground truth in poses.tum.
 LISTS = ListFormat(separator=";", ticks_per_second=1e3)

@@ -18,12 +18,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slam.evaluation.outlier_injection import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
-from slam.io.csv_tables import write_table
+from slam.io.frames_and_loops_csv import write_table
 from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
-from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
+from slam.pose_graph.optimization.planar_or_spatial import SE2, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 from slam.report.trajectory_figure import new_figure, save_png, style_axes
 

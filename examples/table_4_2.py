@@ -22,7 +22,7 @@ from slam.apps.places import PlacesOptions, recognize_images
 from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.errors import DataError, RevisitError
-from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth
+from slam.evaluation.revisit_truth_files import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
 from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table

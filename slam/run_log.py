@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from slam.frame_record import FrameRecord
-from slam.io.csv_tables import FrameTable
+from slam.io.frames_and_loops_csv import FrameTable
 from slam.system import FrameResult, LoopCandidate
 
 Array = NDArray[np.float64]

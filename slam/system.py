@@ -16,7 +16,7 @@ from slam.frame_record import FrameRecord, LoopRecord
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.mapping.landmark_map import LandmarkMap
-from slam.pose_graph.loop_admission import LoopDecision
+from slam.pose_graph.online_loop_selection import LoopDecision
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.timing import StageTimer

@@ -16,7 +16,7 @@ from odometry import se3
 from odometry.camera import clamp_inverse_depth, triangulate
 from odometry.distortion import NUM_COEFFICIENTS, LensDistortion, LensDistortionConfig
 from odometry.inverse_depth_points import FrameObservations, ObservationTable, Points, clamp_points
-from odometry.kernels.mono_bundle_adjustment import build_normal_equations
+from odometry.kernels.mono_bundle_equations import build_normal_equations
 from odometry.kernels.schur import FIXED
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry.tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

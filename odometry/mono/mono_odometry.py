@@ -19,6 +19,7 @@ from odometry import se3
 from odometry.camera import PinholeCamera
 from odometry.distortion import LensDistortion, LensDistortionConfig
 from odometry.inverse_depth_points import FrameObservations
+from odometry.klt_tracking import TrackingConfig
 from odometry.mono.ground_plane_scale import GroundPlaneConfig, GroundPlaneScale, NullScaleCorrection, ScaleCorrection
 from odometry.mono.mono_bundle_adjustment import MonoBundle, MonoBundleConfig
 from odometry.mono.mono_frontend import FollowedTracks, MonoFrontEnd, MonoTracks
@@ -29,7 +30,6 @@ from odometry.mono.motion_stereo import Depths, MotionStereoConfig, PosedImage, 
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction, jump_reason
 from odometry.reference_frame import Reference
-from odometry.tracking import TrackingConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.inverse_depth_points import Points, clamp_points
-from odometry.kernels.mono_bundle_adjustment import build_normal_equations
+from odometry.kernels.mono_bundle_equations import build_normal_equations
 from odometry.mono.mono_bundle_adjustment import MonoBundle, intrinsics
 from odometry.mono.mono_frontend import MonoTracks
 

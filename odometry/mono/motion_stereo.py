@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from odometry import se3
 from odometry.camera import triangulate
 from odometry.distortion import LensDistortion
-from odometry.tracking import TrackingConfig, is_inside, track_points
+from odometry.klt_tracking import TrackingConfig, is_inside, track_points
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from odometry.camera import StereoCamera, clamp_inverse_depth
-from odometry.kernels.sliding_window import build_normal_equations
+from odometry.kernels.sliding_window_equations import build_normal_equations
 from odometry.stereo.stereo_self_calibration import Calibration
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
 from odometry.stereo.sliding_window import StereoFrameObservations
 from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.stereo.stereo_self_calibration import Calibration
 from odometry.stereo.two_view_adjustment import StereoTracks
-from odometry.tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from odometry.tracking import TrackingConfig, is_inside, lucas_kanade
+from odometry.klt_tracking import TrackingConfig, is_inside, lucas_kanade
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

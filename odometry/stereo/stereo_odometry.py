@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
+from odometry.klt_tracking import TrackingConfig
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.reference_frame import Reference
@@ -26,7 +27,6 @@ from odometry.stereo.stereo_matching import StereoMatchingConfig, match_disparit
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, TrackingResult
 from odometry.stereo.two_view_adjustment import AdjustmentConfig, TwoViewEstimate
-from odometry.tracking import TrackingConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import clamp_inverse_depth
-from odometry.kernels.two_view_adjustment import build_normal_equations
+from odometry.kernels.two_view_equations import build_normal_equations
 from odometry.stereo.stereo_self_calibration import NUM_COEFFICIENTS, Calibration
 
 Array = NDArray[np.float64]

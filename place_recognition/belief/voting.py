@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, xlog1py, xlogy
 
 from place_recognition.map.place_map import PlaceMap
-from place_recognition.vocabulary.tracked_words import WordMap
+from place_recognition.vocabulary.word_tracking import WordMap
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

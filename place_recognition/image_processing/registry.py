@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from place_recognition.image_processing.local_features import FeatureExtractor
-from place_recognition.image_processing.opencv import Orb, OrbConfig, Sift, SiftConfig
+from place_recognition.image_processing.orb_and_sift import Orb, OrbConfig, Sift, SiftConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 
 EXTRACTORS: dict[str, Callable[[int], FeatureExtractor]] = {

@@ -14,13 +14,13 @@ from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.paradigms.seqslam import PixelSequences, PixelSequencesConfig
-from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
-from place_recognition.paradigms.sequences import (
+from place_recognition.paradigms.sequence_paradigms import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,
     make_dynamic_sequences,
     make_sequence_histograms,
 )
+from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from place_recognition.vocabulary.vocabulary import Vocabulary, default_vocabulary, load_vocabulary

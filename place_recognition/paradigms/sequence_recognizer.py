@@ -138,7 +138,7 @@ class _EndedSequence:
 class SequenceRecognizer:
     """Recognises places by sequences of images (a PlaceRecognizer); answers when the next sequence has ended.
 
-    Each paradigm of `place_recognition.paradigms.sequences` is this with its own segmentation and filter.
+    Each paradigm of `place_recognition.paradigms.sequence_paradigms` is this with its own segmentation and filter.
     """
 
     def __init__(

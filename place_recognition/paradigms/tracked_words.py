@@ -28,8 +28,8 @@ from place_recognition.belief.voting import Votes, count_votes
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
 from place_recognition.map.image_history import ImageHistory, ImageHistoryConfig
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
-from place_recognition.vocabulary.tracked_words import FeatureTracks, TrackConfig, WordMap
 from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.vocabulary.word_tracking import FeatureTracks, TrackConfig, WordMap
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 

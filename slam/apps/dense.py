@@ -17,10 +17,10 @@ from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.registry import open_dataset
 from slam.errors import ConfigError, DataError, OutputError
 from slam.io.calibration import read_calibration
-from slam.io.csv_tables import read_frames
+from slam.io.frames_and_loops_csv import read_frames
 from slam.io.metrics import read_metrics
 from slam.io.run_folder import STAGING
-from slam.io.trajectory import read_tum
+from slam.io.trajectory_files import read_tum
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.birds_eye_view import PlaneWindow, render_birds_eye_view
 from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import RevisitRule
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from place_recognition.recognizer import Belief
 from slam.errors import ConfigError, DataError
-from slam.evaluation.ground_truth import RevisitTruth, read_revisit_truth
 from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
-from slam.evaluation.trajectory import TrajectoryErrors, path_length, trajectory_errors
+from slam.evaluation.revisit_truth_files import RevisitTruth, read_revisit_truth
+from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors
 from slam.io.matches import read_matches, write_curve
 from slam.io.metrics import metrics_text, write_metrics
 from slam.io.run_folder import RunFolder
-from slam.io.trajectory import read_trajectory
+from slam.io.trajectory_files import read_trajectory
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.errors import DataError
-from slam.io.csv_tables import read_events, read_loops, read_stages
+from slam.io.frames_and_loops_csv import read_events, read_loops, read_stages
 from slam.io.metrics import read_metrics
 from slam.report.loop_details import describe_outcome, describe_stages
 from slam.run_result import LoopEventRow, LoopRow, StageRow

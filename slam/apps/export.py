@@ -10,7 +10,7 @@ from slam.io.files import atomic_writer
 from slam.io.landmarks import read_landmark_observers
 from slam.io.ply import read_cloud
 from slam.io.run_folder import RunFolder
-from slam.io.trajectory import read_tum, write_kitti, write_tum
+from slam.io.trajectory_files import read_tum, write_kitti, write_tum
 
 STATES = ("odometry", "online", "corrected")
 _MAP_SUFFIXES = {"odometry": "before", "corrected": "after"}  # of the files of graph and map

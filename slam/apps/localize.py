@@ -22,7 +22,7 @@ from slam.datasets.formats.image_sequence import IMAGE_SUFFIXES, ImageSequence
 from slam.datasets.formats.recording import ImageDataset, LeftImages
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError, DataError
-from slam.io.csv_tables import write_table
+from slam.io.frames_and_loops_csv import write_table
 from slam.localization.keyframe_map import SavedMap
 from slam.localization.localizer import LocalizationResult, Localizer, NotLocalized
 from slam.map_database.database import MapDatabase, map_file

@@ -11,13 +11,13 @@ from rich.table import Table
 
 from slam.errors import ConfigError
 from slam.evaluation.pose_graph import GraphTruth, absolute_error, find_truth
-from slam.io.csv_tables import write_table
+from slam.io.frames_and_loops_csv import write_table
 from slam.io.g2o import Graph, read_g2o, write_g2o
 from slam.io.g2o_problem import ClassifiedEdges, classify_edges
 from slam.io.metrics import write_metrics
 from slam.io.run_folder import RunFolder
 from slam.pipeline.provenance import peak_memory_mb, provenance
-from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.robust.backends import DEFAULT, BackEndResult, back_end, solve
 from slam.report.pose_graph_figure import draw_pose_graph
 from slam.report.trajectory_figure import save_png

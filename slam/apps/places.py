@@ -15,7 +15,12 @@ from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError
-from slam.evaluation.ground_truth import RevisitTruth, check_truth_size, read_revisit_truth, revisit_truth_from_poses
+from slam.evaluation.revisit_truth_files import (
+    RevisitTruth,
+    check_truth_size,
+    read_revisit_truth,
+    revisit_truth_from_poses,
+)
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
 from slam.pipeline.place_recognition import (

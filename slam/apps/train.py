@@ -15,12 +15,16 @@ from place_recognition.belief.matrix_filter_training import (
     reduce_to_sequences,
     train_filter,
 )
-from place_recognition.evaluation.ground_truth import load_truth
 from place_recognition.evaluation.ground_truth_files import array_names, read_array
+from place_recognition.evaluation.revisit_ground_truth import load_truth
 from place_recognition.image_processing.local_features import FeatureExtractor
 from place_recognition.image_processing.registry import make_extractor
-from place_recognition.vocabulary.training import DescriptorSample, VocabularyTrainingConfig, train_vocabulary
 from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary_training import (
+    DescriptorSample,
+    VocabularyTrainingConfig,
+    train_vocabulary,
+)
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.kitti_files import sequence_names
 from slam.datasets.formats.recording import ImageDataset

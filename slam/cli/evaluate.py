@@ -101,7 +101,7 @@ def evaluate_loops(
 
     Example: revisit evaluate loops runs/places05/matches.csv groundTruthKITTI05.mat
     """
-    from place_recognition.evaluation.ground_truth import RevisitRule
+    from place_recognition.evaluation.revisit_ground_truth import RevisitRule
     from slam.apps.evaluate import LoopsOptions
     from slam.apps.evaluate import evaluate_loops as evaluate
 

@@ -33,7 +33,7 @@ from slam.datasets.distortion_models import CameraModel
 from slam.datasets.rectification import NOMINAL_BASELINE_M, Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
 from slam.io.files import read_lines
-from slam.io.trajectory import MAX_ROTATION_ERROR
+from slam.io.trajectory_files import MAX_ROTATION_ERROR
 
 Array = NDArray[np.float64]
 

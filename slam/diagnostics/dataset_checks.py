@@ -28,7 +28,7 @@ from slam.diagnostics.sensor_checks import (
     measure_image,
 )
 from slam.errors import DataError
-from slam.evaluation.trajectory import path_length
+from slam.evaluation.trajectory_errors import path_length
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

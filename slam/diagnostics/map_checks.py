@@ -67,7 +67,9 @@ def _file(database: MapDatabase) -> CheckResult:
             Status.FAULT,
             f"{database.path}: expected a sound file, SQLite finds {messages[0]}; copy it again or run again",
         )
-    size = sum(row[0] for row in database.query("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"))
+    size = sum(
+        row[0] for row in database.query("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size")
+    )
     return Status.OK, f"sound, {size / 1e6:.1f} MB"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import RevisitRule, truth_from_poses
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
 from slam.run_result import LoopRow
 
 Array = NDArray[np.float64]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
-from slam.evaluation.trajectory import umeyama
+from slam.evaluation.trajectory_errors import umeyama
 from slam.io.files import read_numbers
 from slam.io.g2o import Graph
-from slam.io.trajectory import read_trajectory
+from slam.io.trajectory_files import read_trajectory
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.recognizer import Belief
 from slam.errors import DataError
-from slam.io.csv_tables import write_table
 from slam.io.files import atomic_writer
+from slam.io.frames_and_loops_csv import write_table
 
 MATCH_COLUMNS = ("query", "match", "score", "accepted", "inliers", "verified")
 CURVE_COLUMNS = ("threshold", "precision", "recall", "true_positives", "false_positives")

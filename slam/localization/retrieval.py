@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from place_recognition.vocabulary.training import DescriptorSample
+from place_recognition.vocabulary.vocabulary_training import DescriptorSample
 from place_recognition.vocabulary.word_index import WordIndex
 from place_recognition.vocabulary.word_tree import WordTree
 

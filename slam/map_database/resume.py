@@ -19,7 +19,7 @@ from slam.errors import ConfigError, DataError, OutputError
 from slam.frame_record import LoopRecord
 from slam.io.run_folder import STAGING, RunFolder, unfinished
 from slam.map_database.database import MAP_FILE, MapDatabase, Session, map_file
-from slam.map_database.inter_session import SessionStart, frame_in_session, loop_in_session
+from slam.map_database.inter_session_loops import SessionStart, frame_in_session, loop_in_session
 from slam.run_log import RunLog
 from slam.system import Components, Slam
 

@@ -16,7 +16,7 @@ from slam.frame_record import FrameRecord, LoopRecord
 from slam.io.files import replacing
 from slam.io.run_folder import RunFolder
 from slam.map_database.database import MAP_FILE, Checkpoint, MapDatabase, Session
-from slam.map_database.inter_session import SessionRecognizer, components_in_session, loop_in_map
+from slam.map_database.inter_session_loops import SessionRecognizer, components_in_session, loop_in_map
 from slam.map_database.resume import restore_session, session_start, system_state
 from slam.map_database.session_merging import SessionResult, close_session, merge_session
 from slam.pose_graph.robust.backends import OptimizationResult

@@ -8,7 +8,7 @@ import numpy as np
 from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing.loop_closer import LoopClosure, Rejection
-from slam.pose_graph.loop_admission import LoopEvent
+from slam.pose_graph.online_loop_selection import LoopEvent
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
 from slam.run_result import LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.system import LoopCandidate

@@ -37,7 +37,7 @@ from slam.map_database.session_merging import SessionResult
 from slam.map_database.session_writer import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
-from slam.pipeline.results import PipelineResult, make_record, write_results
+from slam.pipeline.result_files import PipelineResult, make_record, write_results
 from slam.pipeline.visualization import VIEWS, RunVisualizer, open_viewer
 from slam.report.formatting import summary_table
 from slam.run_log import RunLog, log_frame, log_loops, log_to_file

@@ -17,8 +17,8 @@ from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_e
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
-from slam.evaluation.ground_truth import RevisitTruth
 from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
+from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
 from slam.io.metrics import write_metrics
 from slam.pipeline.provenance import peak_memory_mb

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from odometry import se3
 from slam.errors import GraphError
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.incremental import IncrementalConfig, IncrementalPoseGraph
-from slam.pose_graph.loop_admission import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
+from slam.pose_graph.isam2 import IncrementalConfig, IncrementalPoseGraph
 from slam.pose_graph.node_chain import NodeChain, NodeSpacing
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, chain_motions
+from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
 from slam.pose_graph.optimization.edges import from_measurements
 from slam.pose_graph.optimization.marginals import marginal_covariances
 from slam.pose_graph.optimization.sim3 import estimate_log_scales, in_common_scale, refine_sim3

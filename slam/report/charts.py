@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slam.evaluation.trajectory import distances_along
+from slam.evaluation.trajectory_errors import distances_along
 from slam.report import colours
 from slam.report.formatting import is_scaled, kept, stage_times
 from slam.report.trajectory_figure import INK, anchor_ground_truth, new_figure, position_errors, style_axes

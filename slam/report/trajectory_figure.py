@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from odometry.se3 import inverse
 from slam.errors import OutputError
-from slam.evaluation.trajectory import Similarity, distances_along, umeyama
+from slam.evaluation.trajectory_errors import Similarity, distances_along, umeyama
 from slam.report import colours
 from slam.report.fonts import set_font_fallbacks
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected

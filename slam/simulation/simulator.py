@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import RevisitRule, truth_from_poses
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
 from slam.errors import OutputError
 from slam.simulation.rendering.renderer import (
     Daylight,
@@ -31,7 +31,7 @@ from slam.simulation.rendering.renderer import (
 )
 from slam.simulation.rendering.sensor_model import build_sensor_model, exposure_gain
 from slam.simulation.scenario.config import FORMAT, SimulationConfig
-from slam.simulation.scenario.trajectory import SimulatedTrajectory, plan_trajectory
+from slam.simulation.scenario.vehicle_path import SimulatedTrajectory, plan_trajectory
 from slam.simulation.world.materials import build_materials
 from slam.simulation.world.textures import panorama
 from slam.simulation.world.town import TownBuilder

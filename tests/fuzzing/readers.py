@@ -20,16 +20,16 @@ from slam.datasets.formats.image_sequence import read_grey, read_times
 from slam.datasets.formats.registry import open_dataset
 from slam.datasets.video import open_video
 from slam.errors import DataError
-from slam.evaluation.ground_truth import read_revisit_truth
+from slam.evaluation.revisit_truth_files import read_revisit_truth
 from slam.io.calibration import read_calibration
-from slam.io.csv_tables import read_events, read_frames, read_loops, read_stages
+from slam.io.frames_and_loops_csv import read_events, read_frames, read_loops, read_stages
 from slam.io.g2o import Graph, read_g2o
 from slam.io.landmarks import read_landmark_observers
 from slam.io.matches import read_matches
 from slam.io.metrics import read_metrics
 from slam.io.ply import read_cloud
-from slam.io.trajectory import read_trajectory
-from slam.simulation.scenario.trajectory import read_plan
+from slam.io.trajectory_files import read_trajectory
+from slam.simulation.scenario.vehicle_path import read_plan
 
 from . import generation as made
 from . import valid_files as valid

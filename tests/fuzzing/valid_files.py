@@ -14,10 +14,10 @@ from odometry.camera import StereoCamera
 from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
 from slam.config import RunConfig, to_toml
 from slam.io.calibration import write_calibration
-from slam.io.csv_tables import FrameTable, write_events, write_frames, write_loops, write_stages
+from slam.io.frames_and_loops_csv import FrameTable, write_events, write_frames, write_loops, write_stages
 from slam.io.landmarks import write_landmark_observers
 from slam.io.ply import write_cloud
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory_files import write_kitti, write_tum
 from slam.run_result import PointCloud
 
 from ..slam.report import fabricate

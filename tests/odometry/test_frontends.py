@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from odometry import se3
+from odometry.klt_tracking import TrackingConfig
 from odometry.mono.mono_frontend import MonoFrontEnd
 from odometry.stereo.sliding_window import StereoFrameObservations
 from odometry.stereo.stereo_frontend import StereoFrontEnd
 from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
-from odometry.tracking import TrackingConfig
 
 
 @pytest.fixture

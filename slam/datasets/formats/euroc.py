@@ -32,7 +32,7 @@ from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS, read_timest
 from slam.datasets.rectification import Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
 from slam.io.files import read_lines
-from slam.io.trajectory import check_positions
+from slam.io.trajectory_files import check_positions
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam.datasets.formats.kitti_files import find_images, find_poses, find_sequence
 from slam.errors import DataError
 from slam.io.files import read_numbers
-from slam.io.trajectory import read_kitti
+from slam.io.trajectory_files import read_kitti
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from slam.datasets.formats.image_sequence import read_grey, read_times
 from slam.datasets.formats.kitti_files import StereoFiles, find_images, find_poses, find_sequence
 from slam.datasets.rectification import NOMINAL_BASELINE_M
 from slam.errors import DataError
-from slam.io.trajectory import read_kitti
+from slam.io.trajectory_files import read_kitti
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from slam.datasets.formats.timestamped_lists import ListFormat, check_increasing
 from slam.datasets.rectification import ImageMap, Rectification, Size
 from slam.datasets.time_sync import MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
 from slam.errors import DataError
-from slam.io.trajectory import read_trajectory
+from slam.io.trajectory_files import read_trajectory
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.pose_graph.optimization.lie_groups import LieGroup, group_of, inverse
+from slam.pose_graph.optimization.planar_or_spatial import LieGroup, group_of, inverse
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

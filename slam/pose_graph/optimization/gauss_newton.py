@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Reweight = Callable[[Array, int], Array]  # chi-squares (M,), number of the step -> weights (M,)

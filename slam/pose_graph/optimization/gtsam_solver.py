@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slam.errors import GraphError
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.lie_groups import planar_poses
+from slam.pose_graph.optimization.planar_or_spatial import planar_poses
 
 Array = NDArray[np.float64]
 ANCHOR_SIGMA = 1e-6  # rad and m; tight enough to hold the first pose, loose enough for the conditioning

@@ -22,7 +22,7 @@ from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.optimization import gtsam_solver as factors
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import factorize, factorize_jacobian, whitened_jacobian
-from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 
 from slam.errors import ConfigError, GraphError
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
-from slam.pose_graph.robust.calibration import Screening, screen
 from slam.pose_graph.robust.consensus import grow_consensus
+from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.kernels import Kernel, dcs, huber, kernel_poses, switchable
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO

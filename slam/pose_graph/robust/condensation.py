@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.lie_groups import inverse
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.robust.problem import LoopProblem
 
 Array = NDArray[np.float64]

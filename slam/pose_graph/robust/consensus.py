@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import factorize_jacobian, jacobian_of_errors, whitened_jacobian
-from slam.pose_graph.robust.calibration import Screening
+from slam.pose_graph.robust.covariance_calibration import Screening
 from slam.pose_graph.robust.false_discovery import SECOND_RATE, expected_false_positives, not_significant
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.likelihood_ratio import (

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.gauss_newton import irls
-from slam.pose_graph.robust.calibration import Screening
+from slam.pose_graph.robust.covariance_calibration import Screening
 from slam.pose_graph.robust.gnc import least_squares
 from slam.pose_graph.robust.problem import LoopProblem
 

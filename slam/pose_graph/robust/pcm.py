@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.optimization.lie_groups import inverse
 from slam.pose_graph.optimization.marginals import Posterior
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO, LoopLikelihood, max_inlier_chi2
 
 Array = NDArray[np.float64]

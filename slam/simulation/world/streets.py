@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from slam.simulation.scenario.trajectory import LANE, STEP, Polyline, SimulatedTrajectory
+from slam.simulation.scenario.vehicle_path import LANE, STEP, Polyline, SimulatedTrajectory
 from slam.simulation.world import materials as m
 from slam.simulation.world.mesh import Mesh, merge_meshes, quads
 

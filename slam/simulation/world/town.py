@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import SimulatedTrajectory, plan_base_path
+from slam.simulation.scenario.vehicle_path import SimulatedTrajectory, plan_base_path
 from slam.simulation.world import street_objects, vehicles
 from slam.simulation.world.buildings import build_house, draw_house
 from slam.simulation.world.mesh import Mesh

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import LANE, SimulatedTrajectory
+from slam.simulation.scenario.vehicle_path import LANE, SimulatedTrajectory
 from slam.simulation.world import materials as m
 from slam.simulation.world.mesh import Mesh, boxes, merge_meshes, panel, quads, triangles
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from odometry.kernels import mono_bundle_adjustment, sliding_window, two_view_adjustment
+from odometry.kernels import mono_bundle_equations, sliding_window_equations, two_view_equations
 from odometry.kernels.reprojection import ANCHOR, BY_POINT, ERROR, FRAME, relative_pose, subtract_previous
 from odometry.kernels.schur import POINT, POSE
 
@@ -54,7 +54,7 @@ def test_the_jacobian_of_the_two_view_adjustment(seed):
     def observe(change):
         out = np.zeros(6), np.zeros((6, 21)), np.zeros(6), np.zeros((4, 2, 3))
         moved = se3.exp(change[:6]) @ T
-        two_view_adjustment.observe(CAMERA, pixels, depth + change[21], moved, calibration + change[6:21], out)
+        two_view_equations.observe(CAMERA, pixels, depth + change[21], moved, calibration + change[6:21], out)
         return out
 
     # The pixels of a residual's field do not depend on the calibration, so the differences are exact to second order.
@@ -74,7 +74,7 @@ def test_the_jacobian_of_the_sliding_window(seed):
     def observe(change):
         out = np.zeros((3, BY_POINT + 1))
         T = relative(anchor @ se3.exp(change[:6]), frame @ se3.exp(change[6:12]))
-        sliding_window.observe(CAMERA, first, pixel, depth + change[12], T, out)
+        sliding_window_equations.observe(CAMERA, first, pixel, depth + change[12], T, out)
         return out
 
     expected = difference(lambda change: observe(change)[:, ERROR], 13)
@@ -92,7 +92,7 @@ def test_the_jacobian_of_the_monocular_bundle(seed):
     def observe(change):
         out = np.zeros((2, BY_POINT + 6))
         T = relative(anchor @ se3.exp(change[:6]), frame @ se3.exp(change[6:12]))
-        mono_bundle_adjustment.observe(CAMERA[:4], first, pixel, point + change[12:15], T, lens + change[15:], out)
+        mono_bundle_equations.observe(CAMERA[:4], first, pixel, point + change[12:15], T, lens + change[15:], out)
         return out
 
     expected = difference(lambda change: observe(change)[:, ERROR], 18)

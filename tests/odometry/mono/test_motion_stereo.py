@@ -5,8 +5,8 @@ import pytest
 
 from odometry import se3
 from odometry.distortion import LensDistortion
+from odometry.klt_tracking import TrackingConfig, detect_corners, match_brightness
 from odometry.mono.motion_stereo import Depths, MotionStereoConfig, PosedImage, estimate_depths, select_earlier_image
-from odometry.tracking import TrackingConfig, detect_corners, match_brightness
 
 CONFIG = MotionStereoConfig()
 

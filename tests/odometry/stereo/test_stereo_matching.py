@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from odometry.klt_tracking import TrackingConfig, detect_corners
 from odometry.stereo.stereo_matching import match_disparity, match_right
-from odometry.tracking import TrackingConfig, detect_corners
 
 SHAPE = (240, 480)
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from odometry import se3
+from odometry.klt_tracking import TrackingConfig
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.stereo.stereo_frontend import StereoFrontEnd
 from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, match_descriptors
 from odometry.stereo.two_view_adjustment import AdjustmentConfig, estimate_motion, ransac_motion
-from odometry.tracking import TrackingConfig
 
 
 def test_pairs_several_images_apart_are_associated(camera, drive, motion_true):

@@ -9,8 +9,8 @@ from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
 from place_recognition.evaluation import ground_truth_files
-from place_recognition.evaluation.ground_truth import load_truth
 from place_recognition.evaluation.ground_truth_files import read_positive
+from place_recognition.evaluation.revisit_ground_truth import load_truth
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"]
 KILLERS = Path(__file__).parents[2] / "fuzzing" / "corpus" / "truth-MATLAB"

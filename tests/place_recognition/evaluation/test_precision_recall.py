@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from place_recognition.evaluation.ground_truth import RevisitRule, load_truth, truth_from_poses
 from place_recognition.evaluation.precision_recall import accepted_counts, is_correct, precision_recall
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule, load_truth, truth_from_poses
 from place_recognition.recognizer import Belief
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import RevisitRule
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from slam.apps.evaluate import LoopsOptions, evaluate_loops
 from slam.cli import app
 from slam.errors import ConfigError, DataError, OutputError
 from slam.io.matches import read_matches, write_matches
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory_files import write_kitti, write_tum
 
 LAP = 40
 

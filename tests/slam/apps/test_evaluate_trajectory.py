@@ -9,7 +9,7 @@ import pytest
 from odometry import se3
 from slam.apps.evaluate import evaluate_trajectory_files
 from slam.errors import DataError
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory_files import write_kitti, write_tum
 
 
 def drive(count: int = 300, step: float = 1.0) -> np.ndarray:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from slam.apps.explain import explain_loop
 from slam.cli import app
 from slam.errors import DataError
-from slam.io.csv_tables import write_events, write_loops, write_stages
+from slam.io.frames_and_loops_csv import write_events, write_loops, write_stages
 from slam.io.metrics import write_metrics
 from slam.run_result import LoopEventRow, LoopRow, StageRow
 

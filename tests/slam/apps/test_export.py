@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.cli import app
-from slam.io.trajectory import read_kitti, read_tum, write_tum
+from slam.io.trajectory_files import read_kitti, read_tum, write_tum
 
 TIMES = np.array([0.0, 0.1, 0.2])
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.io.trajectory import write_kitti
+from slam.io.trajectory_files import write_kitti
 
 COUNT = 3
 # x of the four cameras in camera 0's frame, metres: grey left, grey right, colour left, colour right

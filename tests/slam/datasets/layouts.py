@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from slam.datasets.rectification import Rectification, rectify_pair
-from slam.io.trajectory import write_tum
+from slam.io.trajectory_files import write_tum
 
 from .rig import RIGS, SIZE, Rig, Walls, rig_poses
 

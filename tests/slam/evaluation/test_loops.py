@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.evaluation.ground_truth import RevisitRule
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from slam.evaluation.loops import LoopRule, count_loops, find_revisits, is_same_place, is_true_loop
-from slam.io.trajectory import read_kitti
+from slam.io.trajectory_files import read_kitti
 from slam.run_result import LoopRow
 
 

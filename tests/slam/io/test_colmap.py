@@ -11,7 +11,7 @@ from slam.cli import app
 from slam.errors import DataError
 from slam.io.landmarks import read_landmark_observers, write_landmark_observers
 from slam.io.ply import write_cloud
-from slam.io.trajectory import write_tum
+from slam.io.trajectory_files import write_tum
 from slam.mapping.landmark_map import LandmarkMap
 
 CAMERA = StereoCamera(200.0, 210.0, 80.5, 60.25, 0.5, 160, 120)

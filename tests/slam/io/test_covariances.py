@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.errors import OutputError
-from slam.io.trajectory import write_covariances
+from slam.io.trajectory_files import write_covariances
 
 from ..report import fabricate
 

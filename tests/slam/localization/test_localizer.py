@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.image_processing.opencv import Sift
+from place_recognition.image_processing.orb_and_sift import Sift
 from place_recognition.image_processing.surf import Surf
 from slam.datasets.formats.registry import open_dataset
 from slam.errors import DataError
-from slam.evaluation.trajectory import umeyama
+from slam.evaluation.trajectory_errors import umeyama
 from slam.localization.keyframe_map import SavedMap
 from slam.localization.localizer import LocalizationResult, Localizer, NotLocalized
 

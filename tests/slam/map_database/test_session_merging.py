@@ -11,8 +11,8 @@ from rich.console import Console
 
 from odometry import se3
 from slam.errors import ConfigError, DataError
-from slam.evaluation.trajectory import path_length, trajectory_errors
-from slam.io.trajectory import read_kitti
+from slam.evaluation.trajectory_errors import path_length, trajectory_errors
+from slam.io.trajectory_files import read_kitti
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.database import MapDatabase
 from slam.map_database.session_merging import align_sessions

@@ -5,7 +5,7 @@ import numpy as np
 from place_recognition.recognizer import Belief
 from slam.loop_closing.loop_closer import LoopClosure, Rejection
 from slam.pipeline.loop_log import event_rows, loop_rows, matched_pixels, stage_rows
-from slam.pose_graph.loop_admission import LoopDecision, LoopEvent
+from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
 from slam.run_result import LoopEventRow, LoopRow
 from slam.system import LoopCandidate

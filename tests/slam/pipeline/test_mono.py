@@ -10,9 +10,9 @@ from rich.console import Console
 
 from slam.config import read_config
 from slam.errors import ConfigError, DataError
-from slam.io.csv_tables import read_loops
+from slam.io.frames_and_loops_csv import read_loops
 from slam.io.g2o import read_g2o
-from slam.io.trajectory import read_kitti
+from slam.io.trajectory_files import read_kitti
 from slam.pipeline.pipeline import RunOptions, run_pipeline
 
 QUIET = Console(quiet=True)

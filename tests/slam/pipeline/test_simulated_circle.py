@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from slam.apps.dense import RESULTS, DenseOptions, build_dense_map, read_run
 from slam.cli import app
 from slam.errors import ConfigError, DataError, OutputError
-from slam.evaluation.trajectory import umeyama
-from slam.io.csv_tables import read_loops
+from slam.evaluation.trajectory_errors import umeyama
+from slam.io.frames_and_loops_csv import read_loops
 from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.submaps import SubmapStore
 from slam.pipeline.pipeline import RunOptions, run_pipeline

@@ -9,11 +9,11 @@ from odometry import se3
 from slam.errors import ConfigError, GraphError
 from slam.io.g2o import chain_graph, read_g2o, write_g2o
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.incremental import IncrementalConfig
-from slam.pose_graph.loop_admission import LoopSelectionConfig
+from slam.pose_graph.isam2 import IncrementalConfig
 from slam.pose_graph.loop_clusters import LoopClusterConfig
 from slam.pose_graph.node_chain import NodeSpacing
 from slam.pose_graph.odometry_chain import OdometryDriftModel
+from slam.pose_graph.online_loop_selection import LoopSelectionConfig
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph.robust.backends import BACK_ENDS
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from slam.evaluation.trajectory import Similarity
+from slam.evaluation.trajectory_errors import Similarity
 from slam.report.interactive_map import draw_interactive_map
 from slam.report.trajectory_figure import confidence_ellipses, draw_before_after
 

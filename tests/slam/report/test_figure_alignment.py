@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.evaluation.trajectory import absolute_trajectory_error
+from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.report.trajectory_figure import align_trajectory, anchor_ground_truth, position_errors
 
 from . import fabricate

@@ -1,7 +1,7 @@
 import numpy as np
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.simulator import loop_truth
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from slam.datasets.formats.kitti import open_kitti
 from slam.errors import DataError
-from slam.io.trajectory import write_kitti
+from slam.io.trajectory_files import write_kitti
 
 WriteDrive = Callable[..., Path]
 

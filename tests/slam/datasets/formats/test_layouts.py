@@ -14,7 +14,7 @@ from slam.datasets.formats.rosbag import choose_topics
 from slam.datasets.formats.rosbag_reader import Bag
 from slam.datasets.prefetch import prefetch
 from slam.io.metrics import read_metrics, write_metrics
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory_files import write_kitti, write_tum
 
 from ..layouts import (
     ENCODED,

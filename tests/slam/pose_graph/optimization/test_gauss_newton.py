@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import irls
 from slam.pose_graph.optimization.gtsam_solver import chordal_initialization, optimize
-from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.optimization.marginals import sample_posterior
+from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 
 GROUPS: list[LieGroup] = [SE2(), SE3()]
 

@@ -11,7 +11,7 @@ from slam.loop_closing.relative_pose import RelativePoseConfig, _pixel_jacobian,
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import jacobian_of_errors, whitened_jacobian
-from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, inverse
+from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, inverse
 from slam.pose_graph.robust.consensus import _bends
 
 GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3()}

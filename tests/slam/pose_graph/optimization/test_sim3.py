@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.evaluation.trajectory import absolute_trajectory_error
+from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.loop_closing.relative_pose import ScaleRatio
 from slam.pose_graph.odometry_chain import OdometryDriftModel, chain_motions

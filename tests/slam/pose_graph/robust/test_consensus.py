@@ -7,7 +7,7 @@ import pytest
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
-from slam.pose_graph.optimization.lie_groups import SE2, compose, inverse
+from slam.pose_graph.optimization.planar_or_spatial import SE2, compose, inverse
 from slam.pose_graph.robust.consensus import conflicting_loops
 from slam.pose_graph.robust.likelihood_ratio import estimate_student_dof, loop_likelihood
 from slam.pose_graph.robust.pcm import best_pair_log_ratio, contradicted_by_neighbors, pairwise_consistency

@@ -8,7 +8,7 @@ import pytest
 from slam.errors import GraphError
 from slam.pose_graph.optimization.edges import Edges, concatenate
 from slam.pose_graph.optimization.gtsam_solver import optimize
-from slam.pose_graph.optimization.lie_groups import SE2, SE3, LieGroup, compose, inverse
+from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 
 GROUPS: dict[str, LieGroup] = {"SE(2)": SE2(), "SE(3)": SE3()}

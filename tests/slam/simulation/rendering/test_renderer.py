@@ -6,7 +6,7 @@ from odometry import se3
 from slam.simulation.rendering.renderer import RenderFrame, build_scene, cull_scene, render_view
 from slam.simulation.rendering.shading import LEAF
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.simulator import SceneStream
 
 CONFIG = SimulationConfig(width=640, height=192, ideal_sensor=True, cars_per_360m=0, max_frames=40)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import STEP, Polyline, plan_full_path, plan_trajectory, resample
+from slam.simulation.scenario.vehicle_path import STEP, Polyline, plan_full_path, plan_trajectory, resample
 
 
 def ring(radius: float, count: int = 400) -> np.ndarray:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import LANE, plan_trajectory
+from slam.simulation.scenario.vehicle_path import LANE, plan_trajectory
 from slam.simulation.world import materials as m
 from slam.simulation.world.mesh import boxes, merge_meshes, panel, prism, quads
 from slam.simulation.world.town import PlacedMesh

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from slam.simulation.rendering.renderer import RenderFrame, build_scene, build_shadow_map, cull_scene
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import LANE, plan_base_path, plan_trajectory
+from slam.simulation.scenario.vehicle_path import LANE, plan_base_path, plan_trajectory
 from slam.simulation.simulator import SceneStream, choose_daylight
 from slam.simulation.world import street_objects
 from slam.simulation.world.buildings import build_house, draw_house

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import plan_trajectory
+from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.world import materials as m
 from slam.simulation.world import town
 from slam.simulation.world.buildings import build_house

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.incremental import IncrementalPoseGraph
+from slam.pose_graph.isam2 import IncrementalPoseGraph
 from slam.pose_graph.loop_clusters import LeaveOneOutTest, LoopClusterConfig, LoopClusters
 from slam.pose_graph.node_chain import NodeChain
 from slam.pose_graph.odometry_chain import OdometryChain

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as shifted
 
-from odometry.tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
 
 CONFIG = TrackingConfig(max_corners=200)
 NONE = np.zeros((0, 2))

@@ -11,8 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.benchmark.job import Job, JobResult
-from slam.io.csv_tables import write_table
 from slam.io.files import atomic_writer
+from slam.io.frames_and_loops_csv import write_table
 from slam.io.metrics import write_metrics
 from slam.report.formatting import MISSING, format_value, metric_value
 

@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from place_recognition.vocabulary.training import (
+from place_recognition.vocabulary.vocabulary import Vocabulary
+from place_recognition.vocabulary.vocabulary_training import (
     DescriptorSample,
     VocabularyTrainingConfig,
     inverse_document_frequencies,
     k_majority,
     train_vocabulary,
 )
-from place_recognition.vocabulary.vocabulary import Vocabulary
 
 TRAIN_AND_PRINT = """
 import hashlib, numpy as np
-from place_recognition.vocabulary.training import VocabularyTrainingConfig, train_vocabulary
+from place_recognition.vocabulary.vocabulary_training import VocabularyTrainingConfig, train_vocabulary
 points = np.random.default_rng(3).normal(size=(6000, 64)).astype(np.float32)
 vocabulary = train_vocabulary("test", points / 8, VocabularyTrainingConfig(words=150, iterations=8))
 print(hashlib.sha256(vocabulary.words.tobytes() + vocabulary.weights.tobytes()).hexdigest())

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.errors import DataError
-from slam.io import csv_tables
-from slam.io.csv_tables import (
+from slam.io import frames_and_loops_csv
+from slam.io.frames_and_loops_csv import (
     FrameTable,
     read_events,
     read_frames,
@@ -87,7 +87,7 @@ def test_frames_have_a_column_for_every_stage(file: Path) -> None:
     write_frames(file, FrameTable(**vars(small) | {"stage_ms": stages}))
     with file.open() as lines:
         header = next(csv.reader(lines))
-    assert header == [*csv_tables.FRAME_COLUMNS, "odometry_ms", "pose_graph_ms"]
+    assert header == [*frames_and_loops_csv.FRAME_COLUMNS, "odometry_ms", "pose_graph_ms"]
 
 
 def test_what_is_unknown_is_an_empty_cell(file: Path) -> None:
@@ -124,7 +124,7 @@ def test_events_come_back(file: Path, events: list[LoopEventRow]) -> None:
     assert read_events(file) == tuple(events)
 
 
-HEADER = ",".join(csv_tables.LOOP_COLUMNS)
+HEADER = ",".join(frames_and_loops_csv.LOOP_COLUMNS)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam.benchmark.report import recall_over_error_figure, render_page, write_benchmark_report
-from slam.benchmark.results import (
+from slam.benchmark.sweep_report import recall_over_error_figure, render_page, write_benchmark_report
+from slam.benchmark.sweep_results import (
     ResultRow,
     escape_latex,
     format_row,

@@ -8,7 +8,7 @@ from place_recognition.image_processing.local_features import FeatureCache, Loca
 from place_recognition.recognizer import Belief
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, Rejection
-from slam.map_database.inter_session import (
+from slam.map_database.inter_session_loops import (
     SessionFeatures,
     SessionLoopCloser,
     SessionRecognizer,

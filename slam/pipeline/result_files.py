@@ -15,7 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
-from slam.evaluation.trajectory import (
+from slam.evaluation.trajectory_errors import (
     Alignment,
     TrajectoryErrors,
     path_length,
@@ -24,12 +24,12 @@ from slam.evaluation.trajectory import (
     unknown_errors,
 )
 from slam.io.calibration import write_calibration
-from slam.io.csv_tables import write_events, write_frames, write_loops, write_stages
 from slam.io.files import atomic_writer
+from slam.io.frames_and_loops_csv import write_events, write_frames, write_loops, write_stages
 from slam.io.g2o import chain_graph, write_g2o
 from slam.io.landmarks import write_landmark_observers
 from slam.io.metrics import write_metrics
-from slam.io.trajectory import write_covariances, write_kitti, write_tum
+from slam.io.trajectory_files import write_covariances, write_kitti, write_tum
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.session_merging import MergeResult
 from slam.pipeline.loop_log import LoopTruth, event_rows, loop_rows, matched_pixels, stage_rows

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from odometry import se3
 from slam.errors import DataError, OutputError
-from slam.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
+from slam.io.trajectory_files import read_kitti, read_tum, write_kitti, write_tum
 
 tangents = arrays(
     np.float64,

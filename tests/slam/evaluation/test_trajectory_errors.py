@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from odometry import se3
 from slam.errors import DataError
-from slam.evaluation.trajectory import (
+from slam.evaluation.trajectory_errors import (
     absolute_trajectory_error,
     end_error,
     kitti_errors,
@@ -22,7 +22,7 @@ from slam.evaluation.trajectory import (
     umeyama,
     unknown_errors,
 )
-from slam.io.trajectory import read_kitti
+from slam.io.trajectory_files import read_kitti
 
 seeds = st.integers(0, 10_000)
 

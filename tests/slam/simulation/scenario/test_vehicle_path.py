@@ -4,7 +4,7 @@ import pytest
 from odometry import se3
 from slam.errors import DataError
 from slam.simulation.scenario.config import SimulationConfig
-from slam.simulation.scenario.trajectory import LANE, plan_base_path, plan_full_path, plan_trajectory
+from slam.simulation.scenario.vehicle_path import LANE, plan_base_path, plan_full_path, plan_trajectory
 
 SHAPES = ("circle", "figure-eight", "blocks")
 

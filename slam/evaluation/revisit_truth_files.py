@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.ground_truth import RevisitRule, load_truth, truth_from_poses
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule, load_truth, truth_from_poses
 from slam.errors import ConfigError, DataError
-from slam.io.trajectory import read_trajectory
+from slam.io.trajectory_files import read_trajectory
 
 MATRIX_SUFFIXES = (".mat", ".npz")
 

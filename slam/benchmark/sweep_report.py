@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from slam.benchmark.results import DISPLAYED, ResultRow, format_values
+from slam.benchmark.sweep_results import DISPLAYED, ResultRow, format_values
 from slam.io.files import atomic_writer
 from slam.report import colours
 from slam.report.formatting import Cell

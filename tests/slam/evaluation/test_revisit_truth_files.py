@@ -9,15 +9,15 @@ import pytest
 
 from odometry import se3
 from slam.errors import DataError
-from slam.evaluation.ground_truth import (
+from slam.evaluation.loops import LoopRule, find_revisits, is_same_place, is_true_loop, revisit_matrix
+from slam.evaluation.revisit_truth_files import (
     RevisitTruth,
     check_truth_size,
     describe_rule,
     read_revisit_truth,
     revisit_truth_from_poses,
 )
-from slam.evaluation.loops import LoopRule, find_revisits, is_same_place, is_true_loop, revisit_matrix
-from slam.io.trajectory import write_kitti, write_tum
+from slam.io.trajectory_files import write_kitti, write_tum
 
 LAP = 40
 COUNT = 2 * LAP
