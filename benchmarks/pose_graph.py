@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from odometry import se3
-from slam.evaluation.pose_graph import absolute_error, find_truth
+from slam.evaluation.pose_graph_errors import absolute_error, find_truth
 from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.loop_closing.loop_closer import LoopClosure

@@ -22,7 +22,7 @@ QUARANTINE = {
     "rerun": ("slam/viewer/",),
     "open3d": ("slam/mapping/", "slam/simulation/"),
     "pykitti": ("slam/datasets/formats/kitti",),
-    "rosbags": ("slam/datasets/formats/rosbag_reader",),
+    "rosbags": ("slam/datasets/formats/rosbag_file",),
     "yaml": ("slam/datasets/formats/euroc",),
     "faiss": ("place_recognition/",),
     "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),

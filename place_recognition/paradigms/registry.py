@@ -13,7 +13,7 @@ from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
-from place_recognition.paradigms.seqslam import PixelSequences, PixelSequencesConfig
+from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
 from place_recognition.paradigms.sequence_paradigms import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,

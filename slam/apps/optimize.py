@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slam.errors import ConfigError
-from slam.evaluation.pose_graph import GraphTruth, absolute_error, find_truth
+from slam.evaluation.pose_graph_errors import GraphTruth, absolute_error, find_truth
 from slam.io.frames_and_loops_csv import write_table
 from slam.io.g2o import Graph, read_g2o, write_g2o
 from slam.io.g2o_problem import ClassifiedEdges, classify_edges

@@ -6,7 +6,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slam.evaluation.pose_graph import align_positions
+from slam.evaluation.pose_graph_errors import align_positions
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.robust.problem import BackEndResult, LoopProblem
 from slam.report import colours

@@ -23,8 +23,8 @@ from slam.datasets.formats.kitti import open_kitti
 from slam.datasets.formats.kitti_files import sequence_names
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.datasets.formats.recording import ImageDataset
-from slam.datasets.formats.rosbag import open_bag, open_bag_images
-from slam.datasets.formats.rosbag_reader import is_bag
+from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
+from slam.datasets.formats.rosbag_file import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
 from slam.errors import ConfigError, DataError
 

@@ -18,10 +18,10 @@ from slam.pose_graph.optimization.gtsam_solver import optimize, refine
 from slam.pose_graph.robust.consensus import grow_consensus
 from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
-from slam.pose_graph.robust.kernels import Kernel, dcs, huber, kernel_poses, switchable
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO
 from slam.pose_graph.robust.pcm import pairwise_consistent
 from slam.pose_graph.robust.problem import MIN_KEPT_WEIGHT, BackEndResult, LoopProblem
+from slam.pose_graph.robust.robust_losses import Kernel, dcs, huber, kernel_poses, switchable
 
 __all__ = [
     "BACK_ENDS",

@@ -10,7 +10,7 @@ from place_recognition.image_processing.global_descriptors import Hog
 from place_recognition.map.descriptor_database import DescriptorDatabase, absolute_differences, dot_products
 from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
-from place_recognition.paradigms.seqslam import PixelSequences, best_lines, local_contrast
+from place_recognition.paradigms.pixel_sequences import PixelSequences, best_lines, local_contrast
 
 DISTANCE_M = float("nan")
 

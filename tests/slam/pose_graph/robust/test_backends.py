@@ -8,7 +8,7 @@ import pytest
 
 from slam.errors import ConfigError
 from slam.evaluation.outlier_injection import KINDS, OutlierConfig, inject_outliers
-from slam.evaluation.pose_graph import absolute_error, find_truth
+from slam.evaluation.pose_graph_errors import absolute_error, find_truth
 from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.pose_graph.optimization.edges import Edges
@@ -16,8 +16,8 @@ from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
 from slam.pose_graph.robust.gnc import gnc_tls_weights
-from slam.pose_graph.robust.kernels import dcs, huber, switchable
 from slam.pose_graph.robust.pcm import greedy_max_weight_clique
+from slam.pose_graph.robust.robust_losses import dcs, huber, switchable
 
 GROUPS = {"plane": SE2(), "space": SE3()}
 

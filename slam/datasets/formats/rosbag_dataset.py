@@ -23,7 +23,7 @@ from slam.datasets.formats.recording import (
     build_dataset,
     read_ground_truth,
 )
-from slam.datasets.formats.rosbag_reader import Bag, CameraInfo, open_topic, read_bag
+from slam.datasets.formats.rosbag_file import Bag, CameraInfo, open_topic, read_bag
 from slam.datasets.formats.timestamped_lists import check_increasing
 from slam.datasets.rectification import (
     NOMINAL_BASELINE_M,
