@@ -30,7 +30,7 @@ FIXED = -1  # first unknown of a pose that is not adjusted
 _SINGULAR = 1e-9
 
 
-def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., None]:  # noqa: C901  (see below)
+def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., None]:
     """Compile the function that adds one observation to the reduced camera system.
 
     The sizes are constants of the compiled code: the compiler unrolls the short loops over them, which makes the
@@ -46,13 +46,10 @@ def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., N
         (S, S) and `weight * J.T @ residual` to b (S,). `starts` are the first unknowns of the poses, `FIXED` where
         one is not adjusted; J is (R, 6 poses + calibration).
     """
-    end = POSE * poses
+    sizes = (poses, calibration)
 
     @njit(cache=True)
-    def add_rows(  # noqa: C901  (split in two it takes twice the time: docs/decisions/schur_complement.md)
-        H: Array, b: Array, starts: Starts, J: Array, weight: float, residual: Array
-    ) -> None:
-        first = len(b) - calibration
+    def add_rows(H: Array, b: Array, starts: Starts, J: Array, weight: float, residual: Array) -> None:
         for r in range(rows):
             for m in range(poses):
                 if starts[m] >= 0:
@@ -60,20 +57,43 @@ def compile_add_rows(rows: int, poses: int, calibration: int) -> Callable[..., N
                         scaled, state = weight * J[r, POSE * m + j], starts[m] + j
                         if scaled != 0.0:
                             b[state] += scaled * residual[r]
-                            for n in range(m, poses):
-                                if starts[n] >= 0:
-                                    for k in range(POSE):  # all six, though half would do on the diagonal
-                                        H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
-                            for k in range(calibration):
-                                H[state, first + k] += scaled * J[r, end + k]
-            for j in range(calibration):
-                scaled = weight * J[r, end + j]
-                if scaled != 0.0:
-                    b[first + j] += scaled * residual[r]
-                    for k in range(j, calibration):
-                        H[first + j, first + k] += scaled * J[r, end + k]
+                            _add_row_of_pose(H, starts, J, scaled, (r, m, state), sizes)
+            _add_row_of_calibration(H, b, J, residual[r], weight, r, sizes)
 
     return add_rows
+
+
+# Both functions below are pasted into `add_rows` by the compiler, where their sizes are constants.
+
+
+@njit(cache=True, forceinline=True)
+def _add_row_of_pose(
+    H: Array, starts: Starts, J: Array, scaled: float, at: tuple[int, int, int], sizes: tuple[int, int]
+) -> None:
+    """Add `scaled * J[r]` to the row of H of one unknown; `at` is (r, the unknown's pose, the unknown)."""
+    (r, pose, state), (poses, calibration) = at, sizes
+    for n in range(pose, poses):
+        if starts[n] >= 0:
+            for k in range(POSE):  # all six, though half would do on the diagonal
+                H[state, starts[n] + k] += scaled * J[r, POSE * n + k]
+    first = H.shape[1] - calibration
+    for k in range(calibration):
+        H[state, first + k] += scaled * J[r, POSE * poses + k]
+
+
+@njit(cache=True, forceinline=True)
+def _add_row_of_calibration(
+    H: Array, b: Array, J: Array, residual: float, weight: float, r: int, sizes: tuple[int, int]
+) -> None:
+    """Add one residual to the rows of the calibration in H and b."""
+    poses, calibration = sizes
+    first, end = len(b) - calibration, POSE * poses
+    for j in range(calibration):
+        scaled = weight * J[r, end + j]
+        if scaled != 0.0:
+            b[first + j] += scaled * residual
+            for k in range(j, calibration):
+                H[first + j, first + k] += scaled * J[r, end + k]
 
 
 def compile_add_coupling(rows: int, poses: int, calibration: int, point: int) -> Callable[..., None]:
