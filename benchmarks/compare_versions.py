@@ -72,6 +72,12 @@ RENAMED: dict[str, dict[str, str]] = {
         "alike": "perceptual_aliasing",
         "moving_cars": "cars_per_360m",
         "clean": "ideal_sensor",
+        "length": "length_m",
+        "speed": "speed_m_per_s",
+        "frame_rate": "frame_rate_hz",
+        "lateral_offset": "lateral_offset_m",
+        "rectification_error": "rectification_error_px",
+        "lens_error": "lens_error_px",
     },
 }
 # Columns that have become a table of their own: loop_events.csv.

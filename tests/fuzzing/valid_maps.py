@@ -1,4 +1,4 @@
-"""Small valid map stores, and a reader that reads all of one."""
+"""Small valid map databases, and a reader that reads all of one."""
 
 import tempfile
 from functools import cache
