@@ -95,7 +95,7 @@ SKIPPED = {
 }
 PICTURES = {".png", ".jpg", ".svg"}
 VOLATILE = re.compile(
-    r"schema|command|versions|source|recording|^ground_truth$|timing|_ms$|_mb$|seconds|per_second|bytes|^run$"
+    r"schema|^format$|command|versions|source|recording|^ground_truth$|timing|_ms$|_mb$|seconds|per_second|bytes|^run$"
     r"|^stage_ms|^ms_|map_file|features_ms"
 )
 SECONDS_BEFORE_KILL = 9.0

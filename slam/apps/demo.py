@@ -7,6 +7,7 @@ from rich.console import Console
 
 from slam.pipeline.progress import progress_bar
 from slam.simulation import SimulationConfig, simulate
+from slam.simulation.scenario.config import FORMAT
 
 # Three laps at 43 km/h: long enough for odometry's own drift to show, short enough to render in minutes.
 DEMO_LAPS, DEMO_LENGTH_M, DEMO_SPEED_M_S = 3, 360.0, 12.0
@@ -19,12 +20,15 @@ def cache_folder() -> Path:
 
 
 def demo_dataset(seed: int, messages: Console) -> Path:
-    """Render the dataset of the demo, or find it in the cache; its root, in KITTI layout."""
-    spec = SimulationConfig(
+    """Render the dataset of the demo, or find it in the cache; its root, in KITTI layout.
+
+    What an earlier version of the simulation has rendered stays in the cache, in a folder of its own.
+    """
+    config = SimulationConfig(
         shape="circle", laps=DEMO_LAPS, length_m=DEMO_LENGTH_M, speed_m_per_s=DEMO_SPEED_M_S, seed=seed
     )
     with progress_bar(messages, "Rendering the town") as progress:
-        return simulate(spec, cache_folder() / f"demo-{seed}", progress)
+        return simulate(config, cache_folder() / f"demo-{seed}-v{FORMAT}", progress)
 
 
 def run_demo(out: Path, seed: int, messages: Console, results: Console) -> bool:

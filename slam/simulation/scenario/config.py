@@ -10,7 +10,7 @@ from odometry.camera import StereoCamera
 from slam.errors import ConfigError
 
 SHAPES = ("circle", "figure-eight", "blocks")
-FORMAT = 1  # raised whenever the same configuration gives other files
+FORMAT = 2  # raised whenever the same configuration gives other files
 
 # The camera of KITTI's first recording day, at its own image size.
 _KITTI_WIDTH, _KITTI_HEIGHT = 1241, 376
