@@ -246,7 +246,8 @@ READERS: dict[str, Reader] = {
     "calibration.toml": Reader("calibration.toml", _at("calibration.toml", read_calibration),
         lambda: [valid.calibration()], made.calibration_files(), share=1.5),
     "PLY": Reader("a.ply", _at("a.ply", read_cloud), valid.clouds, made.files_of(b"ply\nformat "), share=2),
-    "map database": Reader("map.db", _at("map.db", read_map), map_stores, made.files_of(b"SQLite format 3\x00"), share=3),
+    "map database": Reader("map.db", _at("map.db", read_map), map_stores,
+        made.files_of(b"SQLite format 3\x00"), share=3),
     "path to simulate": Reader("plan.txt", _at("plan.txt", read_plan), lambda: [valid.poses_kitti()],
         made.tables("", " ", 12), share=2),
 }  # fmt: skip
