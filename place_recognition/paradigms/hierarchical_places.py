@@ -140,11 +140,6 @@ class HierarchicalPlaces:
         """Number of words in the map so far."""
         return self._places.word_count
 
-    @property
-    def place_count(self) -> int:
-        """Number of places that have ended so far."""
-        return len(self._places)
-
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
         """Add an image and return the beliefs that are ready now.
 
