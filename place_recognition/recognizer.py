@@ -7,9 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+# Number of candidates of a query that are recorded: recall is measured at 1, 5 and 10.
+MAX_STAGE_CANDIDATES = 10
+
+
 def no_pixels() -> NDArray[np.float32]:
     """Return an empty array (0, 4): pixels of an image pair that was not compared or does not agree."""
     return np.empty((0, 4), np.float32)
+
+
+@dataclass(frozen=True)
+class StageScores:
+    """What each stage before the last one answers for a query image by itself, so that each can be measured.
+
+    Attributes:
+        candidates: ids of the images that the paradigm itself proposes, best first, at most MAX_STAGE_CANDIDATES.
+        own_score: score of the first of them on the paradigm's own scale, larger is better; None without candidates.
+        geometry_match: id of the candidate that geometry alone would choose; None where none was verified.
+        geometry_score: its evidence in powers of ten, -log10 of the number of false alarms; None likewise.
+    """
+
+    candidates: tuple[int, ...] = ()
+    own_score: float | None = None
+    geometry_match: int | None = None
+    geometry_score: float | None = None
 
 
 @dataclass(frozen=True)
@@ -26,6 +47,9 @@ class Belief:
         verified: False where a geometric verification was tried and failed; such a match is never a detection.
         pixels: (inliers, 4) float32, x and y of these matches in the query image, then in the matched image; empty
             where they are not known.
+        probability: probability that the match shows the same place; None where the recogniser computes none.
+        stages: the answers of the earlier stages.
+        answered_at: id of the latest image when the belief became ready, at least `query`; None where it is not known.
     """
 
     query: int
@@ -35,6 +59,9 @@ class Belief:
     inliers: int | None = None
     verified: bool = True
     pixels: NDArray[np.float32] = field(default_factory=no_pixels, compare=False, repr=False)
+    probability: float | None = None
+    stages: StageScores = StageScores()
+    answered_at: int | None = None
 
 
 class MatrixSink(Protocol):
