@@ -6,7 +6,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-
 # Number of candidates of a query that are recorded: recall is measured at 1, 5 and 10.
 MAX_STAGE_CANDIDATES = 10
 
