@@ -163,6 +163,11 @@ def make_thumbnail(image: NDArray[np.uint8], config: ThumbnailConfig) -> NDArray
     return np.clip(np.round(normalized), 0, 255).astype(np.uint8).reshape(small.shape)
 
 
+def is_blank(thumbnail: NDArray[np.uint8]) -> bool:
+    """Whether a thumbnail shows no structure at all."""
+    return bool((thumbnail == MIDDLE).all())
+
+
 def mean_absolute_difference(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
     """Compute equation 4.1 of the chapter for two thumbnails of one size, grey levels."""
     if first.shape != second.shape:

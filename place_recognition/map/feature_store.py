@@ -70,6 +70,10 @@ class FeatureStore:
         octaves = record["octaves"][:count] * np.float32(1 / OCTAVE_STEPS) + np.float32(FIRST_OCTAVE)
         return StoredFeatures(pixels, record["quantized"][:count].copy(), octaves)
 
+    def count(self, location: int) -> int:
+        """Return the number of features stored of the image at a location."""
+        return int(self._record(location)["count"])
+
     def strongest(self, locations: Sequence[int], count: int) -> tuple[Bytes, NDArray[np.int64]]:
         """Return quantised descriptors (L, count, D) of the strongest features at L locations, and their number."""
         dimension = self._records.dtype["quantized"].shape[1] if self._records else 0

@@ -1,11 +1,11 @@
 """Naive baseline SeqSLAM: thumbnails compared pixel by pixel, and straight lines sought in the difference matrix.
 
 Milford, Wyeth, 'SeqSLAM: Visual Route-Based Navigation for Sunny Summer Days and Stormy Winter Nights', ICRA 2012.
-It uses no geometry. Deviations from the paper:
+Deviations from the paper:
 * Lines end at the query instead of being centred on it, so that the answer comes at once.
 * A line may begin before the map does; missing images add 0 to its sum.
-* The score is the difference between the best line and the best other line, not their quotient: the differences are
-  normalised about zero, where quotients mean nothing.
+* The score is the difference between a line and the best line that ends elsewhere, not their quotient: the differences
+  are normalised about zero, where quotients mean nothing.
 """
 
 from collections import deque
@@ -17,10 +17,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from place_recognition.growing_array import GrowingArray
-from place_recognition.image_processing.local_features import check_gray
+from place_recognition.image_processing.global_descriptors import ThumbnailConfig, is_blank, make_thumbnail
 from place_recognition.map.descriptor_database import absolute_differences
-from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig, is_blank
-from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
+from place_recognition.proposals import ObservedImage, Proposals, propose_best
+from place_recognition.recognizer import MAX_STAGE_CANDIDATES, MatrixSink, NullMatrixSink
 
 Floats = NDArray[np.float32]
 
@@ -36,28 +36,29 @@ class PixelSequencesConfig:
             paper). The best other line must end further away than this.
         min_contrast: lower bound of the standard deviation of the differences in a window, grey levels. In two
             simulated towns R@P100 was 0.42 with 3, and 0.25 and 0.21 with 1: the matrix is full of small minima.
-        threshold: smallest score of an accepted match. Unrelated images of the simulated towns reached 1.05.
-        exclusion_window: which images are too recent to be matched, and the size of the thumbnails.
+        max_candidates: number of images that are proposed.
+        min_separation: smallest number of images between any two of them.
+        thumbnail: size and normalisation of the thumbnails.
     """
 
     sequence_length: int = 10
     speed_ratios: tuple[float, ...] = (0.6, 0.8, 1.0, 1.25, 1.6)
     window: int = 10
     min_contrast: float = 3.0
-    threshold: float = 1.1
-    exclusion_window: ExclusionWindowConfig = field(default_factory=ExclusionWindowConfig)
+    max_candidates: int = MAX_STAGE_CANDIDATES
+    min_separation: int = 4
+    thumbnail: ThumbnailConfig = field(default_factory=ThumbnailConfig)
 
 
 class PixelSequences:
-    """Recognises places by sequences of thumbnails (a PlaceRecognizer). Answers each image at once.
+    """Proposes images by sequences of thumbnails (a Proposer).
 
-    The score is the mean over the sequence by which the best line exceeds the best line that ends outside the window
-    around it, in standard deviations of the differences around each image.
+    The score is the mean over the sequence by which a line exceeds the best line that ends outside the window around
+    it, in standard deviations of the differences around each image.
     """
 
     def __init__(self, config: PixelSequencesConfig | None = None, rows: MatrixSink | None = None) -> None:
         self.config = config or PixelSequencesConfig()
-        self._exclusion_window = ExclusionWindow(self.config.exclusion_window)
         self._pictures: GrowingArray[np.uint8] = GrowingArray(np.uint8)
         self._blank: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         length = self.config.sequence_length
@@ -67,23 +68,16 @@ class PixelSequences:
         self._offsets = np.round(np.outer(self.config.speed_ratios, steps)).astype(np.int64)
         self._rows = NullMatrixSink() if rows is None else rows
 
-    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
-        """Return the belief about this image and add it to the map.
-
-        Args:
-            image_id: greater than the one before.
-            image: (H, W) uint8, grey, of any size.
-            distance_travelled_m: length of the path so far, metres; NaN, or always the same, where it is not measured.
-        """
-        check_gray(image)
-        picture = self._exclusion_window.add(image_id, image, distance_travelled_m)
+    def observe(self, image: ObservedImage) -> list[Proposals]:
+        """Propose the ends of the best lines, and add the image to the map."""
+        picture = make_thumbnail(image.pixels, self.config.thumbnail)
         blank = is_blank(picture)
         self._similarity.appendleft(np.empty(0, np.float32) if blank else self._compare(picture.ravel()))
         self._pictures.extend(picture.reshape(1, -1))
         self._blank.extend(np.array([blank]))
-        return [self._make_belief(image_id, blank)]
+        return [Proposals(image.location, image.last_matchable) if blank else self._propose(image)]
 
-    def finish(self) -> list[Belief]:
+    def finish(self) -> list[Proposals]:
         """Return nothing: each image is answered at once."""
         return []
 
@@ -96,42 +90,38 @@ class PixelSequences:
         similarity[self._blank.rows.reshape(-1)] = 0  # all blank images look alike, wherever they are
         return similarity
 
-    def _make_belief(self, image_id: int, blank: bool) -> Belief:
-        ids = self._exclusion_window.ids[: self._exclusion_window.count_matchable()]
-        if blank or len(ids) == 0:
-            return Belief(image_id, None, 0.0, accepted=False)
-        self._rows.add(image_id, ids, self._similarity[0][: len(ids)].astype(np.float64))
-        sums = best_lines(tuple(self._similarity), self._offsets, len(ids)) / self.config.sequence_length
-        self._rows.add(image_id, ids, sums.astype(np.float64), "filtered")
+    def _propose(self, image: ObservedImage) -> Proposals:
+        count = image.last_matchable + 1
+        if count == 0:
+            return Proposals(image.location, image.last_matchable)
+        self._rows.add(image.location, np.arange(count), self._similarity[0][:count].astype(np.float64))
+        sums = best_lines(tuple(self._similarity), self._offsets, count) / self.config.sequence_length
+        self._rows.add(image.location, np.arange(count), sums.astype(np.float64), "filtered")
         best = int(sums.argmax())
         around = max(best - self.config.window, 0), best + self.config.window + 1
         others = np.concatenate([sums[: around[0]], sums[around[1] :]])
         # A negative sum is below chance: such a line must not raise the score.
-        score = float(sums[best] - max(others.max(initial=0.0), 0.0))
-        if score <= 0:
-            return Belief(image_id, None, 0.0, accepted=False)
-        return Belief(image_id, int(ids[best]), score, accepted=score >= self.config.threshold)
+        scores = sums - max(float(others.max(initial=0.0)), 0.0)
+        return propose_best(image, np.maximum(sums, 0), self.config.max_candidates, self.config.min_separation, scores)
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
         return {
-            "history": self._exclusion_window.state(),
             "thumbnails": self._pictures.state(),
             "is_blank": self._blank.state(),
             "similarity": list(self._similarity),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from the state of another recogniser of this configuration.
+        """Continue from the state of another proposer of this configuration.
 
         Raises:
             ValueError: of another length of sequences.
         """
         if len(state["similarity"]) != self.config.sequence_length:
             raise ValueError(
-                f"expected sequences of {self.config.sequence_length} images, got {len(state['likeness'])}"
+                f"expected sequences of {self.config.sequence_length} images, got {len(state['similarity'])}"
             )
-        self._exclusion_window.restore(state["history"])
         self._pictures.restore(state["thumbnails"])
         self._blank.restore(state["is_blank"])
         self._similarity.extend(state["similarity"])

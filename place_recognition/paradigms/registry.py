@@ -1,34 +1,41 @@
-"""Registry of the paradigms: makes any of them by its name."""
+"""Registry of the paradigms: makes a recogniser of any of them by its name, by default or as published."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
+from place_recognition.belief.candidate_verification import CandidateVerificationConfig
+from place_recognition.belief.likelihood_ratios import OWN_SCORES
+from place_recognition.belief.place_filter import PlaceFilterConfig
+from place_recognition.belief.present_view import PresentViewConfig
+from place_recognition.belief.smoothed_decision import SmoothedDecision
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
+from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
+from place_recognition.paradigms.random_images import RandomImages
 from place_recognition.paradigms.sequence_paradigms import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,
     make_dynamic_sequences,
     make_sequence_histograms,
 )
-from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
+from place_recognition.proposals import Proposer
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
+from place_recognition.staged_recognizer import RowsById, StagedRecognizer
 from place_recognition.vocabulary.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
 
 
 @dataclass(frozen=True)
 class ParadigmsConfig:
-    """Settings of all paradigms; only those of the chosen one matter.
+    """Settings of all paradigms; of the last six only those of the chosen one matter.
 
     Attributes:
         features: name of the local features, a key of EXTRACTORS. A vocabulary works only with the features from which
@@ -37,6 +44,10 @@ class ParadigmsConfig:
         vocabulary: path of a vocabulary file for the paradigms of sequences; empty for the general vocabulary.
         descriptor: descriptor of `global-descriptor`: a key of GLOBAL_DESCRIPTORS, such as "hog", or "onnx:FILE" for a
             learned one.
+        seed: seed of every random generator.
+        view: which of the latest images belong to the present.
+        verification: how candidates are verified geometrically.
+        place_filter: how the candidates of successive images become a probability.
         sequence_histograms: settings of `sequence-histograms`.
         dynamic_sequences: settings of `dynamic-sequences`.
         hierarchical_places: settings of `hierarchical-places`.
@@ -49,6 +60,10 @@ class ParadigmsConfig:
     surf: SurfConfig = field(default_factory=SurfConfig)
     vocabulary: str = ""
     descriptor: str = "hog"
+    seed: int = 0
+    view: PresentViewConfig = field(default_factory=PresentViewConfig)
+    verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
+    place_filter: PlaceFilterConfig = field(default_factory=PlaceFilterConfig)
     sequence_histograms: SequenceHistogramsConfig = field(default_factory=SequenceHistogramsConfig)
     dynamic_sequences: DynamicSequencesConfig = field(default_factory=DynamicSequencesConfig)
     hierarchical_places: HierarchicalPlacesConfig = field(default_factory=HierarchicalPlacesConfig)
@@ -57,35 +72,30 @@ class ParadigmsConfig:
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
 
-# Settings that hold those of the exclusion window, directly or one level below.
-SequencesT = TypeVar("SequencesT", SequenceHistogramsConfig, DynamicSequencesConfig)
-HistoryT = TypeVar("HistoryT", HierarchicalPlacesConfig, TrackedWordsConfig, SequenceMatchingConfig)
-WindowT = TypeVar("WindowT", PixelSequencesConfig, GlobalDescriptorConfig)
-
-Builder = Callable[[FeatureCache, ParadigmsConfig, MatrixSink | None], PlaceRecognizer]
+Builder = Callable[[ImageHistory, str, ParadigmsConfig, MatrixSink], Proposer]
 
 
-def _sequence_histograms(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
-    return make_sequence_histograms(features, _load_vocabulary(config, features.kind), config.sequence_histograms, rows)
+def _sequence_histograms(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
+    return make_sequence_histograms(kind, _load_vocabulary(config, kind), config.sequence_histograms, rows)
 
 
-def _dynamic_sequences(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
-    return make_dynamic_sequences(features, _load_vocabulary(config, features.kind), config.dynamic_sequences, rows)
+def _dynamic_sequences(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
+    return make_dynamic_sequences(kind, _load_vocabulary(config, kind), config.dynamic_sequences, rows)
 
 
-def _hierarchical_places(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
-    return HierarchicalPlaces(features, config.hierarchical_places, rows)
+def _hierarchical_places(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
+    return HierarchicalPlaces(history, replace(config.hierarchical_places, seed=config.seed), rows)
 
 
-def _tracked_words(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
-    return TrackedWords(features, config.tracked_words, rows)
+def _tracked_words(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
+    return TrackedWords(config.tracked_words, rows)
 
 
-def _pixel_sequences(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
+def _pixel_sequences(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
     return PixelSequences(config.pixel_sequences, rows)
 
 
-def _global_descriptor(features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None) -> PlaceRecognizer:
+def _global_descriptor(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
     descriptor = make_global_descriptor(config.descriptor)
     descriptor.describe(np.zeros((48, 64), np.uint8))  # reports a network that cannot run now, not midway
     return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
@@ -120,7 +130,7 @@ def make_recognizer(
 
     Args:
         name: a key of PARADIGMS.
-        features: local features, shared with other users of the same images; paradigms of whole images ignore them.
+        features: local features, shared with other users of the same images.
         config: settings; the defaults if None.
         rows: receives the rows of the similarity matrix.
 
@@ -129,35 +139,32 @@ def make_recognizer(
     """
     if name not in PARADIGMS:
         raise ValueError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
-    return PARADIGMS[name](features, config or ParadigmsConfig(), rows)
+    config = config or ParadigmsConfig()
+    history = ImageHistory()
+    proposer = PARADIGMS[name](history, features.kind, config, RowsById(history, rows))
+    return _stages(name, features, history, proposer, config)
+
+
+def make_control(features: FeatureCache, config: ParadigmsConfig | None = None) -> PlaceRecognizer:
+    """Make the control of every paradigm: a recogniser that proposes random earlier images to the same stages."""
+    config = config or ParadigmsConfig()
+    return _stages("random-images", features, ImageHistory(), RandomImages(config.seed), config)
+
+
+def _stages(
+    name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
+) -> PlaceRecognizer:
+    verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
+    decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
+    return StagedRecognizer(features, history, proposer, decision, config.view, verification)
 
 
 def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
     """Return the settings with an exclusion window: images nearer than `images` to the query are never matched.
 
-    It adds to each paradigm's own choice of what is too recent.
+    It adds to what the present view excludes.
     """
-    return replace(
-        config,
-        sequence_histograms=_exclude_from_matching(config.sequence_histograms, images),
-        dynamic_sequences=_exclude_from_matching(config.dynamic_sequences, images),
-        hierarchical_places=_exclude_from_history(config.hierarchical_places, images),
-        tracked_words=_exclude_from_history(config.tracked_words, images),
-        pixel_sequences=_exclude_from_window(config.pixel_sequences, images),
-        global_descriptor=_exclude_from_window(config.global_descriptor, images),
-    )
-
-
-def _exclude_from_matching(settings: SequencesT, images: int) -> SequencesT:
-    return replace(settings, matching=_exclude_from_history(settings.matching, images))
-
-
-def _exclude_from_history(settings: HistoryT, images: int) -> HistoryT:
-    return replace(settings, history=replace(settings.history, exclusion_frames=images))
-
-
-def _exclude_from_window(settings: WindowT, images: int) -> WindowT:
-    return replace(settings, exclusion_window=replace(settings.exclusion_window, exclusion_frames=images))
+    return replace(config, view=replace(config.view, exclusion_frames=images))
 
 
 def _load_vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:

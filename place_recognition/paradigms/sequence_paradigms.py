@@ -1,4 +1,4 @@
-"""The two paradigms of sequences: a segmentation and a matrix filter for one `SequenceRecognizer` each.
+"""The two paradigms of sequences: a segmentation and a matrix filter for one `SequenceProposer` each.
 
 * sequence-histograms (section 4.4.1): sequences of a fixed distance and a hand-made filter. Bampis, Amanatiadis,
   Gasteratos, 'Encoding the Description of Image Sequences: A Two-Layered Pipeline for Loop Closure Detection', IROS
@@ -6,24 +6,19 @@
 * dynamic-sequences (section 4.4.2): sequences that end where the view changes and a learnt filter. Bampis, Amanatiadis,
   Gasteratos, 'Fast Loop-Closure Detection Using Visual-Word-Vectors From Image Sequences', IJRR 37(1) 2018.
 
-How both deviate from the papers: `place_recognition.paradigms.sequence_recognizer`.
+How both deviate from the papers: `place_recognition.paradigms.sequence_proposer`.
 """
 
 from dataclasses import dataclass, field
 
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
-from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.map.sequence_map import (
     FixedDistanceConfig,
     FixedDistanceSegmentation,
     WordVariance,
     WordVarianceConfig,
 )
-from place_recognition.paradigms.sequence_recognizer import (
-    SequenceMatchingConfig,
-    SequenceRecognizer,
-    make_published_matching,
-)
+from place_recognition.paradigms.sequence_proposer import SequenceMatchingConfig, SequenceProposer
 from place_recognition.recognizer import MatrixSink
 from place_recognition.vocabulary.vocabulary import Vocabulary
 
@@ -42,11 +37,6 @@ class SequenceHistogramsConfig:
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
     matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
 
-    @classmethod
-    def published(cls) -> "SequenceHistogramsConfig":
-        """Return the paper's numbers: sequences of 5 m (Table III), threshold k = 0.32, 12 inliers."""
-        return cls(FixedDistanceConfig(distance_m=5.0), FilterConfig(DIAGONAL, 0.32), make_published_matching(0.32))
-
 
 @dataclass(frozen=True)
 class DynamicSequencesConfig:
@@ -64,32 +54,26 @@ class DynamicSequencesConfig:
     filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNED, 2.2))
     matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
 
-    @classmethod
-    def published(cls) -> "DynamicSequencesConfig":
-        """Return the paper's numbers: variance 0.75, for a vocabulary of a million words, and threshold k' = 3.5."""
-        sequences = WordVarianceConfig(min_variance=0.75, min_variance_ratio=0.0, min_images=1, max_images=1000)
-        return cls(sequences, FilterConfig(LEARNED, 3.5), make_published_matching(3.5))
-
 
 def make_sequence_histograms(
-    features: FeatureCache,
+    kind: str,
     vocabulary: Vocabulary,
     config: SequenceHistogramsConfig | None = None,
     rows: MatrixSink | None = None,
-) -> SequenceRecognizer:
-    """Make a recogniser of sequences of a fixed distance that has seen nothing."""
+) -> SequenceProposer:
+    """Make a proposer of sequences of a fixed distance that has seen nothing."""
     config = config or SequenceHistogramsConfig()
     segmentation = FixedDistanceSegmentation(config.sequences)
-    return SequenceRecognizer(features, vocabulary, segmentation, config.matching, config.filter, rows)
+    return SequenceProposer(kind, vocabulary, segmentation, config.matching, config.filter, rows)
 
 
 def make_dynamic_sequences(
-    features: FeatureCache,
+    kind: str,
     vocabulary: Vocabulary,
     config: DynamicSequencesConfig | None = None,
     rows: MatrixSink | None = None,
-) -> SequenceRecognizer:
-    """Make a recogniser of sequences that end where the view changes; it has seen nothing."""
+) -> SequenceProposer:
+    """Make a proposer of sequences that end where the view changes; it has seen nothing."""
     config = config or DynamicSequencesConfig()
     segmentation = WordVariance(len(vocabulary), config.sequences)
-    return SequenceRecognizer(features, vocabulary, segmentation, config.matching, config.filter, rows)
+    return SequenceProposer(kind, vocabulary, segmentation, config.matching, config.filter, rows)

@@ -1,0 +1,81 @@
+"""The present view: which of the latest images still show what the newest one shows, and are therefore no past.
+
+An image may be matched only with images older than twice the present view, which reaches back to the oldest image that
+still agrees with the newest one by geometry. This holds at any speed, standing or driving, whether or not a distance is
+measured. Reasons and figures: docs/decisions/exclusion.md.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from place_recognition.belief.candidate_verification import CandidateVerificationConfig, verify_pair
+from place_recognition.map.image_history import ImageHistory
+
+# Images by which the beginning of the view advances at most for each new image: bounds the time of an image.
+_MAX_STEPS = 4
+
+
+@dataclass(frozen=True)
+class PresentViewConfig:
+    """Extent of the present view.
+
+    Attributes:
+        min_gap_frames: number of images before the newest one that always belong to the present.
+        min_distance_m: length of the path before the newest image that does; ignored while no distance is measured.
+        min_inliers: number of matches that agree with one fundamental matrix by which two images show one view.
+            Unrelated images reach 11.
+        min_features: an image with fewer features shows nothing, and does not end the view.
+        exclusion_frames: images nearer than this to the newest one are never matched either; 0 leaves it to the view.
+            For comparisons with papers, which exclude a time.
+        verification: how two images are compared.
+    """
+
+    min_gap_frames: int = 5
+    min_distance_m: float = 20.0
+    min_inliers: int = 12
+    min_features: int = 30
+    exclusion_frames: int = 0
+    verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
+
+
+class PresentView:
+    """Follows the present view, image by image."""
+
+    def __init__(self, history: ImageHistory, config: PresentViewConfig | None = None) -> None:
+        self.config = config or PresentViewConfig()
+        self._history = history
+        self._begin = 0  # location of the oldest image that agrees with the newest one
+        self._reach = 0  # number of images of the view, and of those before that are excluded besides
+
+    def advance(self) -> int:
+        """Follow the view to the newest image of the history; return the latest location that it may be matched with.
+
+        -1 if there is none.
+        """
+        newest = self._history.latest
+        if len(self._history.images[newest]) >= self.config.min_features:
+            self._follow(newest)
+        # Where something hides the view for a moment, as a lorry does, the view ends, but the past does not begin: the
+        # reach falls by one image at a time.
+        self._reach = max(newest - self._begin, self._reach - 1)
+        by_count = newest - max(self.config.min_gap_frames, self.config.exclusion_frames)
+        by_distance = self._history.last_behind(self.config.min_distance_m)
+        return max(min(self._begin - self._reach, by_count, by_distance), -1)
+
+    def _follow(self, newest: int) -> None:
+        for _ in range(_MAX_STEPS):
+            if self._begin >= newest or self._agree(newest, self._begin):
+                return
+            self._begin += 1
+
+    def _agree(self, newest: int, location: int) -> bool:
+        result = verify_pair(self._history.images, newest, location, self.config.verification)
+        return result.inliers >= self.config.min_inliers
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"view_begin": self._begin, "reach_frames": self._reach}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._begin, self._reach = state["view_begin"], state["reach_frames"]

@@ -1,0 +1,139 @@
+"""The recogniser of every paradigm: proposals, then geometric verification, then a decision over the images around.
+
+image -> features -> [paradigm: its map and its own score] -> proposals
+-> [geometry: matches that agree with one epipolar geometry] -> evidence
+-> [decision: a probability over places, or the thresholds of a published method] -> belief
+"""
+
+from collections import deque
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from place_recognition.belief.candidate_verification import (
+    CandidateVerificationConfig,
+    VerificationResult,
+    verify_candidates,
+)
+from place_recognition.belief.present_view import PresentView, PresentViewConfig
+from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.map.image_history import ImageHistory
+from place_recognition.proposals import ObservedImage, Proposals, Proposer
+from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
+
+# Proposals that are verified while one image is observed. The paradigms of sequences answer for many images at once;
+# their verification is spread over the images that follow.
+_MAX_VERIFIED_AT_ONCE = 2
+
+
+class Decision(Protocol):
+    """Turns the verified candidates of successive queries into one belief for each, in order, possibly later."""
+
+    def add(self, proposals: Proposals, results: tuple[VerificationResult, ...]) -> list[Belief]:
+        """Add the candidates of the next query and return the beliefs that are ready now."""
+        ...
+
+    def finish(self) -> list[Belief]:
+        """Return the beliefs about the last queries."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that waits for later images, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        ...
+
+
+class StagedRecognizer:
+    """Recognises places in stages (a PlaceRecognizer): each can be seen, measured and replaced by itself."""
+
+    def __init__(
+        self,
+        features: FeatureCache,
+        history: ImageHistory,
+        proposer: Proposer,
+        decision: Decision,
+        view: PresentViewConfig,
+        verification: CandidateVerificationConfig,
+    ) -> None:
+        self._features, self._history = features, history
+        self._proposer, self._decision = proposer, decision
+        self._view = PresentView(history, view)
+        self._verification = verification
+        self._unverified: deque[Proposals] = deque()
+
+    @property
+    def word_count(self) -> int | None:
+        """Number of visual words in the map; None for a paradigm without words."""
+        count: int | None = getattr(self._proposer, "word_count", None)
+        return count
+
+    def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
+        """Add an image and return the beliefs that are ready now (`PlaceRecognizer.observe`)."""
+        check_gray(image)
+        features = self._features.get(image_id, image)
+        location = self._history.add(image_id, features, distance_travelled_m)
+        observed = ObservedImage(location, image, features, distance_travelled_m, self._view.advance())
+        self._unverified.extend(self._proposer.observe(observed))
+        return self._decide(_MAX_VERIFIED_AT_ONCE)
+
+    def finish(self) -> list[Belief]:
+        """Return the beliefs about the images that are still unanswered when the recording ends."""
+        self._unverified.extend(self._proposer.finish())
+        beliefs = self._decide(len(self._unverified)) + self._decision.finish()
+        return [replace(belief, answered_at=self._latest_id) for belief in beliefs]
+
+    def _decide(self, max_count: int) -> list[Belief]:
+        """Verify the next proposals and return the beliefs that follow."""
+        beliefs: list[Belief] = []
+        for _ in range(min(max_count, len(self._unverified))):
+            proposals = self._unverified.popleft()
+            results = verify_candidates(
+                self._history.images,
+                proposals.query,
+                proposals.locations,
+                proposals.last_matchable,
+                self._verification,
+            )
+            beliefs += self._decision.add(proposals, results)
+        return [replace(belief, answered_at=self._latest_id) for belief in beliefs]
+
+    @property
+    def _latest_id(self) -> int | None:
+        return int(self._history.ids[-1]) if len(self._history) else None
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {
+            "history": self._history.state(),
+            "view": self._view.state(),
+            "proposer": self._proposer.state(),
+            "unverified": [dict(vars(proposals)) for proposals in self._unverified],
+            "decision": self._decision.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another recogniser of this configuration."""
+        self._history.restore(state["history"])
+        self._view.restore(state["view"])
+        self._proposer.restore(state["proposer"])
+        self._unverified.extend(Proposals(**proposals) for proposals in state["unverified"])
+        self._decision.restore(state["decision"])
+
+
+class RowsById:
+    """Hands rows on whose images are named by location, named by id (a MatrixSink)."""
+
+    def __init__(self, history: ImageHistory, rows: MatrixSink | None) -> None:
+        self._history, self._rows = history, NullMatrixSink() if rows is None else rows
+
+    def add(
+        self, query: int, matches: NDArray[np.int64], values: NDArray[np.float64], stage: str = "similarity"
+    ) -> None:
+        """Take one row (`MatrixSink.add`) of locations."""
+        ids = self._history.ids
+        self._rows.add(int(ids[query]), ids[matches], values, stage)
