@@ -4,18 +4,13 @@ Two observations count: the paradigm's own score of the candidate, and the evide
 once on drives that judge nothing, by `benchmarks/calibrate_place_filter.py`; figures: docs/decisions/place_filter.md.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-# Knots (evidence in powers of ten, log10 of the likelihood ratio); linear between them, constant beyond.
-GEOMETRY_RATIOS = ((0.0, -0.7), (5.0, 0.0), (55.0, 6.0))
-
-# Evidence at which a candidate's location is known better than usual (`locate_sharply`).
-_SHARP_EVIDENCE = 120.0
 
 
 @dataclass(frozen=True)
@@ -30,28 +25,54 @@ class RatioTable:
     scores: tuple[float, ...]
     log_ratios: tuple[float, ...]
 
-    def __call__(self, scores: ArrayLike) -> Array:
-        """Return the values (...) at scores (...)."""
-        return np.interp(scores, self.scores, self.log_ratios)
+    def __call__(self, scores: Sequence[float] | Array) -> Array:
+        """Return the values (K,) at scores (K,)."""
+        return np.interp(np.asarray(scores, np.float64), self.scores, self.log_ratios)
 
 
-_NEUTRAL = RatioTable((0.0,), (0.0,))
+# Evidence of geometry, in powers of ten.
+GEOMETRY = RatioTable((0, 2, 5, 10, 20, 30, 45, 60, 100), (-2.0, -0.7, -0.3, 0.2, 1.2, 1.8, 2.7, 3.4, 5.0))
+
+_WORDS = RatioTable(
+    (0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.1, 0.17, 0.28), (-2.7, -2.2, -1.6, -0.7, -0.1, 0.8, 1.6, 2.6, 3.1)
+)
+
+# Each paradigm's own score.
 OWN_SCORES = {
-    "sequence-histograms": _NEUTRAL,
-    "dynamic-sequences": _NEUTRAL,
-    "hierarchical-places": _NEUTRAL,
-    "tracked-words": _NEUTRAL,
-    "pixel-sequences": _NEUTRAL,
-    "global-descriptor": _NEUTRAL,
-    "random-images": _NEUTRAL,
+    "sequence-histograms": _WORDS,
+    "dynamic-sequences": _WORDS,
+    "hierarchical-places": RatioTable((1.3, 2, 3.4, 6.6, 14, 31, 45), (-1.3, -0.7, -0.1, 0.8, 1.6, 2.2, 3.1)),
+    "tracked-words": RatioTable((2, 2.8, 4.3, 8, 13.7, 21, 35, 60), (-3.0, -1.7, -0.9, 0.1, 1.2, 1.7, 2.9, 3.4)),
+    "pixel-sequences": RatioTable((-0.3, 0.1, 0.4, 1.2, 2.4), (-0.4, -0.2, 0.4, 1.3, 3.4)),
+    "global-descriptor": RatioTable((0.0,), (0.0,)),
+    "random-images": RatioTable((0.0,), (0.0,)),
 }
 
-GEOMETRY = RatioTable(*map(tuple, zip(*GEOMETRY_RATIOS, strict=True)))  # type: ignore[arg-type]
+# What the two say is not independent, neither of each other nor from image to image: they count by these powers.
+_GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.7, 0.5
+
+# A candidate of less evidence than the best of its image shows the place from further away: its ratio falls by one
+# power of ten for this evidence.
+_EVIDENCE_PER_POWER = 60.0
+
+# Evidence from which a candidate's place is known better than usual.
+_SHARP_EVIDENCE = 120.0
 
 
-def sharpness(evidence: ArrayLike) -> Array:
-    """Return by how much (...) candidates of this evidence are located better than usual, as inverse variances.
+def log_ratios(own: Array, evidence: Array) -> Array:
+    """Return log10 of the likelihood ratio (K,) of each candidate of an image.
+
+    Args:
+        own: (K,) log10 of the ratios of their own scores (`OWN_SCORES`).
+        evidence: (K,) evidence of geometry of each.
+    """
+    behind = (evidence.max(initial=0.0) - evidence) / _EVIDENCE_PER_POWER
+    return _GEOMETRY_WEIGHT * GEOMETRY(evidence) + _OWN_WEIGHT * own - behind
+
+
+def sharpness(evidence: Array) -> Array:
+    """Return by how much (K,) the places of candidates are known better than usual, as inverse variances.
 
     Two images agree that strongly only where the cameras stood within a fraction of the usual distance.
     """
-    return 1.0 + (np.asarray(evidence, np.float64) / _SHARP_EVIDENCE) ** 3
+    return 1.0 + (evidence / _SHARP_EVIDENCE) ** 3

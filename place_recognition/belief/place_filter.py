@@ -1,11 +1,13 @@
 """Where is the camera? A hidden Markov model over the places of the map and "a new place", smoothed with a fixed lag.
 
-The state is the location that an image shows, with the speed and direction at which the earlier pass is followed, or
-"a new place". From image to image a revisit goes on along the earlier pass, ends, or begins; proposed candidates, with
-their likelihood ratios against a new place, are what is observed. The probability of each location given all images up
-to `lag_images` later follows by the forward-backward algorithm (Rabiner, Proc. IEEE 77(2) 1989). It is the Bayes filter
-of the chapter's section 4.2.3.4 with places for states, as in FAB-MAP (Cummins and Newman, IJRR 27(6) 2008) and with
-motion as in Hansen and Browning, 'Visual place recognition using HMM sequence matching', IROS 2014.
+The state is a place of the map, with the speed and direction at which the earlier pass is followed, or "a new place".
+A place may also be seen from elsewhere, as a crossing is from the street that leads to it: then the camera moves, but
+the match does not, which is the speed 0; it counts as a new place. From step to step a revisit goes on along the
+earlier pass, ends, or begins. What is observed are the candidates of an image, with their likelihood ratios against a
+new place. The probability of each place given all images up to `lag_frames` later follows by the forward-backward
+algorithm (Rabiner, Proc. IEEE 77(2) 1989). It is the Bayes filter of the chapter's section 4.2.3.4 with places for
+states, as in FAB-MAP (Cummins and Newman, IJRR 27(6) 2008) and with motion as in Hansen and Browning, 'Visual place
+recognition using HMM sequence matching', IROS 2014.
 
 Equations: docs/math.md. Reasons and figures: docs/decisions/place_filter.md.
 """
@@ -15,20 +17,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Images by which the earlier pass advances for each image of this pass; negative where it is driven backwards.
+# Steps by which the earlier pass advances for each step of this pass; negative where it is driven backwards.
 _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
-_MOVES = np.arange(-3, 4)  # locations by which the place may move from image to image
-_MOVE_NOISE = 0.1  # probability of moving one location less, or one more, than the speed says
-_SPEED_CHANGE = 0.05  # probability of another speed at the next image, mostly a neighbouring one
+_AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
+_MAX_LOG_RATIO_ELSEWHERE = 3.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
+_MOVES = np.arange(-3, 4)  # steps by which the place may move
+_MOVE_NOISE = 0.1  # probability of moving one step less, or one more, than the speed says
+_SPEED_CHANGE = 0.05  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
-_BIRTH_RADIUS = 2  # a revisit may begin this many images beside a candidate
-_MAX_LOCATIONS, _MIN_MASS = 60, 1e-9  # only locations with mass are kept
-_MATCH_RADIUS = 3  # images within which locations are one match
+_BIRTH_RADIUS = 2  # a revisit may begin this many steps beside a candidate
+_MAX_PLACES, _MIN_MASS = 60, 1e-9  # only places with mass are kept
+_MATCH_RADIUS = 3  # steps within which places are one match
+_MIN_LOG_ODDS = -30.0
 
 
 @dataclass(frozen=True)
@@ -36,8 +42,8 @@ class PlaceFilterConfig:
     """Parameters of the model.
 
     Attributes:
-        begin_probability: probability that a revisit begins at an image that proposes candidates.
-        end_probability: probability that a revisit ends at an image.
+        begin_probability: probability that a revisit begins at a step that proposes candidates.
+        end_probability: probability that a revisit ends at a step.
         miss_probability: probability of what is observed where no candidate is near the place, relative to a new place.
         location_sigma_frames: standard deviation of a candidate's location about the true one.
         lag_frames: number of later images that an answer waits for; 0 answers at once, from the past alone.
@@ -57,151 +63,152 @@ class Observation:
     """Candidates of one image.
 
     Attributes:
-        locations: (K,) distinct locations of the candidates.
+        places: (K,) the places of the candidates, as steps of the camera when it saw them.
         log_ratios: (K,) log10 of their likelihood ratios against a new place.
-        sharpness: (K,) factor, at least 1, by which a candidate's location is known better than usual (inverse variance).
+        sharpness: (K,) factor, at least 1, by which a place is known better than usual (inverse variance).
     """
 
-    locations: Indices
+    places: Indices
     log_ratios: Array
     sharpness: Array
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Answer for one image.
+    """Answer for one step.
 
     Attributes:
-        location: most likely location; None where nothing is likely.
-        probability: probability that the image shows the places around it.
+        place: most likely place; None where nothing is likely.
+        probability: probability that the camera is there, or within 3 steps of it.
         log_odds: log10 of its odds, which orders answers whose probability rounds to 1.
     """
 
-    location: int | None
+    place: int | None
     probability: float
     log_odds: float
 
 
 @dataclass(frozen=True)
 class _Message:
-    """Forward message of one image and the likelihoods that the backward pass needs.
+    """Forward message of one step and the likelihoods that the backward pass needs.
 
     Attributes:
-        locations: (N,) locations with mass, rising.
-        mass: (N, S) probability of each location and speed, given the images so far.
+        places: (N,) places with mass, rising.
+        mass: (N, S) probability of each place and speed, given the steps so far.
         new: probability of a new place.
-        likelihood: (N,) likelihood ratio of each location.
+        likelihood: (N, S) likelihood ratio of each place and speed.
         births: (N,) probability that a revisit begins there.
     """
 
-    locations: Indices
+    places: Indices
     mass: Array
     new: float
     likelihood: Array
     births: Array
 
-    def state(self) -> dict[str, Any]:
-        """The message as plain values and arrays, for a checkpoint."""
-        return dict(vars(self))
-
 
 class PlaceFilter:
-    """Smooths the observations of successive images: one posterior for each, in order, `lag_frames` images late."""
+    """Takes the observation of each step and returns the posterior of any of the latest `lag_frames` + 1 steps."""
 
     def __init__(self, config: PlaceFilterConfig | None = None) -> None:
         self.config = config or PlaceFilterConfig()
         self._window: deque[_Message] = deque(maxlen=self.config.lag_frames + 1)
-        self._undecided = 0
 
-    def add(self, observation: Observation) -> list[Posterior]:
-        """Add the observation of the next image and return the posterior that is ready now, if any."""
-        self._window.append(self._forward(observation))
-        self._undecided += 1
-        return [self._decide()] if self._undecided > self.config.lag_frames else []
-
-    def finish(self) -> list[Posterior]:
-        """Return the posteriors of the last images, which have fewer images after them."""
-        return [self._decide() for _ in range(self._undecided)]
-
-    def _forward(self, observation: Observation) -> _Message:
-        """One step of the forward pass: predict, add births, weigh by the likelihood, normalise, prune."""
-        stay = 1 - self.config.end_probability
-        if self._window:
-            last = self._window[-1]
-            moved = stay * (last.mass @ _TURNS)[:, None, :] * _MOVE_PROBABILITIES.T
-            locations, mass, new = (last.locations[:, None] + _MOVES).ravel(), moved.reshape(-1, len(_SPEEDS)), last.new
-            ended = self.config.end_probability * float(last.mass.sum())
-        else:
-            locations, mass, new, ended = np.empty(0, np.int64), np.empty((0, len(_SPEEDS))), 1.0, 0.0
-        born = _around(observation.locations, _BIRTH_RADIUS)
+    def add(self, observation: Observation) -> None:
+        """Add the observation of the next step: predict, add births, weigh by the likelihood, normalise, prune."""
+        places, mass, new = self._predict()
+        born = _around(observation.places, _BIRTH_RADIUS)
         birth = self.config.begin_probability / max(len(born), 1)
-        union, index = np.unique(np.concatenate([locations, born]), return_inverse=True)
+        union, index = np.unique(np.concatenate([places, born]), return_inverse=True)
         predicted = np.zeros((len(union), len(_SPEEDS)))
-        np.add.at(predicted, index, np.concatenate([mass, np.full((len(born), 1), new * birth) * _BIRTH_SPEEDS]))
+        stays_new = self._window[-1].new if self._window else 1.0
+        begins = np.full((len(born), 1), stays_new * birth) * _BIRTH_SPEEDS
+        np.add.at(predicted, index, np.concatenate([mass, begins]))
         likelihood, births = self._likelihood(observation, union), np.where(np.isin(union, born), birth, 0.0)
-        joint, new = predicted * likelihood[:, None], new * (1 - birth * len(born)) + ended
+        joint = predicted * likelihood
+        new -= stays_new * birth * len(born)
         total = float(joint.sum()) + new
-        mass = joint.sum(axis=1) / total
-        keep = np.sort(np.argsort(-mass, kind="stable")[:_MAX_LOCATIONS])
-        keep = keep[(mass[keep] > _MIN_MASS) & (union[keep] >= 0)]
-        return _Message(union[keep], joint[keep] / total, new / total, likelihood[keep], births[keep])
+        at_place = joint.sum(axis=1) / total
+        keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
+        keep = keep[(at_place[keep] > _MIN_MASS) & (union[keep] >= 0)]
+        self._window.append(_Message(union[keep], joint[keep] / total, new / total, likelihood[keep], births[keep]))
 
-    def _likelihood(self, observation: Observation, locations: Indices) -> Array:
-        """Likelihood ratio (N,) of each location: that of the candidate which explains it best, or that of a miss."""
-        missed = np.full(len(locations), self.config.miss_probability)
-        if len(observation.locations) == 0:
-            return missed
-        distance = (locations[:, None] - observation.locations) / self.config.location_sigma_frames
-        log_ratios = observation.log_ratios - distance**2 * observation.sharpness / (2 * np.log(10))
-        return np.maximum(10.0 ** log_ratios.max(axis=1), missed)
+    def _predict(self) -> tuple[Indices, Array, float]:
+        """Places and mass (N, S) after one more step of all revisits that go on, and the probability of a new place."""
+        if not self._window:
+            return np.empty(0, np.int64), np.empty((0, len(_SPEEDS))), 1.0
+        last, ends = self._window[-1], self.config.end_probability
+        moved = (1 - ends) * (last.mass @ _SPEED_CHANGES)[:, None, :] * _MOVE_PROBABILITIES.T
+        places = (last.places[:, None] + _MOVES).ravel()
+        return places, moved.reshape(-1, len(_SPEEDS)), last.new + ends * float(last.mass.sum())
 
-    def _decide(self) -> Posterior:
-        """Return the posterior of the image that has waited longest."""
-        position = len(self._window) - self._undecided
-        self._undecided -= 1
-        message, later = self._window[position], list(self._window)[position:]
+    def _likelihood(self, observation: Observation, places: Indices) -> Array:
+        """Likelihood ratio (N, S) of each place and speed: of the candidate that explains it best, or of a miss."""
+        best = np.full(len(places), -np.inf)
+        if len(observation.places):
+            distance = (places[:, None] - observation.places) / self.config.location_sigma_frames
+            best = (observation.log_ratios - distance**2 * observation.sharpness / (2 * np.log(10))).max(axis=1)
+        log_ratios = np.where(_AT_PLACE, best[:, None], np.minimum(best, _MAX_LOG_RATIO_ELSEWHERE)[:, None])
+        return np.maximum(10.0**log_ratios, self.config.miss_probability)
+
+    def posterior(self, steps_ago: int) -> Posterior:
+        """Return the posterior of the step `steps_ago` steps before the latest one, given all steps so far."""
+        position = len(self._window) - 1 - steps_ago
+        later = list(self._window)[position:]
         future, new = np.ones_like(later[-1].mass), 1.0
         for before, after in zip(later[-2::-1], later[:0:-1], strict=True):
             future, new = self._backward(before, after, future, new)
-        mass = (message.mass * future).sum(axis=1)
-        return _summarize(message.locations, mass, message.new * new)
+        both = later[0].mass * future
+        return _summarize(later[0].places, both @ _AT_PLACE, later[0].new * new + float((both @ ~_AT_PLACE).sum()))
 
     def _backward(self, before: _Message, after: _Message, future: Array, new: float) -> tuple[Array, float]:
-        """One step of the backward pass, from the message of an image to that of the image before it."""
-        weighted = after.likelihood[:, None] * future
-        move = after.locations - before.locations[:, None] + len(_MOVES) // 2
-        possible = (move >= 0) & (move < len(_MOVES))
-        moves = np.where(possible[:, :, None], _MOVE_PROBABILITIES.T[np.where(possible, move, 0)], 0.0)
-        goes_on = np.einsum("pns,ns->ps", moves, weighted) @ _TURNS.T
-        earlier = (1 - self.config.end_probability) * goes_on + self.config.end_probability * new
-        births = float(after.births @ (weighted @ _BIRTH_SPEEDS))
-        earlier_new = (1 - self.config.begin_probability) * new + births
+        """One step of the backward pass, from the message of a step to that of the step before it."""
+        weighted, ends = after.likelihood * future, self.config.end_probability
+        goes_on = _gather(before.places, after.places, weighted, _MOVE_PROBABILITIES) @ _SPEED_CHANGES.T
+        earlier = (1 - ends) * goes_on + ends * new
+        begins = float(after.births @ (weighted @ _BIRTH_SPEEDS))
+        earlier_new = (1 - self.config.begin_probability) * new + begins
         scale = max(earlier_new, float(earlier.max(initial=0.0)))
         return earlier / scale, earlier_new / scale
 
-    def state(self) -> dict[str, Any]:
-        """Everything that waits for later images, for a checkpoint."""
-        return {"messages": [message.state() for message in self._window], "num_undecided": self._undecided}
+    def state(self) -> list[dict[str, Any]]:
+        """The messages that later steps still need, for a checkpoint."""
+        return [dict(vars(message)) for message in self._window]
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: list[dict[str, Any]]) -> None:
         """Continue from a state."""
-        self._window.extend(_Message(**message) for message in state["messages"])
-        self._undecided = state["num_undecided"]
+        self._window.extend(_Message(**message) for message in state)
 
 
-def _summarize(locations: Indices, mass: Array, new: float) -> Posterior:
-    """The most likely location: the mean of those around the one of most mass, and how likely they are together."""
-    if len(locations) == 0:
+@njit(cache=True)
+def _gather(places: Indices, after: Indices, weighted: Array, moves: Array) -> Array:
+    """Sum (N, S) of the weights (M, S) of the places `after` that each place may move to, rising both.
+
+    moves: (S, 7) probability of each move at each speed.
+    """
+    out = np.zeros((len(places), weighted.shape[1]))
+    half, first = moves.shape[1] // 2, 0
+    for i in range(len(places)):
+        while first < len(after) and after[first] < places[i] - half:
+            first += 1
+        k = first
+        while k < len(after) and after[k] <= places[i] + half:
+            move = after[k] - places[i] + half
+            for speed in range(weighted.shape[1]):
+                out[i, speed] += moves[speed, move] * weighted[k, speed]
+            k += 1
+    return out
+
+
+def _summarize(places: Indices, mass: Array, new: float) -> Posterior:
+    """The most likely place: the mean of those around the one of most mass, and how likely they are together."""
+    if len(places) == 0 or mass.max() <= 0:
         return Posterior(None, 0.0, _MIN_LOG_ODDS)
-    near = np.abs(locations - locations[int(mass.argmax())]) <= _MATCH_RADIUS
+    near = np.abs(places - places[int(mass.argmax())]) <= _MATCH_RADIUS
     inside, total = float(mass[near].sum()), float(mass.sum()) + new
-    outside = max(total - inside, 1e-300)
-    location = round(float(mass[near] @ locations[near]) / inside) if inside > 0 else None
-    log_odds = max(float(np.log10(max(inside, 1e-300) / outside)), _MIN_LOG_ODDS)
-    return Posterior(location, inside / total, log_odds)
-
-
-_MIN_LOG_ODDS = -30.0
+    odds = inside / max(total - inside, 1e-300)
+    log_odds = max(float(np.log10(max(odds, 1e-300))), _MIN_LOG_ODDS)
+    return Posterior(round(float(mass[near] @ places[near]) / inside), inside / total, log_odds)
 
 
 def _around(locations: Indices, radius: int) -> Indices:
@@ -228,9 +235,9 @@ def _speed_changes() -> Array:
     count = len(_SPEEDS)
     neighbors = np.eye(count, k=1) + np.eye(count, k=-1)
     change = (1 - _ANY_SPEED) * neighbors / 2 + _ANY_SPEED / count
-    turns: Array = (1 - _SPEED_CHANGE) * np.eye(count) + _SPEED_CHANGE * change
-    return turns / turns.sum(axis=1, keepdims=True)
+    changes: Array = (1 - _SPEED_CHANGE) * np.eye(count) + _SPEED_CHANGE * change
+    return changes / changes.sum(axis=1, keepdims=True)
 
 
-_MOVE_PROBABILITIES, _TURNS = _move_probabilities(), _speed_changes()
+_MOVE_PROBABILITIES, _SPEED_CHANGES = _move_probabilities(), _speed_changes()
 _BIRTH_SPEEDS = np.where(_SPEEDS > 0, 2.0, 1.0) / np.where(_SPEEDS > 0, 2.0, 1.0).sum()  # most passes go forwards

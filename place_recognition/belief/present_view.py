@@ -8,11 +8,19 @@ measured. Reasons and figures: docs/decisions/exclusion.md.
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from place_recognition.belief.candidate_verification import CandidateVerificationConfig, verify_pair
+from place_recognition.growing_array import GrowingArray
+from place_recognition.image_processing.matching import match_pairs
 from place_recognition.map.image_history import ImageHistory
 
 # Images by which the beginning of the view advances at most for each new image: bounds the time of an image.
 _MAX_STEPS = 4
+
+_STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
+_STEP_SHARE = 0.0025  # displacement of the features by which it has, as a share of the image width
 
 
 @dataclass(frozen=True)
@@ -79,3 +87,55 @@ class PresentView:
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._begin, self._reach = state["view_begin"], state["reach_frames"]
+
+
+class CameraSteps:
+    """Counts the steps of the camera: a standing or crawling camera takes many images of one step.
+
+    Places are counted in steps, so that a stop, or a recording at another frame rate, does not change how fast a
+    revisit moves along the earlier pass.
+    """
+
+    def __init__(self, history: ImageHistory) -> None:
+        self._history = history
+        self._firsts: list[int] = []  # location of the first image of each step
+        self._steps: GrowingArray[np.int64] = GrowingArray(np.int64)  # step of each image
+
+    def add(self, location: int) -> bool:
+        """Add the next image; return whether the camera has moved since the first image of its latest step."""
+        moved = not self._firsts or self._has_moved(self._firsts[-1], location)
+        if moved:
+            self._firsts.append(location)
+        self._steps.extend(np.array([len(self._firsts) - 1]))
+        return moved
+
+    def of(self, locations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the steps (K,) of the images at locations (K,)."""
+        steps: NDArray[np.int64] = self._steps.rows.reshape(-1)[locations]
+        return steps
+
+    def images(self, step: int) -> range:
+        """Return the locations of the images of a step."""
+        end = self._firsts[step + 1] if step + 1 < len(self._firsts) else len(self._steps)
+        return range(self._firsts[step], end)
+
+    def __len__(self) -> int:
+        return len(self._firsts)
+
+    def _has_moved(self, first: int, location: int) -> bool:
+        now, then = (self._history.images[k].strongest(_STEP_FEATURES) for k in (location, first))
+        pairs = match_pairs(now.quantized, then.quantized, 0.8)
+        if len(pairs) < _STEP_FEATURES // 10:
+            return True
+        shift = np.linalg.norm(now.pixels[pairs[:, 0]] - then.pixels[pairs[:, 1]], axis=1)
+        width = float(np.ptp(then.pixels[:, 0]))
+        return bool(np.median(shift) > _STEP_SHARE * width)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        return {"first_images": list(self._firsts), "steps": self._steps.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        self._firsts = list(state["first_images"])
+        self._steps.restore(state["steps"])

@@ -1,7 +1,7 @@
 """The decision of this project: what the paradigm and geometry say of each candidate, smoothed over the images around.
 
-The answer for an image is the most likely location and its probability (`place_recognition.belief.place_filter`). The
-pair is then verified by geometry once more if it was not among the candidates; without geometric agreement no match is
+The answer for an image is the most likely place and its probability (`place_recognition.belief.place_filter`). The pair
+is then verified by geometry once more if it was not among the candidates; without geometric agreement no match is
 accepted, however likely the place.
 """
 
@@ -16,13 +16,15 @@ from place_recognition.belief.candidate_verification import (
     VerificationResult,
     verify_pair,
 )
-from place_recognition.belief.likelihood_ratios import GEOMETRY, RatioTable, sharpness
+from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, sharpness
 from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, Posterior
+from place_recognition.belief.present_view import CameraSteps
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.proposals import Proposals
-from place_recognition.recognizer import Belief, StageScores
+from place_recognition.recognizer import Belief, StageScores, no_pixels
 
 _MIN_FEATURES = 9  # an image with fewer shows no place, neither as a query nor as a match
+_MUCH_BETTER = 1.5  # ratio of evidence by which the image next to the most likely one is the match
 _LIKELY = 0.5  # only pairs more likely than not are worth a verification of their own
 
 Results = tuple[VerificationResult, ...]
@@ -40,36 +42,38 @@ class SmoothedDecision:
     ) -> None:
         self._history, self._own_ratio, self._config = history, own_ratio, config
         self._verification = verification
-        self._filter = PlaceFilter(config)
+        self._filter, self._steps = PlaceFilter(config), CameraSteps(history)
         self._waiting: deque[tuple[Proposals, Results]] = deque()
 
     def add(self, proposals: Proposals, results: Results) -> list[Belief]:
         """Add the candidates of the next query and return the belief that is ready now, if any."""
+        if self._steps.add(proposals.query):
+            self._filter.add(self._observe(proposals, results))
         self._waiting.append((proposals, results))
-        return self._answer(self._filter.add(self._observe(proposals, results)))
+        return [self._answer_oldest()] if len(self._waiting) > self._config.lag_frames else []
 
     def finish(self) -> list[Belief]:
         """Return the beliefs about the last queries."""
-        return self._answer(self._filter.finish())
+        return [self._answer_oldest() for _ in range(len(self._waiting))]
 
     def _observe(self, proposals: Proposals, results: Results) -> Observation:
         own = dict(zip(proposals.locations, self._own_ratio(proposals.scores), strict=True))
         evidence = np.array([result.evidence for result in results], np.float64)
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
-        ratios = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
-        locations = np.array([result.location for result in results], np.int64)
-        return Observation(locations, GEOMETRY(evidence) + np.array(ratios), sharpness(evidence))
+        nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
+        places = self._steps.of(np.array([result.location for result in results], np.int64))
+        return Observation(places, log_ratios(np.array(nearest), evidence), sharpness(evidence))
 
-    def _answer(self, posteriors: list[Posterior]) -> list[Belief]:
-        return [self._make_belief(*self._waiting.popleft(), posterior) for posterior in posteriors]
-
-    def _make_belief(self, proposals: Proposals, results: Results, posterior: Posterior) -> Belief:
-        stages = stage_scores(self._history, proposals, results)
-        query = int(self._history.ids[proposals.query])
-        location = self._match(proposals, posterior)
+    def _answer_oldest(self) -> Belief:
+        proposals, results = self._waiting.popleft()
+        step = int(self._steps.of(np.array([proposals.query]))[0])
+        posterior = self._filter.posterior(len(self._steps) - 1 - step)
+        query, stages = int(self._history.ids[proposals.query]), stage_scores(self._history, proposals, results)
+        location = self._match(proposals, results, posterior)
         if location is None:
             return Belief(query, None, posterior.log_odds, accepted=False, probability=0.0, stages=stages)
         result = self._result(proposals.query, location, results, posterior.probability)
+        location = location if result is None else result.location
         verified = result is not None and result.evidence >= min_evidence(proposals.query, self._verification)
         return Belief(
             query=query,
@@ -78,24 +82,37 @@ class SmoothedDecision:
             accepted=verified and posterior.probability >= self._config.min_probability,
             inliers=None if result is None else result.inliers,
             verified=verified,
-            **({} if result is None else {"pixels": result.pixels}),
+            pixels=no_pixels() if result is None else result.pixels,
             probability=posterior.probability,
             stages=stages,
         )
 
-    def _match(self, proposals: Proposals, posterior: Posterior) -> int | None:
-        """The location of the posterior, or the nearest one beside it that shows something; None for a blank query."""
-        if posterior.location is None or not self._is_textured(proposals.query):
+    def _match(self, proposals: Proposals, results: Results, posterior: Posterior) -> int | None:
+        """The image that stands for the most likely place, or for one beside it; None for a blank query.
+
+        Where a place has several images, the candidate of most evidence, else the middle one.
+        """
+        if posterior.place is None or not self._is_textured(proposals.query):
             return None
-        beside = [posterior.location + step for step in (0, -1, 1, -2, 2)]
-        allowed = (k for k in beside if 0 <= k <= proposals.last_matchable and self._is_textured(k))
-        return next(allowed, None)
+        evidence = {result.location: result.evidence for result in results}
+        for place in (posterior.place + step for step in (0, -1, 1, -2, 2)):
+            images = self._steps.images(place) if 0 <= place < len(self._steps) else range(0)
+            allowed = [k for k in images if k <= proposals.last_matchable and self._is_textured(k)]
+            if allowed:
+                middle = allowed[len(allowed) // 2]
+                return max(allowed, key=lambda k: (evidence.get(k, 0.0), k == middle))
+        return None
 
     def _result(self, query: int, location: int, results: Results, probability: float) -> VerificationResult | None:
-        known = next((result for result in results if result.location == location), None)
-        if known is not None or probability < _LIKELY:
-            return known
-        return verify_pair(self._history.images, query, location, self._verification)
+        """The verification of the match, or of a candidate next to it that agrees much better."""
+        result = next((result for result in results if result.location == location), None)
+        if result is None and probability >= _LIKELY:
+            result = verify_pair(self._history.images, query, location, self._verification)
+        beside = [other for other in results if abs(other.location - location) == 1]
+        best = max(beside, key=lambda other: other.evidence, default=None)
+        if result is not None and best is not None and best.evidence > _MUCH_BETTER * result.evidence:
+            return best
+        return result
 
     def _is_textured(self, location: int) -> bool:
         return self._history.images.count(location) >= _MIN_FEATURES
@@ -106,11 +123,12 @@ class SmoothedDecision:
             {"proposals": dict(vars(proposals)), "results": [dict(vars(result)) for result in results]}
             for proposals, results in self._waiting
         ]
-        return {"filter": self._filter.state(), "waiting": waiting}
+        return {"filter": self._filter.state(), "steps": self._steps.state(), "waiting": waiting}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._filter.restore(state["filter"])
+        self._steps.restore(state["steps"])
         for one in state["waiting"]:
             results = tuple(VerificationResult(**result) for result in one["results"])
             self._waiting.append((Proposals(**one["proposals"]), results))
@@ -125,7 +143,7 @@ def stage_scores(history: ImageHistory, proposals: Proposals, results: Results) 
     """What the paradigm and geometry answer by themselves, with the ids of the images."""
     ids = history.ids
     best = max(results, key=lambda result: result.evidence, default=None)
-    if best is None or best.inliers == 0:
+    if best is not None and best.inliers == 0:
         best = None
     return StageScores(
         candidates=tuple(int(ids[location]) for location in proposals.locations),
