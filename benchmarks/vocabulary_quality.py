@@ -91,12 +91,16 @@ def print_variances(words: list[Indices]) -> None:
         print(f"  against {k:2d} images before: {low:.2f} {middle:.2f} {high:.2f}")
     third = len(words) // 3
     other = [variance(words[(i + third) % len(words)], words[i - 3 : i]) for i in range(3, len(words))]
-    print("  a third of the drive away, 3 images: " + " ".join(f"{value:.2f}" for value in np.percentile(other, [1, 10, 50])))
+    print(
+        "  a third of the drive away, 3 images: "
+        + " ".join(f"{value:.2f}" for value in np.percentile(other, [1, 10, 50]))
+    )
     for least, most in ((1, len(words)), (2, 15)):
         lengths = sequence_lengths(words, least, most)
         print(
             f"  {least} to {most} images: {len(lengths)} sequences, mean {np.mean(lengths):.1f},"
-            f" median {np.median(lengths):.0f}, longest {max(lengths)}; the limit ended {np.mean(lengths < most):.2f}"
+            f" median {np.median(lengths):.0f}, longest {max(lengths)};"
+            f" the limit ended {np.count_nonzero(lengths[:-1] < most)}"
         )
 
 

@@ -242,11 +242,11 @@ def _assign(bits: Bits, rows: Indices, centers: Bits, nearest: Indices) -> bool:
     """Write the nearest centre (R,) of each of the rows (R,) of bits (N, K), first of equals; whether any changed."""
     changed = False
     for k in range(len(rows)):
-        best, least = 0, np.int64(BITS * bits.shape[1] + 1)
+        best, nearest_distance = 0, np.int64(BITS * bits.shape[1] + 1)
         for m in range(len(centers)):
             distance = hamming(bits[rows[k]], centers[m])
-            if distance < least:
-                best, least = m, distance
+            if distance < nearest_distance:
+                best, nearest_distance = m, distance
         changed |= nearest[k] != best
         nearest[k] = best
     return changed

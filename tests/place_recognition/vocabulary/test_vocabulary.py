@@ -24,7 +24,7 @@ def test_a_descriptor_gets_the_word_at_the_least_distance(seed: int, words: int,
     descriptors = np.random.default_rng(seed + 1).normal(size=(count, size)).astype(np.float32)
     distances = np.linalg.norm(descriptors[:, None].astype(float) - vocabulary.words[None], axis=2)
     chosen = distances[np.arange(count), vocabulary.assign(descriptors)]
-    np.testing.assert_allclose(chosen, distances.min(axis=1, initial=np.inf), rtol=1e-5)
+    np.testing.assert_allclose(chosen, distances.min(axis=1, initial=np.inf), rtol=1e-5, atol=5e-4)
 
 
 def test_of_twin_words_the_first_is_taken():
