@@ -16,6 +16,7 @@ from slam.report.trajectory_figure import INK, new_figure, style_axes
 Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
+NO_TRUTH = "no ground truth, no curve"
 _PANEL_INCHES = 4.6  # side of a panel
 _MAX_CELLS = 600  # drawn along a side of a matrix: about the pixels of a panel
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.SCALE_END])
@@ -111,9 +112,21 @@ def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> 
     """
     figure = new_figure(6.4, 4.8)
     ax = figure.subplots()
+    draw_precision_recall(ax, curves)
+    ax.set_title(title, color=INK, parse_math=False, fontsize=11, fontweight="bold")
+    return figure
+
+
+def draw_precision_recall(ax: Axes, curves: Mapping[str, PrecisionRecall], missing: str = NO_TRUTH) -> None:
+    """Draw precision over recall with a circle at R@P100.
+
+    Args:
+        ax: axes to draw into.
+        curves: precision-recall curves by name.
+        missing: text for an empty panel.
+    """
     style_axes(ax)
     ax.set(xlim=(-0.01, 1.01), ylim=(0.0, 1.03), xlabel="recall", ylabel="precision")
-    ax.set_title(title, color=INK, parse_math=False, fontsize=11, fontweight="bold")
     for (name, curve), (colour, dashes) in zip(curves.items(), _LINES * len(curves), strict=False):
         full = curve.recall_at_full_precision
         ax.plot(curve.recall, curve.precision, color=colour, ls=dashes, lw=1.8, label=f"{name}: R@P100 {full:.3f}")
@@ -121,13 +134,13 @@ def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> 
     if curves:
         title = "circle: largest recall without a false match"
         clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
-        legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
+        loc = "lower left" if len(curves) == 1 else "best"  # several curves leave no corner free for sure
+        legend = ax.legend(loc=loc, title=title, title_fontsize=8, fontsize=9, **clear)
         legend.get_title().set_color(INK)
         for name_text in legend.get_texts():
             name_text.set_parse_math(False)
     else:
-        ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
-    return figure
+        ax.text(0.5, 0.5, missing, transform=ax.transAxes, ha="center", color=INK)
 
 
 def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
