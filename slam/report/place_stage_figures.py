@@ -34,11 +34,29 @@ def plot_stages(
     figure = new_figure(3 * _PANEL[0], _PANEL[1])
     curves, candidates, probabilities = figure.subplots(1, 3)
     draw_precision_recall(curves, stage_curves(stages, control))
-    curves.set_title("Each stage by itself", color=INK, fontsize=11)
     draw_candidate_recall(candidates, stages, control)
     draw_reliability(probabilities, reliability)
+    headings = ("Each stage by itself", "Candidates of the paradigm", "Reliability of the probability")
+    for ax, heading in zip((curves, candidates, probabilities), headings, strict=True):
+        ax.set_title(heading, color=INK, fontsize=11)
     figure.suptitle(title, color=INK, parse_math=False, fontweight="bold")
     return figure
+
+
+def stage_figures(stages: StageResults | None, reliability: Reliability | None) -> list[tuple[str, str, str, Figure]]:
+    """Plot the candidates and the probabilities of a run, as far as they are known: name, title, caption, figure."""
+    figures = []
+    if stages is not None and stages.candidate_recall:
+        figure = new_figure(*_PANEL)
+        draw_candidate_recall(figure.subplots(), stages, None)
+        caption = "How often a true image is among the first candidates, before geometry and temporal model."
+        figures.append(("candidates", "Candidates", caption, figure))
+    if reliability is not None:
+        figure = new_figure(*_PANEL)
+        draw_reliability(figure.subplots(), reliability)
+        caption = "On the dashed line a match given 0.9 is true nine times in ten."
+        figures.append(("reliability", "Reliability", caption, figure))
+    return figures
 
 
 def stage_curves(stages: StageResults | None, control: StageResults | None) -> dict[str, PrecisionRecall]:
@@ -51,7 +69,7 @@ def stage_curves(stages: StageResults | None, control: StageResults | None) -> d
 
 def draw_candidate_recall(ax: Axes, stages: StageResults | None, control: StageResults | None) -> None:
     """Draw how often a true image is among the first candidates, beside the control."""
-    _format(ax, "Candidates of the paradigm", "candidates of a query", "recall: share with a true image among them")
+    _format(ax, "candidates of a query", "recall: share with a true image among them")
     ax.set(xticks=range(len(CANDIDATE_COUNTS)), xticklabels=CANDIDATE_COUNTS, ylim=(0.0, 1.2), yticks=np.arange(6) / 5)
     ax.grid(False, axis="x")
     if stages is None or not stages.candidate_recall:
@@ -66,7 +84,7 @@ def draw_candidate_recall(ax: Axes, stages: StageResults | None, control: StageR
 
 def draw_reliability(ax: Axes, reliability: Reliability | None) -> None:
     """Draw the share of true matches over their probability: on the diagonal probabilities mean what they say."""
-    _format(ax, "Reliability of the probability", "mean probability of the matches", "share of them that is true")
+    _format(ax, "mean probability of the matches", "share of them that is true")
     ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.3), yticks=np.arange(6) / 5)
     if reliability is None:
         _write(ax, "no probabilities, or no ground truth")
@@ -95,11 +113,10 @@ def _draw_bars(ax: Axes, recall: Mapping[int, float], shift: float, colour: str,
     ax.bar_label(bars, [f"{height:.2f}" for height in heights], padding=2, fontsize=9, color=INK)
 
 
-def _format(ax: Axes, title: str, xlabel: str, ylabel: str) -> None:
+def _format(ax: Axes, xlabel: str, ylabel: str) -> None:
     style_axes(ax)
     ax.set_axisbelow(True)
     ax.set(xlabel=xlabel, ylabel=ylabel)
-    ax.set_title(title, color=INK, fontsize=11)
 
 
 def _write(ax: Axes, text: str) -> None:
