@@ -16,7 +16,6 @@ from slam.report.trajectory_figure import INK, new_figure, style_axes
 Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
-NO_TRUTH = "no ground truth, no curve"
 _PANEL_INCHES = 4.6  # side of a panel
 _MAX_CELLS = 600  # drawn along a side of a matrix: about the pixels of a panel
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.SCALE_END])
@@ -29,6 +28,7 @@ _LINES = (
     (colours.REJECTED, (0, (1, 1))),
     (colours.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
     (INK, (0, (6, 3))),
+    (colours.GROUND_TRUTH, (0, (1, 2))),
 )
 
 
@@ -117,30 +117,33 @@ def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> 
     return figure
 
 
-def draw_precision_recall(ax: Axes, curves: Mapping[str, PrecisionRecall], missing: str = NO_TRUTH) -> None:
+def draw_precision_recall(
+    ax: Axes, curves: Mapping[str, PrecisionRecall | None], missing: str = "no ground truth, no curve"
+) -> None:
     """Draw precision over recall with a circle at R@P100.
 
     Args:
         ax: axes to draw into.
-        curves: precision-recall curves by name.
+        curves: precision-recall curves by name; None leaves a name out and its line style unused.
         missing: text for an empty panel.
     """
     style_axes(ax)
     ax.set(xlim=(-0.01, 1.01), ylim=(0.0, 1.03), xlabel="recall", ylabel="precision")
     for (name, curve), (colour, dashes) in zip(curves.items(), _LINES * len(curves), strict=False):
+        if curve is None:
+            continue
         full = curve.recall_at_full_precision
         ax.plot(curve.recall, curve.precision, color=colour, ls=dashes, lw=1.8, label=f"{name}: R@P100 {full:.3f}")
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
-    if curves:
-        title = "circle: largest recall without a false match"
-        clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
-        loc = "lower left" if len(curves) == 1 else "best"  # several curves leave no corner free for sure
-        legend = ax.legend(loc=loc, title=title, title_fontsize=8, fontsize=9, **clear)
-        legend.get_title().set_color(INK)
-        for name_text in legend.get_texts():
-            name_text.set_parse_math(False)
-    else:
+    if not ax.lines:
         ax.text(0.5, 0.5, missing, transform=ax.transAxes, ha="center", color=INK)
+        return
+    title = "circle: largest recall without a false match"
+    clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
+    legend = ax.legend(loc="best", title=title, title_fontsize=8, fontsize=9, **clear)
+    legend.get_title().set_color(INK)
+    for name_text in legend.get_texts():
+        name_text.set_parse_math(False)
 
 
 def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
