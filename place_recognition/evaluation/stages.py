@@ -4,7 +4,7 @@ A recogniser proposes candidates, scores them, verifies them by geometry, and le
 candidates the recall counts; each later stage names one match with a score, and has a precision-recall curve.
 
 The confidence intervals come from a circular block bootstrap (Politis and Romano, 1992): a sample is made of whole
-blocks of consecutive queries, because neighbouring images show nearly the same and are not independent. Loop events
+blocks of consecutive queries, because neighbouring images show nearly the same and are not independent. Revisit events
 would be the natural blocks, but a recording has one to six of them, too few to draw from
 (docs/decisions/stages_of_recognition.md). An interval tells how much luck the choice of the images was. It does not
 say how another street would turn out.

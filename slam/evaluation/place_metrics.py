@@ -14,7 +14,7 @@ from place_recognition.recognizer import Belief
 from slam.evaluation.place_stages import (
     STAGE_NAMES,
     DriveData,
-    Measured,
+    MetricsPart,
     compare_with_control,
     describe_delay,
     describe_events,
@@ -82,8 +82,8 @@ def evaluate_places(
     """
     words = None if size is None else size.words
     notes = {} if words is not None else {"words": f"{paradigm} counts no words"}
-    map_size = Measured({"words": words, "map_bytes": None if size is None else size.bytes}, notes)
-    heading = Measured({"paradigm": paradigm, "queries": len(beliefs)}, {})
+    map_size = MetricsPart({"words": words, "map_bytes": None if size is None else size.bytes}, notes)
+    heading = MetricsPart({"paradigm": paradigm, "queries": len(beliefs)}, {})
     drive = drive or DriveData()
     always = [map_size, describe_delay(beliefs, drive)]
     if truth is None or not truth.any():
@@ -93,8 +93,8 @@ def evaluate_places(
     control_results = None if control is None else measure_stages(control, truth)
     reliability = measure_reliability(beliefs, truth)
     parts = [
-        Measured(measure_scores(beliefs, truth, 0), _threshold_note(curve)),
-        Measured({"tolerance_10": measure_scores(beliefs, truth, COMMON_TOLERANCE_IMAGES)}, {}),
+        MetricsPart(measure_scores(beliefs, truth, 0), _threshold_note(curve)),
+        MetricsPart({"tolerance_10": measure_scores(beliefs, truth, COMMON_TOLERANCE_IMAGES)}, {}),
         *_stages_and_control(beliefs, results, control, control_results, truth),
         _nest("events", describe_events(beliefs, truth, 0, drive)),
         _probability(beliefs, truth, reliability),
@@ -115,10 +115,10 @@ def measure_scores(beliefs: Sequence[Belief], truth: NDArray[np.bool_], toleranc
     return dict(zip(_SCORE_NAMES, values, strict=True))
 
 
-def _unknown(reason: str) -> list[Measured]:
+def _unknown(reason: str) -> list[MetricsPart]:
     """Return the values that need ground truth, all null."""
-    stages = Measured(dict.fromkeys(STAGE_NAMES), dict.fromkeys(STAGE_NAMES, reason))
-    return [Measured(dict.fromkeys(_NEEDS_TRUTH), dict.fromkeys(_NEEDS_TRUTH, reason)), _nest("stages", stages)]
+    stages = MetricsPart(dict.fromkeys(STAGE_NAMES), dict.fromkeys(STAGE_NAMES, reason))
+    return [MetricsPart(dict.fromkeys(_NEEDS_TRUTH), dict.fromkeys(_NEEDS_TRUTH, reason)), _nest("stages", stages)]
 
 
 def _stages_and_control(
@@ -127,30 +127,30 @@ def _stages_and_control(
     control: Sequence[Belief] | None,
     control_results: StageResults | None,
     truth: NDArray[np.bool_],
-) -> list[Measured]:
+) -> list[MetricsPart]:
     ours = describe_stages(beliefs, truth, results, COMMON_TOLERANCE_IMAGES)
     if control is None or control_results is None:
-        return [_nest("stages", ours), Measured({"control": None}, {"control": NO_CONTROL})]
+        return [_nest("stages", ours), MetricsPart({"control": None}, {"control": NO_CONTROL})]
     theirs = describe_stages(control, truth, control_results, COMMON_TOLERANCE_IMAGES)
     worse = compare_with_control(ours.section, theirs.section)
     return [
-        _nest("stages", Measured(ours.section, ours.notes | worse)),
-        _nest("control", Measured({"what": CONTROL} | theirs.section, theirs.notes)),
+        _nest("stages", MetricsPart(ours.section, ours.notes | worse)),
+        _nest("control", MetricsPart({"what": CONTROL} | theirs.section, theirs.notes)),
     ]
 
 
-def _probability(beliefs: Sequence[Belief], truth: NDArray[np.bool_], reliability: Reliability | None) -> Measured:
+def _probability(beliefs: Sequence[Belief], truth: NDArray[np.bool_], reliability: Reliability | None) -> MetricsPart:
     tolerant = measure_reliability(beliefs, truth, COMMON_TOLERANCE_IMAGES)
     if reliability is None or tolerant is None:
-        return Measured({"probability": None}, {"probability": "the recogniser computes no probabilities"})
-    return Measured({"probability": describe_reliability(reliability, tolerant)}, {})
+        return MetricsPart({"probability": None}, {"probability": "the recogniser computes no probabilities"})
+    return MetricsPart({"probability": describe_reliability(reliability, tolerant)}, {})
 
 
-def _nest(name: str, part: Measured) -> Measured:
-    return Measured({name: part.section}, {f"{name}.{key}": reason for key, reason in part.notes.items()})
+def _nest(name: str, part: MetricsPart) -> MetricsPart:
+    return MetricsPart({name: part.section}, {f"{name}.{key}": reason for key, reason in part.notes.items()})
 
 
-def _join(parts: Sequence[Measured]) -> tuple[dict[str, object], dict[str, str]]:
+def _join(parts: Sequence[MetricsPart]) -> tuple[dict[str, object], dict[str, str]]:
     section: dict[str, object] = {}
     notes: dict[str, str] = {}
     for part in parts:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.loop_events import answer_delays, find_loop_events
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.evaluation.reliability import BIN_EDGES, SURE_PROBABILITY, Reliability
+from place_recognition.evaluation.revisit_events import answer_delays, find_revisit_events
 from place_recognition.evaluation.stages import (
     CURVE_STAGES,
     CURVE_SUMMARIES,
@@ -56,7 +56,7 @@ class DriveData:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MetricsPart:
     """A part of the metrics.
 
     Attributes:
@@ -68,7 +68,7 @@ class Measured:
     notes: Notes
 
 
-def describe_stages(beliefs: Sequence[Belief], truth: Truth, exact: StageResults, tolerance: int) -> Measured:
+def describe_stages(beliefs: Sequence[Belief], truth: Truth, exact: StageResults, tolerance: int) -> MetricsPart:
     """Describe all stages, with confidence intervals, and again with the tolerance of other authors.
 
     Args:
@@ -85,7 +85,7 @@ def describe_stages(beliefs: Sequence[Belief], truth: Truth, exact: StageResults
         else None
         for stage in STAGE_NAMES
     }
-    return Measured(section, {stage: _NOT_REPORTED[stage] for stage in STAGE_NAMES if section[stage] is None})
+    return MetricsPart(section, {stage: _NOT_REPORTED[stage] for stage in STAGE_NAMES if section[stage] is None})
 
 
 def compare_with_control(stages: Mapping[str, object], control: Mapping[str, object]) -> Notes:
@@ -107,13 +107,13 @@ def compare_with_control(stages: Mapping[str, object], control: Mapping[str, obj
     return notes
 
 
-def describe_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int, drive: DriveData) -> Measured:
-    """Describe the loop events: how many were found, and how far into an event its first detection is.
+def describe_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int, drive: DriveData) -> MetricsPart:
+    """Describe the revisit events: how many were found, and how far into an event its first detection is.
 
     `first_match` is the first query whose match was accepted, `first_answer` the image at which the first accepted
     match was known; both count from the first query of the event, in images and metres.
     """
-    events = find_loop_events(beliefs, truth, tolerance)
+    events = find_revisit_events(beliefs, truth, tolerance)
     found = [event for event in events if event.detected is not None]
     section: Section = {"count": len(events), "found": len(found), "recall": len(found) / len(events)}
     for name, attribute in (("first_match", "detected"), ("first_answer", "answered_at")):
@@ -121,14 +121,14 @@ def describe_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int, dri
         spans = np.array([pair for pair in ends if pair[1] is not None], np.int64).reshape(-1, 2)
         section |= _lengths(f"{name}_frames", spans, f"{name}_m", drive.path_lengths_m)
     reason = _NO_ANSWER_TIMES if found else "no event was found"
-    return Measured(section, _notes_of_nulls(section, reason, "_m", drive.path_lengths_m, "the poses are not known"))
+    return MetricsPart(section, _notes_of_nulls(section, reason, "_m", drive.path_lengths_m, "the poses are not known"))
 
 
-def describe_delay(beliefs: Sequence[Belief], drive: DriveData) -> Measured:
+def describe_delay(beliefs: Sequence[Belief], drive: DriveData) -> MetricsPart:
     """Describe how long after its image each answer came, in images and seconds."""
     section = _lengths("delay_frames", answer_delays(beliefs), "delay_s", drive.timestamps)
     reason = "the recording has no times"
-    return Measured(section, _notes_of_nulls(section, _NO_ANSWER_TIMES, "_s", drive.timestamps, reason))
+    return MetricsPart(section, _notes_of_nulls(section, _NO_ANSWER_TIMES, "_s", drive.timestamps, reason))
 
 
 def describe_reliability(exact: Reliability, tolerant: Reliability) -> Section:

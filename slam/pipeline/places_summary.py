@@ -6,6 +6,7 @@ from typing import Any
 from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from slam.evaluation.place_stages import INTERVALS, STAGE_NAMES
 from slam.pipeline.place_recognition import PlacesRecord
@@ -23,24 +24,22 @@ _VALUES = {
 
 def make_summary(record: PlacesRecord) -> Group:
     """Return tables of recall, counts, stages and speed, at most 100 columns wide; unknown values are dashes."""
-    places, timing = record.result.section, record.metrics["timing_ms"]
-    assert isinstance(timing, dict)
-    stages = ", ".join(f"{stage} {spent['median']:.1f}" for stage, spent in timing.items())
-    caption = "\n".join([*_about_run(record), f"median ms an image: {stages}"])
-    table = Table(title=escape(record.name), caption=escape(caption), caption_justify="left")
+    places = record.result.section
+    table = Table(title=escape(record.name), title_justify="left")
     for heading in ("rule", "R@P100", "AP", "accepted true", "false", "revisits"):
         table.add_column(heading, justify="left" if heading == "rule" else "right")
     table.add_row("authors'", *_format_scores(places))
     tolerant = places["tolerance_10"]
     table.add_row("+-10 images", *_format_scores(tolerant if isinstance(tolerant, dict) else {}))
+    run = Text("\n".join(_about_run(record)))
     if record.result.stages is None:
-        return Group(table)
-    return Group(table, _stage_table(places, record.result.notes))
+        return Group(table, run)
+    lines = [*_about_events(places), *_about_probability(places), *_about_control(record.result.notes)]
+    return Group(table, run, "", _stage_table(places), Text("\n".join(lines)))
 
 
-def _stage_table(places: Mapping[str, Any], notes: Mapping[str, str]) -> Table:
-    caption = "\n".join([*_about_events(places), *_about_probability(places), *_about_control(notes)])
-    table = Table(title="Stages, each by itself", caption=escape(caption), caption_justify="left")
+def _stage_table(places: Mapping[str, Any]) -> Table:
+    table = Table(title="Each stage by itself", title_justify="left")
     for heading in ("stage", "", "value", "95 % interval", "random images"):
         table.add_column(heading, justify="left" if heading in ("stage", "") else "right")
     for stage in STAGE_NAMES:
@@ -66,17 +65,20 @@ def _about_run(record: PlacesRecord) -> Iterator[str]:
         f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"
         f"; map {size:.1f} MB{words}"
     )
+    timing = record.metrics["timing_ms"]
+    assert isinstance(timing, dict)
+    medians = ", ".join(f"{stage} {spent['median']:.1f}" for stage, spent in timing.items())
+    yield f"median ms an image: {medians}"
     if places["delay_frames"] is not None:
-        delay = _range(places["delay_frames"], "images", places["delay_s"], "s")
-        yield f"an answer comes after its image by {delay}"
+        yield f"an answer comes {_range(places['delay_frames'], places['delay_s'], 's')} after its image"
 
 
 def _about_events(places: Mapping[str, Any]) -> Iterator[str]:
     events: Mapping[str, Any] = places["events"]
-    yield f"loop events: {events['found']} of {events['count']} found"
+    yield f"revisit events: {events['found']} of {events['count']} found"
     for name, words in (("first_match", "first accepted match"), ("first_answer", "known")):
         if events[f"{name}_frames"] is not None:
-            yield f"  {words} after {_range(events[f'{name}_frames'], 'images', events[f'{name}_m'], 'm')}"
+            yield f"  {words} {_range(events[f'{name}_frames'], events[f'{name}_m'], 'm')} after the first image"
 
 
 def _about_probability(places: Mapping[str, Any]) -> Iterator[str]:
@@ -95,13 +97,13 @@ def _about_control(notes: Mapping[str, str]) -> Iterator[str]:
         yield f"NO BETTER THAN RANDOM IMAGES: {', '.join(worse)}"
 
 
-def _range(images: Mapping[str, float], unit: str, lengths: Mapping[str, float] | None, other: str) -> str:
-    """Format median and maximum in two units, the second where it is known."""
-
-    def one(name: str) -> str:
-        return f"{images[name]:g}" if lengths is None else f"{images[name]:g} ({lengths[name]:.1f} {other})"
-
-    return f"{one('median')} {unit} (median), {one('max')} (maximum)"
+def _range(images: Mapping[str, float], lengths: Mapping[str, float] | None, unit: str) -> str:
+    """Format median and maximum in images, and in another unit where that is known."""
+    middle, largest = (
+        f"{images[name]:g} images" + ("" if lengths is None else f" ({lengths[name]:.1f} {unit})")
+        for name in ("median", "max")
+    )
+    return f"{middle} (at most {largest})" if middle != largest else middle
 
 
 def _format_scores(section: Mapping[str, object]) -> list[str]:

@@ -213,7 +213,7 @@ def test_the_summary_fits_into_100_columns_and_names_the_stages(
         "geometry",
         "temporal model",
         "random images",
-        "loop events: 1 of 1 found",
+        "revisit events: 1 of 1 found",
     ):
         assert words in printed
 

@@ -1,9 +1,9 @@
-"""Loop events: what belongs together, when it was found, and when that was known."""
+"""Revisit events: what belongs together, when it was found, and when that was known."""
 
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.loop_events import MAX_GAP_IMAGES, LoopEvent, answer_delays, find_loop_events
+from place_recognition.evaluation.revisit_events import MAX_GAP_IMAGES, RevisitEvent, answer_delays, find_revisit_events
 from place_recognition.recognizer import Belief
 
 
@@ -14,7 +14,7 @@ def truth_of(*queries: int, images: int = 200) -> np.ndarray:
 
 
 def spans(truth: np.ndarray) -> list[tuple[int, int]]:
-    return [(event.first, event.last) for event in find_loop_events([], truth)]
+    return [(event.first, event.last) for event in find_revisit_events([], truth)]
 
 
 def test_a_short_hole_stays_inside_an_event_and_a_longer_one_ends_it():
@@ -37,20 +37,20 @@ def test_the_first_accepted_true_match_is_the_detection():
         Belief(53, 5, 8.0, accepted=True, answered_at=60),  # known before the one above
         Belief(150, 5, 8.0, accepted=False, answered_at=150),
     ]
-    events = find_loop_events(beliefs[::-1], truth_of(*range(50, 60), *range(150, 160)))
-    assert events == (LoopEvent(50, 59, 52, 60), LoopEvent(150, 159, None, None))
+    events = find_revisit_events(beliefs[::-1], truth_of(*range(50, 60), *range(150, 160)))
+    assert events == (RevisitEvent(50, 59, 52, 60), RevisitEvent(150, 159, None, None))
 
 
 def test_the_tolerance_is_that_of_a_match():
     beliefs = [Belief(50, 9, 1.0, accepted=True)]
     truth = truth_of(50, 51)
-    assert find_loop_events(beliefs, truth)[0].detected is None
-    assert find_loop_events(beliefs, truth, tolerance=4)[0] == LoopEvent(50, 51, 50, None)
+    assert find_revisit_events(beliefs, truth)[0].detected is None
+    assert find_revisit_events(beliefs, truth, tolerance=4)[0] == RevisitEvent(50, 51, 50, None)
 
 
 @pytest.mark.parametrize("query", [49, 60, 70])
 def test_a_match_outside_an_event_does_not_find_it(query: int):
-    events = find_loop_events([Belief(query, 5, 1.0, accepted=True)], truth_of(*range(50, 60)))
+    events = find_revisit_events([Belief(query, 5, 1.0, accepted=True)], truth_of(*range(50, 60)))
     assert events[0].detected is None
 
 

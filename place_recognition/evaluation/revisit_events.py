@@ -1,4 +1,4 @@
-"""Loop events: stretches of the recording in which the camera is where it has been, and when each was recognised."""
+"""Revisit events: stretches of the recording in which the camera is where it has been, and when each was recognised."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from place_recognition.recognizer import Belief
 Truth = NDArray[np.bool_]
 
 # Images without truth that do not end an event: a second at ten images a second. The holes in the published matrices
-# have 1 to 10 images, what lies between two revisits has 18 or more.
+# have 1 to 6 images, what lies between two revisits has 13, and mostly 31 or more.
 MAX_GAP_IMAGES = 10
 
 
 @dataclass(frozen=True)
-class LoopEvent:
+class RevisitEvent:
     """A stretch of queries with truth, and its first detection.
 
     Attributes:
@@ -33,8 +33,8 @@ class LoopEvent:
     answered_at: int | None = None
 
 
-def find_loop_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> tuple[LoopEvent, ...]:
-    """Find the loop events of a recording, and what was recognised of each.
+def find_revisit_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> tuple[RevisitEvent, ...]:
+    """Find the revisit events of a recording, and what was recognised of each.
 
     Args:
         beliefs: one belief for each query.
@@ -60,7 +60,7 @@ def _stretches(truth: Truth) -> list[tuple[int, int]]:
     return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
-def _describe(first: int, last: int, detections: list[tuple[int, int | None]]) -> LoopEvent:
+def _describe(first: int, last: int, detections: list[tuple[int, int | None]]) -> RevisitEvent:
     inside = [(query, ready) for query, ready in detections if first <= query <= last]
     ready_at = [ready for _, ready in inside if ready is not None]
-    return LoopEvent(first, last, inside[0][0] if inside else None, min(ready_at, default=None))
+    return RevisitEvent(first, last, inside[0][0] if inside else None, min(ready_at, default=None))
