@@ -1,9 +1,12 @@
 """Revisit events: what belongs together, when it was found, and when that was known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from place_recognition.evaluation.revisit_events import MAX_GAP_IMAGES, RevisitEvent, answer_delays, find_revisit_events
+from place_recognition.evaluation.revisit_ground_truth import load_truth
 from place_recognition.recognizer import Belief
 
 
@@ -62,3 +65,11 @@ def test_delays_are_of_the_answers_that_say_when_they_came():
     ]
     assert answer_delays(beliefs).tolist() == [[3, 8], [5, 5]]
     assert answer_delays([]).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "events"), [("KITTI00", 6), ("KITTI05", 3), ("KITTI06", 1), ("CityCentre", 2), ("NC", 5), ("Malaga6L", 5)]
+)
+def test_published_matrices_fall_into_the_revisits_that_one_sees(test_data: Path, name: str, events: int):
+    truth = load_truth(test_data / "loop_ground_truth" / f"groundTruth{name}.mat")
+    assert len(find_revisit_events([], truth)) == events

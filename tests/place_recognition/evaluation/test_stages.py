@@ -81,6 +81,12 @@ def test_the_tolerance_holds_for_candidates_too():
     assert measure_stages(beliefs, TRUTH, 10).candidate_recall[1] == 1 / LAP
 
 
+def test_of_several_true_candidates_the_first_counts():
+    beliefs = [belief(50, None, 0.0, 30, 12, 9, 10)]
+    assert candidate_ranks(beliefs, TRUTH).tolist() == [4]
+    assert candidate_ranks(beliefs, TRUTH, 5).tolist() == [2]
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_each_image_once_gives_the_values_of_the_curve_itself(seed):
