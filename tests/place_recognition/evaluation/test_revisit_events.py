@@ -44,6 +44,13 @@ def test_the_first_accepted_true_match_is_the_detection():
     assert events == (RevisitEvent(50, 59, 52, 60), RevisitEvent(150, 159, None, None))
 
 
+def test_the_detection_of_one_event_is_not_that_of_another():
+    events = find_revisit_events(
+        [Belief(153, 5, 8.0, accepted=True, answered_at=153)], truth_of(*range(50, 60), *range(150, 160))
+    )
+    assert [event.detected for event in events] == [None, 153]
+
+
 def test_the_tolerance_is_that_of_a_match():
     beliefs = [Belief(50, 9, 1.0, accepted=True)]
     truth = truth_of(50, 51)

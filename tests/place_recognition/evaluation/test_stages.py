@@ -114,6 +114,12 @@ def test_an_image_that_a_sample_lacks_is_no_detection_of_it_and_one_drawn_twice_
     assert curve_intervals(answers, TRUTH, weights)["recall_at_100_precision"] == pytest.approx((3 / LAP,) * 2)
 
 
+def test_one_false_detection_ends_the_recall_at_full_precision():
+    answers = [belief(50, 10, 9.0), belief(51, 3, 8.0), belief(52, 12, 7.0)]
+    found = curve_intervals(answers, TRUTH, np.ones((1, 2 * LAP), np.int64))
+    assert found["recall_at_100_precision"] == pytest.approx((1 / LAP,) * 2)
+
+
 def test_samples_are_as_long_as_the_recording_and_made_of_blocks():
     weights = sample_weights(400, seed=3, samples=200)
     assert weights.sum(axis=1).tolist() == [400] * 200
