@@ -9,7 +9,13 @@ from odometry.mono.mono_odometry import MonoOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.registry import EXTRACTORS
-from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_feature_extractor, make_recognizer
+from place_recognition.paradigms.registry import (
+    PARADIGMS,
+    ParadigmsConfig,
+    make_control,
+    make_feature_extractor,
+    make_recognizer,
+)
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
 from slam.errors import ConfigError, DataError
@@ -101,6 +107,11 @@ def build_recognizer(
         return make_recognizer(name, features, config, rows)
     except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
         raise DataError(str(error)) from error
+
+
+def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> PlaceRecognizer:
+    """Build the control of place recognition, which proposes random past images to the same geometry and belief."""
+    return make_control(features, replace(config, seed=seed))
 
 
 def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:

@@ -162,10 +162,19 @@ def _caption(record: RunRecord) -> str:
         f"ATE after {' and '.join(alignments)} alignment of all poses" if known else "no ground truth",
         f"loops: {loops}; by ground truth {truth}",
         f"places: R@P100 {recall}" if recall != MISSING else "",
+        _events_and_delay(record),
         f"{len(record.timestamps)} frames, {text('frames_per_second', 1)} per second",
         f"median ms per frame: {stages}" if stages else "",
     ]
     return escape("\n".join(line for line in lines if line))
+
+
+def _events_and_delay(record: RunRecord) -> str:
+    names = ("events.found", "events.count", "delay_frames.median")
+    found, count, delay = (metric_value(record.metrics, f"places.{name}") for name in names)
+    events = "" if count is None else f"revisit events: {format_value(found)} of {format_value(count)} found"
+    late = "" if delay is None else f"an answer comes {format_value(delay, 0)} images late (median)"
+    return "; ".join(text for text in (events, late) if text)
 
 
 def cell(record: RunRecord, key: str, digits: int = 2, unit: str = "") -> Cell:

@@ -5,21 +5,40 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from place_recognition.paradigms.registry import PARADIGMS
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
+from place_recognition.recognizer import Belief, StageScores
+from slam.apps.places import drop_recent_matches
 from slam.cli import app
 from slam.io.matches import read_matches
 from slam.pipeline import place_recognition as places_drive
 
 ROOT = Path(__file__).parents[3]
-FILES = {"metrics.json", "matches.csv", "matrix.npz", "matrix.png", "precision_recall.csv", "precision_recall.png"}
+FILES = {
+    "metrics.json",
+    "matches.csv",
+    "matrix.npz",
+    "matrix.png",
+    "precision_recall.csv",
+    "precision_recall.png",
+    "stages.png",
+}
 LAP = 30
+
+
+class LoadedImages(list[np.ndarray]):
+    """Images in memory, as a recording."""
+
+    name = "hall"
 
 
 def views(seed: int) -> list[np.ndarray]:
@@ -99,6 +118,117 @@ def test_the_curve_ends_at_the_recall_of_all_detections(evaluated: Path) -> None
     assert lines[0] == "threshold,precision,recall,true_positives,false_positives"
     thresholds = [float(line.split(",")[0]) for line in lines[1:]]
     assert thresholds == sorted(thresholds, reverse=True)
+
+
+def test_the_control_is_measured_beside_the_recogniser(evaluated: Path) -> None:
+    section = metrics(evaluated)["places"]
+    assert section["control"]["what"].startswith("random-images")
+    assert set(section["stages"]) == set(section["control"]) - {"what"}
+    assert 0.0 < section["control"]["candidates"]["recall_at_10"] < 0.8
+    ours, theirs = (section[part]["temporal"]["recall_at_100_precision"] for part in ("stages", "control"))
+    assert ours == section["recall_at_100_precision"] > theirs
+    assert section["events"]["count"] == section["events"]["found"] == 1
+
+
+def test_the_seed_decides_what_the_control_proposes(two_laps: Path, truth: Path, tmp_path: Path) -> None:
+    found = []
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        assert places(two_laps, tmp_path / name, "--ground-truth", truth, "--seed", seed) == 0
+        found.append(metrics(tmp_path / name)["places"]["control"])
+    assert found[0] == found[1] != found[2]
+
+
+@pytest.mark.parametrize("paradigm", PARADIGMS)
+def test_the_control_changes_nothing_of_the_recogniser(paradigm: str) -> None:
+    images = LoadedImages(2 * views(3))
+    alone, beside = (
+        places_drive.run_recognizer(
+            images, places_drive.RecognizerFactory(paradigm, ParadigmsConfig(), seed), lambda *_: None, lambda: False
+        )
+        for seed in (None, 7)
+    )
+    assert alone.beliefs == beside.beliefs
+    assert alone.control is None
+    assert beside.control is not None
+    assert len(beside.control) == 2 * LAP
+
+
+class SlowControl:
+    """A control that takes its time and asks for features that nobody else needs."""
+
+    def __init__(self, features: FeatureCache) -> None:
+        self.features = features
+
+    def observe(self, image_id: int, image: np.ndarray, travelled: float) -> list[Belief]:
+        time.sleep(0.05)
+        self.features.get(image_id + 1000, image)
+        return [Belief(image_id, None, 0.0, accepted=False)]
+
+    def finish(self) -> list[Belief]:
+        time.sleep(0.5)
+        return []
+
+
+def test_the_time_of_the_control_is_not_that_of_the_paradigm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places_drive, "build_control", lambda features, config, seed: SlowControl(features))
+    factory = places_drive.RecognizerFactory("pixel-sequences", ParadigmsConfig(), 0)
+    start = time.perf_counter()
+    run = places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)
+    assert time.perf_counter() - start > run.wall_seconds + LAP * 0.05 + 0.5
+    assert {name for spent in run.stage_ms for name in spent} == {"read", "place recognition"}
+
+
+class CountingExtractor:
+    """Counts how often an image is described."""
+
+    kind = "none-8"
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def extract(self, image: np.ndarray) -> LocalFeatures:
+        self.count += 1
+        return LocalFeatures(*(np.empty(shape, np.float32) for shape in ((0, 2), 0, 0, (0, 8))))
+
+
+def test_the_control_shares_the_features_of_each_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor = CountingExtractor()
+    monkeypatch.setattr(places_drive, "make_feature_extractor", lambda config: extractor)
+    monkeypatch.setattr(places_drive, "_WARM_UP_IMAGES", 0)
+    factory = places_drive.RecognizerFactory("tracked-words", ParadigmsConfig(), 0)
+    places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)
+    assert extractor.count == LAP
+
+
+def test_the_summary_fits_into_100_columns_and_names_the_stages(
+    two_laps: Path, truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert places(two_laps, tmp_path / "out", "--ground-truth", truth, "--fps", 1) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.split("Pictures:")[0].splitlines())) <= 100
+    for words in (
+        "candidates",
+        "own score",
+        "geometry",
+        "temporal model",
+        "random images",
+        "revisit events: 1 of 1 found",
+    ):
+        assert words in printed
+
+
+def test_a_candidate_that_is_too_recent_goes_with_its_score() -> None:
+    images = SimpleNamespace(timestamps=np.arange(60.0))
+    stages = StageScores((45, 20), 3.0, 45, 9.0)
+    recent, old = (Belief(50, match, 1.0, True, stages=stages, answered_at=52) for match in (45, 20))
+    kept = drop_recent_matches([recent, old], images, 10.0)  # type: ignore[arg-type]
+    only = StageScores((20,), None, None, None)
+    assert kept == [
+        Belief(50, None, 0.0, False, stages=only, answered_at=52),
+        Belief(50, 20, 1.0, True, stages=only, answered_at=52),
+    ]
+    assert drop_recent_matches([recent], images, None) == [recent]  # type: ignore[arg-type]
 
 
 def test_without_a_truth_its_metrics_are_null_with_a_reason(two_laps: Path, tmp_path: Path) -> None:
@@ -285,5 +415,5 @@ def one_and_two_threads(two_laps: Path, tmp_path_factory: pytest.TempPathFactory
 @pytest.mark.parametrize("paradigm", PARADIGMS)
 def test_any_number_of_threads_gives_the_same_bytes(one_and_two_threads: tuple[Path, Path], paradigm: str) -> None:
     one, two = (out / paradigm for out in one_and_two_threads)
-    for name in ("matches.csv", "matrix.npz", "matrix.png"):
+    for name in ("matches.csv", "matrix.npz", "matrix.png", "stages.png"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
