@@ -66,7 +66,7 @@ class RecalledFeatures:
         self.kind = kind
         self._features, self._next = features, 0
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
         """Features of the next image."""
         self._next += 1
         return self._features[(self._next - 1) % len(self._features)]

@@ -105,12 +105,12 @@ class CachedFeatures:
         """Extract features instead of taking them from the cache from now on."""
         self._next = None
 
-    def extract(self, image: Image) -> LocalFeatures:
+    def extract(self, image: Image, mask: Image | None = None) -> LocalFeatures:
         """Features of an image."""
         if self._next is None:
-            return self._surf.extract(image)
+            return self._surf.extract(image, mask)
         if self._next == len(self._known):
-            self._known.append(self._surf.extract(image))
+            self._known.append(self._surf.extract(image, mask))
         self._next += 1
         return self._known[self._next - 1]
 

@@ -148,6 +148,11 @@ def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
     )
 
 
+def with_seed(config: ParadigmsConfig, seed: int) -> ParadigmsConfig:
+    """Return the settings with the seed of a run in every random generator."""
+    return replace(config, hierarchical_places=replace(config.hierarchical_places, seed=seed))
+
+
 def _exclude_from_matching(settings: SequencesT, images: int) -> SequencesT:
     return replace(settings, matching=_exclude_from_history(settings.matching, images))
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion
+from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion, with_seed
 from place_recognition.recognizer import Belief
-from slam.components import check_features, check_paradigm
+from slam.components import check_features, check_paradigm, read_mask
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
@@ -35,6 +35,9 @@ from slam.pipeline.place_recognition import (
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 
+# They use no features, so there is nothing that a mask could leave out.
+WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor")
+
 
 @dataclass(frozen=True)
 class PlacesOptions:
@@ -55,6 +58,7 @@ class PlacesOptions:
         overwrite: whether to replace earlier results.
         format: format of the source; None to detect it.
         topics: topics of the left camera in a bag; empty to detect them.
+        mask: image of the camera's size, black where features are left out; None for none.
     """
 
     source: Path
@@ -71,6 +75,7 @@ class PlacesOptions:
     overwrite: bool = False
     format: str | None = None
     topics: tuple[str, ...] = ()
+    mask: Path | None = None
 
     @property
     def recording(self) -> DatasetSpec:
@@ -84,6 +89,11 @@ def check_options(options: PlacesOptions) -> None:
     check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
+    if options.mask is not None and options.paradigm in WHOLE_IMAGE_PARADIGMS:
+        raise ConfigError(
+            f"--mask: expected a paradigm of local features, found {options.paradigm}, which compares whole images;"
+            " leave the option out or choose another paradigm"
+        )
 
 
 def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
@@ -155,7 +165,8 @@ def _run(
 ) -> PlaceRecognitionRun:
     import cv2
 
-    factory = RecognizerFactory(options.paradigm, config)
+    mask = None if options.mask is None else read_mask(options.mask, images[0].shape)
+    factory = RecognizerFactory(options.paradigm, config, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
         run = run_recognizer(images, factory, progress, lambda: stop.requested)
@@ -172,6 +183,7 @@ def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
     config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
+    config = with_seed(config, options.seed)
     if not options.exclude or len(images) < 2:
         return config
     if images.timestamps is None:

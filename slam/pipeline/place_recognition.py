@@ -12,7 +12,9 @@ from rich.table import Table
 
 from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
+from place_recognition.image_processing.image_masks import ImageMasks, MaskedExtractor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
+from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_recognizer
@@ -22,6 +24,7 @@ from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
 from slam.io.metrics import write_metrics
 from slam.pipeline.provenance import peak_memory_mb
+from slam.report.formatting import describe_static_ratio
 from slam.timing import StageTimer, timed, timing_ms
 
 Image = NDArray[np.uint8]
@@ -41,6 +44,7 @@ class PlaceRecognitionRun:
         stage_ms: milliseconds of each stage, one entry per image.
         rows: rows of the similarity matrices.
         size: size of the map at the end.
+        static_ratio: mean share of the images that was left out because it is static.
         interrupted: whether the user stopped the run.
         wall_seconds: time from the first image to the last belief.
     """
@@ -49,6 +53,7 @@ class PlaceRecognitionRun:
     stage_ms: list[dict[str, float]] = field(default_factory=list)
     rows: MatrixRecorder = field(default_factory=MatrixRecorder)
     size: MapSize | None = None
+    static_ratio: float = 0.0
     interrupted: bool = False
     wall_seconds: float = 0.0
 
@@ -69,18 +74,38 @@ class TimedExtractor:
         """Name of the descriptor."""
         return self._inner.kind
 
-    def extract(self, image: Image) -> LocalFeatures:
-        """Return the features of a grey image (H, W) uint8."""
+    def extract(self, image: Image, mask: Image | None = None) -> LocalFeatures:
+        """Return the features of a grey image (H, W) uint8 where the mask is not 0."""
         with self._clock.stage("features"):
-            return self._inner.extract(image)
+            return self._inner.extract(image, mask)
 
 
 class RecognizerFactory:
-    """Makes recognisers of one paradigm; their feature extraction is timed separately."""
+    """Makes recognisers of one paradigm; their feature extraction is timed separately.
 
-    def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
+    Attributes:
+        clock: measures the stages.
+        masks: masks of the recogniser that was made last.
+    """
+
+    def __init__(
+        self,
+        paradigm: str,
+        config: ParadigmsConfig,
+        static_regions: StaticRegionConfig | None = None,
+        mask: Image | None = None,
+    ) -> None:
+        """Choose what is made.
+
+        Args:
+            paradigm: name of the recogniser.
+            config: settings of the paradigms.
+            static_regions: how static regions are found; the defaults if None.
+            mask: (H, W) uint8, 0 where features are left out of all images; None for nowhere.
+        """
         self.clock = StageTimer()
-        self._paradigm, self._config = paradigm, config
+        self.masks = ImageMasks()
+        self._paradigm, self._config, self._static_regions, self._mask = paradigm, config, static_regions, mask
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
         """Make a new recogniser.
@@ -88,7 +113,9 @@ class RecognizerFactory:
         Raises:
             DataError: its vocabulary or descriptor file cannot be used.
         """
-        features = FeatureCache(TimedExtractor(make_feature_extractor(self._config), self.clock))
+        self.masks = ImageMasks(self._static_regions, self._mask)
+        extractor = MaskedExtractor(make_feature_extractor(self._config), self.masks)
+        features = FeatureCache(TimedExtractor(extractor, self.clock))
         return build_recognizer(self._paradigm, features, self._config, rows)
 
 
@@ -121,7 +148,8 @@ def run_recognizer(
             run.interrupted = True
             break
     run.beliefs += recognizer.finish()
-    return replace(run, size=map_size(recognizer), wall_seconds=time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    return replace(run, size=map_size(recognizer), static_ratio=factory.masks.mean_static_ratio, wall_seconds=seconds)
 
 
 def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
@@ -196,6 +224,7 @@ def make_record(run: PlaceRecognitionRun, truth: RevisitTruth, provenance: dict[
 def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
     return {
         "frames": run.images,
+        "static_ratio": run.static_ratio,
         "ground_truth": truth.origin,
         "places": result.section,
         "timing_ms": timing_ms(stage_times(run)),
@@ -255,7 +284,8 @@ def _caption(record: PlacesRecord) -> str:
     words = "" if places["words"] is None else f", {places['words']} words"
     lines = [
         f"ground truth: {record.metrics['ground_truth']}",
+        describe_static_ratio(record.metrics),
         f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"
         f"; map {size:.1f} MB{words}",
     ]
-    return escape("\n".join(lines))
+    return escape("\n".join(line for line in lines if line))

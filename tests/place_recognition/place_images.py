@@ -53,10 +53,10 @@ def gaussian_blob(
 class CachingSurf(Surf):
     """Extracts the features of each image once for all tests."""
 
-    extracted: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
+    extracted: ClassVar[dict[tuple[bytes, tuple[int, ...], bytes | None], LocalFeatures]] = {}
 
-    def extract(self, image):
-        key = image.tobytes(), image.shape
+    def extract(self, image, mask=None):
+        key = image.tobytes(), image.shape, None if mask is None else mask.tobytes()
         if key not in self.extracted:
-            self.extracted[key] = super().extract(image)
+            self.extracted[key] = super().extract(image, mask)
         return self.extracted[key]
