@@ -27,10 +27,13 @@ _MIN_ENERGY = 80.0
 # Without motion the change of a block is noise. The least change of one block in twenty, times this factor, is more
 # than the noise of nearly all.
 _NOISE_QUANTILE, _NOISE_FACTOR = 0.05, 6.0
-_CHANGED = 0.5  # relative change of a block that has moved
-_COLUMNS = 8  # the image is cut into so many for the question whether the camera moves
-_MIN_COLUMN_BLOCKS = 8  # with texture, for a column to have a say
-_MIN_CHANGED_RATIO, _MIN_COLUMN_RATIO = 0.3, 0.75
+# The camera moves if this share of the blocks has changed in most cells of the image: traffic before a standing camera
+# changes some cells, a bonnet leaves some as they are, and what trembles changes too little.
+_CHANGED = 0.7  # relative change of a block that has moved by its own structure
+_CELL_ROWS, _CELL_COLUMNS = 4, 8
+_MIN_CELL_BLOCKS = 8  # with texture, for a cell to count
+_MIN_CHANGED_RATIO, _MIN_CELL_RATIO = 0.3, 0.55
+_REFERENCE_PAIRS = 16  # that an earlier image is compared with later ones
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,8 @@ class StaticRegionConfig:
 
     enabled: bool = True
     max_change: float = 0.25
-    min_pairs: int = 8
-    memory_pairs: int = 32
+    min_pairs: int = 10
+    memory_pairs: int = 20
     margin_px: int = 8
 
 
@@ -84,15 +87,16 @@ class StaticRegionDetector:
             self._pairs = np.zeros(self._change.shape, np.float32)
             self._static = np.zeros(self._change.shape, bool)
             return
-        change, has_texture = _compare(self._latest, reduced)
-        if not _is_camera_moving(change > _CHANGED, has_texture & ~self._static):
+        change, compared = _compare(self._latest, reduced, self._static)
+        if not compared.any():
             return
-        if self._reference is not self._latest:
-            change, has_texture = _compare(self._reference, reduced)
-        self._learn(change, has_texture)
+        if self._reference is not self._latest:  # what trembles may have come back to where it was
+            change, also_compared = _compare(self._reference, reduced, self._static)
+            compared &= also_compared
+        self._learn(change, compared)
         self._latest = reduced
         self._reference_pairs += 1
-        if self._reference_pairs == self.config.min_pairs:
+        if self._reference_pairs == _REFERENCE_PAIRS:
             self._reference, self._reference_pairs = reduced, 0
 
     def mask(self, shape: tuple[int, ...]) -> Image | None:
@@ -142,11 +146,11 @@ class StaticRegionDetector:
             self._size = (max(image.shape[1] // factor, 1), max(image.shape[0] // factor, 1))
         return np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA))
 
-    def _learn(self, change: Floats, has_texture: Mask) -> None:
-        """Update the mean change (rows, columns) of the blocks that have texture."""
-        self._pairs = self._pairs + has_texture
+    def _learn(self, change: Floats, compared: Mask) -> None:
+        """Update the mean change (rows, columns) of the blocks that were compared."""
+        self._pairs = self._pairs + compared
         weight = 1 / np.clip(self._pairs, 1, self.config.memory_pairs)
-        self._change = np.where(has_texture, self._change + weight * (change - self._change), self._change)
+        self._change = np.where(compared, self._change + weight * (change - self._change), self._change)
         is_known = self._pairs >= self.config.min_pairs
         limit = np.where(self._static, 1.5, 1.0) * self.config.max_change  # no change to and fro at the limit
         static = is_known & (self._change < limit)
@@ -163,35 +167,55 @@ def _block_shape(image: Image) -> tuple[int, int]:
     return -(-image.shape[0] // _BLOCK_PX), -(-image.shape[1] // _BLOCK_PX)
 
 
-def _compare(first: Image, second: Image) -> tuple[Floats, Mask]:
-    """Relative change (rows, columns) of the gradient of each block, and whether it has texture enough to tell."""
-    change, energy = _gradient_change(first, second, _block_shape(first))
+def _compare(first: Image, second: Image, static: Mask) -> tuple[Floats, Mask]:
+    """Compare the blocks (rows, columns) of two images.
+
+    Returns:
+        Change of each block's gradient, relative to the gradient, and which blocks say whether they are static: those
+        with texture that the motion between the images would have changed. None do if the camera has not moved.
+    """
+    change, energy_x, energy_y = _gradient_change(first, second, _block_shape(first))
+    energy = energy_x + energy_y
     noise = change[change > 0]
     floor = _MIN_ENERGY * _BLOCK_PX**2
     if len(noise):
         position = int(_NOISE_QUANTILE * len(noise))
         floor = max(floor, _NOISE_FACTOR * float(np.partition(noise, position)[position]))
-    return change / np.maximum(energy, 1.0), energy > floor
+    change /= np.maximum(energy, 1.0)
+    compared = np.zeros(static.shape, bool)
+    # An upright edge shows sideways motion only and a level one only motion up and down: each kind must have moved
+    # elsewhere in the image to say anything here.
+    is_upright = energy_x >= energy_y
+    for kind in (is_upright, ~is_upright):
+        textured = (energy > floor) & kind
+        if _have_moved(change > _CHANGED, textured & ~static):
+            compared |= textured
+    return change, compared
 
 
-def _is_camera_moving(changed: Mask, has_texture: Mask) -> bool:
-    """Whether blocks have changed in nearly all columns of the image: traffic before a standing camera fills some."""
-    edges = np.arange(_COLUMNS) * changed.shape[1] // _COLUMNS
-    if len(np.unique(edges)) < _COLUMNS:
+def _have_moved(changed: Mask, has_texture: Mask) -> bool:
+    """Whether blocks (rows, columns) have changed in most cells of the image that have texture."""
+    rows, columns = changed.shape
+    if rows < _CELL_ROWS or columns < _CELL_COLUMNS:
         return False
-    known = np.add.reduceat(has_texture.sum(axis=0), edges)
-    moved = np.add.reduceat((has_texture & changed).sum(axis=0), edges)
-    asked = known >= _MIN_COLUMN_BLOCKS
-    moving = asked & (moved >= _MIN_CHANGED_RATIO * known)
-    return bool(asked.any() and moving.sum() >= _MIN_COLUMN_RATIO * asked.sum())
+    known = _count_in_cells(has_texture)
+    asked = known >= _MIN_CELL_BLOCKS
+    moving = asked & (_count_in_cells(has_texture & changed) >= _MIN_CHANGED_RATIO * known)
+    return bool(asked.any() and moving.sum() >= _MIN_CELL_RATIO * asked.sum())
+
+
+def _count_in_cells(blocks: Mask) -> NDArray[np.int64]:
+    rows = np.arange(_CELL_ROWS) * blocks.shape[0] // _CELL_ROWS
+    columns = np.arange(_CELL_COLUMNS) * blocks.shape[1] // _CELL_COLUMNS
+    return np.add.reduceat(np.add.reduceat(blocks, rows, axis=0, dtype=np.int64), columns, axis=1)
 
 
 @njit(cache=True, nogil=True)
-def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Sums over blocks: squared difference of two images' gradients, and the squared gradients of both."""
+def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
+    """Sums over blocks: squared difference of two images' gradients, and the squares of both, along x and along y."""
     height, width = first.shape
-    change, energy = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    row_change, row_energy = np.zeros(width, np.int32), np.zeros(width, np.int32)
+    change, energy_x, energy_y = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    row_change, row_x, row_y = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
     for y in range(height - 1):
         for x in range(width - 1):
             right_1 = np.int32(first[y, x + 1]) - np.int32(first[y, x])
@@ -199,11 +223,13 @@ def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tup
             down_1 = np.int32(first[y + 1, x]) - np.int32(first[y, x])
             down_2 = np.int32(second[y + 1, x]) - np.int32(second[y, x])
             row_change[x] += (right_1 - right_2) ** 2 + (down_1 - down_2) ** 2
-            row_energy[x] += right_1**2 + right_2**2 + down_1**2 + down_2**2
+            row_x[x] += right_1**2 + right_2**2
+            row_y[x] += down_1**2 + down_2**2
         if y % _BLOCK_PX == _BLOCK_PX - 1 or y == height - 2:
             block = y // _BLOCK_PX
             for x in range(width - 1):
                 change[block, x // _BLOCK_PX] += row_change[x]
-                energy[block, x // _BLOCK_PX] += row_energy[x]
-            row_change[:], row_energy[:] = 0, 0
-    return change, energy
+                energy_x[block, x // _BLOCK_PX] += row_x[x]
+                energy_y[block, x // _BLOCK_PX] += row_y[x]
+            row_change[:], row_x[:], row_y[:] = 0, 0, 0
+    return change, energy_x, energy_y
