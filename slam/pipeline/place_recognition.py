@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.markup import escape
@@ -45,6 +46,7 @@ class PlaceRecognitionRun:
         rows: rows of the similarity matrices.
         size: size of the map at the end.
         static_ratio: mean share of the images that was left out because it is static.
+        resized: indices of the processed images that had another size than the first.
         interrupted: whether the user stopped the run.
         wall_seconds: time from the first image to the last belief.
     """
@@ -54,6 +56,7 @@ class PlaceRecognitionRun:
     rows: MatrixRecorder = field(default_factory=MatrixRecorder)
     size: MapSize | None = None
     static_ratio: float = 0.0
+    resized: tuple[int, ...] = ()
     interrupted: bool = False
     wall_seconds: float = 0.0
 
@@ -78,6 +81,35 @@ class TimedExtractor:
         """Return the features of a grey image (H, W) uint8 where the mask is not 0."""
         with self._clock.stage("features"):
             return self._inner.extract(image, mask)
+
+
+class SameSizeImages:
+    """Images of a recording, all in the size of the first: features of one place are alike at one scale only.
+
+    Attributes:
+        resized: indices of the images read so far that had another size.
+    """
+
+    def __init__(self, images: Recording[Image]) -> None:
+        self.resized: set[int] = set()
+        self._images = images
+        self._shape: tuple[int, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8."""
+        if self._shape is None:
+            self._shape = self._images[0].shape
+        image = self._images[index]
+        if image.shape == self._shape:
+            return image
+        self.resized.add(index)
+        height, width = self._shape
+        shrinks = image.shape[0] * image.shape[1] > height * width
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.uint8)
 
 
 class RecognizerFactory:
@@ -128,7 +160,7 @@ def run_recognizer(
     """Run a recogniser once over all images, in order, without a measured distance.
 
     Args:
-        images: images of the recording; a thread reads ahead.
+        images: images of the recording; a thread reads ahead, and resizes them to the size of the first.
         factory: makes the recogniser.
         show_progress: called after each image with the number of images done and their total number.
         should_stop: called after each image; returns whether to end the run there.
@@ -136,6 +168,7 @@ def run_recognizer(
     Raises:
         DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
     """
+    images = SameSizeImages(images)
     _warm_up(images, factory)
     run = PlaceRecognitionRun()
     recognizer, start = factory.make(run.rows), time.perf_counter()
@@ -149,7 +182,13 @@ def run_recognizer(
             break
     run.beliefs += recognizer.finish()
     seconds = time.perf_counter() - start
-    return replace(run, size=map_size(recognizer), static_ratio=factory.masks.mean_static_ratio, wall_seconds=seconds)
+    return replace(
+        run,
+        size=map_size(recognizer),
+        static_ratio=factory.masks.mean_static_ratio,
+        resized=tuple(sorted(index for index in images.resized if index < run.images)),
+        wall_seconds=seconds,
+    )
 
 
 def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
@@ -182,6 +221,7 @@ class PlacesRecord:
         matrices: similarity matrix of each stage, "similarity" first.
         truth: (N, N) ground truth of the N processed images, or None.
         metrics: content of metrics.json.
+        remark: what the user should know about the images; empty for nothing.
     """
 
     name: str
@@ -190,6 +230,7 @@ class PlacesRecord:
     matrices: dict[str, SimilarityMatrix]
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
+    remark: str = ""
 
     @property
     def detections(self) -> NDArray[np.int64]:
@@ -218,13 +259,21 @@ def make_record(run: PlaceRecognitionRun, truth: RevisitTruth, provenance: dict[
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
         truth=seen_truth,
         metrics=provenance | _measure(run, result, truth),
+        remark=_describe_sizes(run.resized),
     )
+
+
+def _describe_sizes(resized: tuple[int, ...]) -> str:
+    if not resized:
+        return ""
+    return f"{len(resized)} images were resized to the size of the first; image {resized[0]} is the first of them"
 
 
 def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
     return {
         "frames": run.images,
         "static_ratio": run.static_ratio,
+        "images_resized": len(run.resized),
         "ground_truth": truth.origin,
         "places": result.section,
         "timing_ms": timing_ms(stage_times(run)),
@@ -285,6 +334,7 @@ def _caption(record: PlacesRecord) -> str:
     lines = [
         f"ground truth: {record.metrics['ground_truth']}",
         describe_static_ratio(record.metrics),
+        record.remark,
         f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"
         f"; map {size:.1f} MB{words}",
     ]
