@@ -2,7 +2,7 @@
 
     python benchmarks/static_regions.py DIR [--paradigm NAME ...] [--thing NAME ...]
 
-DIR is a KITTI root with one sequence whose images revisit places, and `loops_*.npz` with its true loops. The things are
+DIR is a folder of images, or a KITTI root with one sequence, that revisits places, and `loops*.npz` with its true loops. The things are
 painted into its images. For each paradigm and thing two lines: static regions found and left out, and the control
 without that. The figures are for the share of the clean drive's recall that is kept; false matches must be none.
 """
@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--thing", nargs="+", default=list(THINGS))
     given = parser.parse_args(arguments)
     images = open_image_sequence(given.root)
-    truth = np.load(next(iter(sorted(given.root.glob("loops_*.npz")))))["truth"].astype(bool)
+    truth = np.load(next(iter(sorted(given.root.glob("loops*.npz")))))["truth"].astype(bool)
     print(f"{'paradigm':20} {'thing':10} {'found':6} {'R@P100':>9} {'true':>6} {'false':>6} {'+-10':>8} {'static':>10}")
     for paradigm in given.paradigm:
         for thing in given.thing:

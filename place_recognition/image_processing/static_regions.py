@@ -24,9 +24,9 @@ _BLOCK_PX = 4  # side of a block in the reduced image
 # Squared gradients of the two images of a pair, summed over one pixel, below which a block has nothing to compare:
 # differences of four or five grey levels from pixel to pixel.
 _MIN_ENERGY = 80.0
-# Without motion the change of a block is noise. The least change of one block in twenty, times this factor, is more
-# than the noise of nearly all.
-_NOISE_QUANTILE, _NOISE_FACTOR = 0.05, 6.0
+# Noise changes without motion. It is as strong in the mixed second difference, in which most texture is weak: the value
+# of the smoothest tenth of the blocks, times this factor, is four times what noise adds to the gradients.
+_NOISE_QUANTILE, _NOISE_FACTOR = 0.1, 8.0
 # The camera moves if this share of the blocks has changed in most cells of the image: traffic before a standing camera
 # changes some cells, a bonnet leaves some as they are, and what trembles changes too little.
 _CHANGED = 0.7  # relative change of a block that has moved by its own structure
@@ -174,9 +174,9 @@ def _compare(first: Image, second: Image, static: Mask) -> tuple[Floats, Mask]:
         Change of each block's gradient, relative to the gradient, and which blocks say whether they are static: those
         with texture that the motion between the images would have changed. None do if the camera has not moved.
     """
-    change, energy_x, energy_y = _gradient_change(first, second, _block_shape(first))
+    change, energy_x, energy_y, roughness = _gradient_change(first, second, _block_shape(first))
     energy = energy_x + energy_y
-    noise = change[change > 0]
+    noise = roughness[roughness > 0]  # overexposed parts have none
     floor = _MIN_ENERGY * _BLOCK_PX**2
     if len(noise):
         position = int(_NOISE_QUANTILE * len(noise))
@@ -211,11 +211,18 @@ def _count_in_cells(blocks: Mask) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
-def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
-    """Sums over blocks: squared difference of two images' gradients, and the squares of both, along x and along y."""
+def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tuple[Floats, Floats, Floats, Floats]:
+    """Sum squares over the blocks of two images.
+
+    Returns:
+        Of the difference of their gradients, of both gradients along x and along y, and of the second image's mixed
+        second difference.
+    """
     height, width = first.shape
     change, energy_x, energy_y = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    roughness = np.zeros(shape, np.float32)
     row_change, row_x, row_y = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
+    row_rough = np.zeros(width, np.int32)
     for y in range(height - 1):
         for x in range(width - 1):
             right_1 = np.int32(first[y, x + 1]) - np.int32(first[y, x])
@@ -225,11 +232,13 @@ def _gradient_change(first: Image, second: Image, shape: tuple[int, int]) -> tup
             row_change[x] += (right_1 - right_2) ** 2 + (down_1 - down_2) ** 2
             row_x[x] += right_1**2 + right_2**2
             row_y[x] += down_1**2 + down_2**2
+            row_rough[x] += (np.int32(second[y + 1, x + 1]) - np.int32(second[y, x + 1]) - down_2) ** 2
         if y % _BLOCK_PX == _BLOCK_PX - 1 or y == height - 2:
             block = y // _BLOCK_PX
             for x in range(width - 1):
                 change[block, x // _BLOCK_PX] += row_change[x]
                 energy_x[block, x // _BLOCK_PX] += row_x[x]
                 energy_y[block, x // _BLOCK_PX] += row_y[x]
-            row_change[:], row_x[:], row_y[:] = 0, 0, 0
-    return change, energy_x, energy_y
+                roughness[block, x // _BLOCK_PX] += row_rough[x]
+            row_change[:], row_x[:], row_y[:], row_rough[:] = 0, 0, 0, 0
+    return change, energy_x, energy_y, roughness
