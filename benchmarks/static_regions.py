@@ -2,9 +2,9 @@
 
     python benchmarks/static_regions.py DIR [--paradigm NAME ...] [--thing NAME ...]
 
-DIR is a folder of images, or a KITTI root with one sequence, that revisits places, and `loops*.npz` with its true loops. The things are
-painted into its images. For each paradigm and thing two lines: static regions found and left out, and the control
-without that. The figures are for the share of the clean drive's recall that is kept; false matches must be none.
+DIR is a folder of images, or a KITTI root with one sequence, that revisits places, with `loops*.npz`, its true loops.
+The things are painted into its images. For each paradigm and thing there are two lines: static regions found and left
+out, and the control without that.
 """
 
 import argparse
