@@ -33,6 +33,8 @@ _CHANGED = 0.7  # relative change of a block that has moved by its own structure
 _CELL_ROWS, _CELL_COLUMNS = 4, 8
 _MIN_CELL_BLOCKS = 8  # with texture, for a cell to count
 _MIN_CHANGED_RATIO, _MIN_CELL_RATIO = 0.3, 0.55
+# What is the very same picture needs fewer comparisons: an opaque bonnet is known before it fills the map.
+_MIN_EQUAL_PAIRS, _MAX_EQUAL_CHANGE = 4, 0.03
 _REFERENCE_PAIRS = 16  # that an earlier image is compared with later ones
 
 
@@ -155,7 +157,8 @@ class StaticRegionDetector:
         self._pairs = self._pairs + compared
         weight = 1 / np.clip(self._pairs, 1, self.config.memory_pairs)
         self._change = np.where(compared, self._change + weight * (change - self._change), self._change)
-        is_known = self._pairs >= self.config.min_pairs
+        is_equal = (self._pairs >= _MIN_EQUAL_PAIRS) & (self._change < _MAX_EQUAL_CHANGE)
+        is_known = (self._pairs >= self.config.min_pairs) | is_equal
         limit = np.where(self._static, 1.5, 1.0) * self.config.max_change  # no change to and fro at the limit
         static = is_known & (self._change < limit)
         if not np.array_equal(static, self._static):
