@@ -44,7 +44,7 @@ class StaticRegionConfig:
 
     Attributes:
         enabled: whether static regions are looked for.
-        max_change: maximum mean change of a block's gradient, relative to the gradient, of a static block: 0 for the
+        max_change_ratio: maximum mean change of a block's gradient, relative to the gradient, of a static block: 0 for the
             same picture, 1 for an unrelated one.
         min_pairs: number of pairs of images, with motion between them, after which a block may count as static.
         memory_pairs: number of pairs over which the change is averaged; what is no longer static is found again in
@@ -53,7 +53,7 @@ class StaticRegionConfig:
     """
 
     enabled: bool = True
-    max_change: float = 0.25
+    max_change_ratio: float = 0.25
     min_pairs: int = 10
     memory_pairs: int = 20
     margin_px: int = 8
@@ -159,7 +159,7 @@ class StaticRegionDetector:
         self._change = np.where(compared, self._change + weight * (change - self._change), self._change)
         is_equal = (self._pairs >= _MIN_EQUAL_PAIRS) & (self._change < _MAX_EQUAL_CHANGE)
         is_known = (self._pairs >= self.config.min_pairs) | is_equal
-        limit = np.where(self._static, 1.5, 1.0) * self.config.max_change  # no change to and fro at the limit
+        limit = np.where(self._static, 1.5, 1.0) * self.config.max_change_ratio  # no change to and fro at the limit
         static = is_known & (self._change < limit)
         if not np.array_equal(static, self._static):
             self._static = static
