@@ -44,8 +44,8 @@ class StaticRegionConfig:
 
     Attributes:
         enabled: whether static regions are looked for.
-        max_change_ratio: maximum mean change of a block's gradient, relative to the gradient, of a static block: 0 for the
-            same picture, 1 for an unrelated one.
+        max_change_ratio: maximum mean change of a block's gradient, relative to the gradient, of a static block: 0 for
+            the same picture, 1 for an unrelated one.
         min_pairs: number of pairs of images, with motion between them, after which a block may count as static.
         memory_pairs: number of pairs over which the change is averaged; what is no longer static is found again in
             about half as many.
