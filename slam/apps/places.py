@@ -11,7 +11,7 @@ from rich.console import Console
 
 from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion
 from place_recognition.recognizer import Belief
-from slam.components import check_features, check_paradigm
+from slam.components import check_features, check_paradigm, read_mask
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
@@ -38,6 +38,9 @@ from slam.pipeline.places_summary import make_summary
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 
+# They use no features, so there is nothing that a mask could leave out.
+WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor")
+
 
 @dataclass(frozen=True)
 class PlacesOptions:
@@ -58,6 +61,7 @@ class PlacesOptions:
         overwrite: whether to replace earlier results.
         format: format of the source; None to detect it.
         topics: topics of the left camera in a bag; empty to detect them.
+        mask: image of the camera's size, black where features are left out; None for none.
     """
 
     source: Path
@@ -74,6 +78,7 @@ class PlacesOptions:
     overwrite: bool = False
     format: str | None = None
     topics: tuple[str, ...] = ()
+    mask: Path | None = None
 
     @property
     def recording(self) -> DatasetSpec:
@@ -87,6 +92,11 @@ def check_options(options: PlacesOptions) -> None:
     check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
+    if options.mask is not None and options.paradigm in WHOLE_IMAGE_PARADIGMS:
+        raise ConfigError(
+            f"--mask: expected a paradigm of local features, found {options.paradigm}, which compares whole images;"
+            " leave the option out or choose another paradigm"
+        )
 
 
 def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
@@ -179,9 +189,10 @@ def _run(
 ) -> PlaceRecognitionRun:
     import cv2
 
+    mask = None if options.mask is None else read_mask(options.mask, images[0].shape)
     # Without truth the control can be compared with nothing.
     control_seed = None if truth.matrix is None else options.seed
-    factory = RecognizerFactory(options.paradigm, config, control_seed)
+    factory = RecognizerFactory(options.paradigm, config, control_seed, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
         run = run_recognizer(images, factory, progress, lambda: stop.requested)
@@ -199,6 +210,7 @@ def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
     config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
+    config = replace(config, seed=options.seed)
     if not options.exclude or len(images) < 2:
         return config
     if images.timestamps is None:

@@ -5,12 +5,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
+from place_recognition.image_processing.image_masks import ImageMasks, MaskedExtractor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
+from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_control, build_recognizer
@@ -40,6 +43,8 @@ class PlaceRecognitionRun:
         stage_ms: milliseconds of each stage, one entry per image.
         rows: rows of the similarity matrices.
         size: size of the map at the end.
+        static_ratio: mean share of the images that was left out because it is static.
+        resized: indices of the processed images that had another size than the first.
         interrupted: whether the user stopped the run.
         wall_seconds: time from the first image to the last belief, without the control's.
         control: beliefs of the control about the same images; None where it did not run.
@@ -49,6 +54,8 @@ class PlaceRecognitionRun:
     stage_ms: list[dict[str, float]] = field(default_factory=list)
     rows: MatrixRecorder = field(default_factory=MatrixRecorder)
     size: MapSize | None = None
+    static_ratio: float = 0.0
+    resized: tuple[int, ...] = ()
     interrupted: bool = False
     wall_seconds: float = 0.0
     control: list[Belief] | None = None
@@ -70,24 +77,70 @@ class TimedExtractor:
         """Name of the descriptor."""
         return self._inner.kind
 
-    def extract(self, image: Image) -> LocalFeatures:
-        """Return the features of a grey image (H, W) uint8."""
+    def extract(self, image: Image, mask: Image | None = None) -> LocalFeatures:
+        """Return the features of a grey image (H, W) uint8 where the mask is not 0."""
         with self._clock.stage("features"):
-            return self._inner.extract(image)
+            return self._inner.extract(image, mask)
+
+
+class SameSizeImages:
+    """Images of a recording, all in the size of the first: features of one place are alike at one scale only.
+
+    Attributes:
+        resized: indices of the images read so far that had another size.
+    """
+
+    def __init__(self, images: Recording[Image]) -> None:
+        self.resized: set[int] = set()
+        self._images = images
+        self._shape: tuple[int, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8."""
+        if self._shape is None:
+            self._shape = self._images[0].shape
+        image = self._images[index]
+        if image.shape == self._shape:
+            return image
+        self.resized.add(index)
+        height, width = self._shape
+        shrinks = image.shape[0] * image.shape[1] > height * width
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.uint8)
 
 
 class RecognizerFactory:
     """Makes recognisers of one paradigm; their feature extraction is timed separately.
 
-    Args:
-        paradigm: name of the paradigm.
-        config: settings of all paradigms.
-        control_seed: seed of the control; None for a run without one.
+    Attributes:
+        clock: measures the stages.
+        masks: masks of the recogniser that was made last.
     """
 
-    def __init__(self, paradigm: str, config: ParadigmsConfig, control_seed: int | None = None) -> None:
+    def __init__(
+        self,
+        paradigm: str,
+        config: ParadigmsConfig,
+        control_seed: int | None = None,
+        static_regions: StaticRegionConfig | None = None,
+        mask: Image | None = None,
+    ) -> None:
+        """Choose what is made.
+
+        Args:
+            paradigm: name of the recogniser.
+            config: settings of the paradigms.
+            control_seed: seed of the control; None for a run without one.
+            static_regions: how static regions are found; the defaults if None.
+            mask: (H, W) uint8, 0 where features are left out of all images; None for nowhere.
+        """
         self.clock = StageTimer()
+        self.masks = ImageMasks()
         self._paradigm, self._config, self._control_seed = paradigm, config, control_seed
+        self._static_regions, self._mask = static_regions, mask
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
         """Make a new recogniser.
@@ -110,7 +163,9 @@ class RecognizerFactory:
         return recognizer, build_control(features, self._config, self._control_seed)
 
     def _make_features(self) -> FeatureCache:
-        return FeatureCache(TimedExtractor(make_feature_extractor(self._config), self.clock))
+        self.masks = ImageMasks(self._static_regions, self._mask)
+        extractor = MaskedExtractor(make_feature_extractor(self._config), self.masks)
+        return FeatureCache(TimedExtractor(extractor, self.clock))
 
 
 class ControlRun:
@@ -154,7 +209,7 @@ def run_recognizer(
     """Run a recogniser once over all images, in order, without a measured distance.
 
     Args:
-        images: images of the recording; a thread reads ahead.
+        images: images of the recording; a thread reads ahead, and resizes them to the size of the first.
         factory: makes the recogniser.
         show_progress: called after each image with the number of images done and their total number.
         should_stop: called after each image; returns whether to end the run there.
@@ -162,6 +217,7 @@ def run_recognizer(
     Raises:
         DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
     """
+    images = SameSizeImages(images)
     _warm_up(images, factory)
     run = PlaceRecognitionRun()
     recognizer, control = factory.make_with_control(run.rows)
@@ -178,7 +234,14 @@ def run_recognizer(
     run.beliefs += recognizer.finish()
     control_run.finish()
     wall_seconds = time.perf_counter() - start - control_run.seconds
-    return replace(run, size=map_size(recognizer), wall_seconds=wall_seconds, control=control_run.beliefs)
+    return replace(
+        run,
+        size=map_size(recognizer),
+        static_ratio=factory.masks.mean_static_ratio,
+        resized=tuple(sorted(index for index in images.resized if index < run.images)),
+        wall_seconds=wall_seconds,
+        control=control_run.beliefs,
+    )
 
 
 def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
@@ -211,6 +274,7 @@ class PlacesRecord:
         matrices: similarity matrix of each stage, "similarity" first.
         truth: (N, N) ground truth of the N processed images, or None.
         metrics: content of metrics.json.
+        remark: what the user should know about the images; empty for nothing.
     """
 
     name: str
@@ -219,6 +283,7 @@ class PlacesRecord:
     matrices: dict[str, SimilarityMatrix]
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
+    remark: str = ""
 
     @property
     def detections(self) -> NDArray[np.int64]:
@@ -250,12 +315,21 @@ def make_record(
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
         truth=seen_truth,
         metrics=provenance | _measure(run, result, truth),
+        remark=_describe_sizes(run.resized),
     )
+
+
+def _describe_sizes(resized: tuple[int, ...]) -> str:
+    if not resized:
+        return ""
+    return f"{len(resized)} images were resized to the size of the first; image {resized[0]} is the first of them"
 
 
 def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
     return {
         "frames": run.images,
+        "static_ratio": run.static_ratio,
+        "images_resized": len(run.resized),
         "ground_truth": truth.origin,
         "places": result.section,
         "timing_ms": timing_ms(stage_times(run)),

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from slam.evaluation.place_stages import INTERVALS, STAGE_NAMES
 from slam.pipeline.place_recognition import PlacesRecord
+from slam.report.formatting import describe_static_ratio
 
 _SCORES = ("recall_at_100_precision", "average_precision", "true_positives", "false_positives", "truth_rows")
 _STAGES = {"candidates": "candidates", "own": "own score", "geometry": "geometry", "temporal": "temporal model"}
@@ -61,6 +62,7 @@ def _about_run(record: PlacesRecord) -> Iterator[str]:
     size = (places["map_bytes"] or 0) / 1e6
     words = "" if places["words"] is None else f", {places['words']} words"
     yield f"ground truth: {record.metrics['ground_truth']}"
+    yield from filter(None, (describe_static_ratio(record.metrics), record.remark))
     yield (
         f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"
         f"; map {size:.1f} MB{words}"

@@ -214,6 +214,7 @@ def _measure(record: RunRecord, result: PipelineResult, places: PlaceMetrics) ->
         "frames": len(record.timestamps),
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
+        "static_ratio": result.components.masks.mean_static_ratio,
         "loops": loops.as_metrics(),
         "places": places.section,
         "graph": _graph_metrics(record, errors, result.optimized),

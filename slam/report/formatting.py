@@ -11,6 +11,7 @@ from rich.table import Table
 from slam.run_result import LoopRow, RunRecord
 
 MISSING = "\N{EN DASH}"
+_MIN_STATIC_RATIO = 0.0005  # of the image area, to be mentioned: less is not seen in the rounded share
 ESTIMATES = ("odometry", "online", "corrected")
 ERRORS = {
     "t_rel_percent": "t_rel [%]",
@@ -163,6 +164,7 @@ def _caption(record: RunRecord) -> str:
         f"loops: {loops}; by ground truth {truth}",
         f"places: R@P100 {recall}" if recall != MISSING else "",
         _events_and_delay(record),
+        describe_static_ratio(record.metrics),
         f"{len(record.timestamps)} frames, {text('frames_per_second', 1)} per second",
         f"median ms per frame: {stages}" if stages else "",
     ]
@@ -175,6 +177,14 @@ def _events_and_delay(record: RunRecord) -> str:
     events = "" if count is None else f"revisit events: {format_value(found)} of {format_value(count)} found"
     late = "" if delay is None else f"an answer comes {format_value(delay, 0)} images late (median)"
     return "; ".join(text for text in (events, late) if text)
+
+
+def describe_static_ratio(metrics: Mapping[str, object]) -> str:
+    """Return the share of the images that was left out as static, in words; empty where there was none."""
+    ratio = metric_value(metrics, "static_ratio")
+    if not isinstance(ratio, float) or ratio < _MIN_STATIC_RATIO:
+        return ""
+    return f"{100 * ratio:.1f} % of the image area never changes while the camera moves, and is left out"
 
 
 def cell(record: RunRecord, key: str, digits: int = 2, unit: str = "") -> Cell:

@@ -153,7 +153,13 @@ def _facts(record: RunRecord) -> list[tuple[str, Cell]]:
         ("wall time", cell(record, "wall_seconds", 1, " s")),
         ("peak memory", cell(record, "peak_memory_mb", 0, " MB")),
         ("predicted motions", Cell(str(int(np.count_nonzero(record.predicted))))),
+        ("static image area", _static_area(record)),
     ]
+
+
+def _static_area(record: RunRecord) -> Cell:
+    ratio = metric_value(record.metrics, "static_ratio")
+    return Cell(f"{100 * ratio:.1f} %") if isinstance(ratio, float) else cell(record, "static_ratio")
 
 
 def _notes(record: RunRecord) -> list[tuple[str, str]]:

@@ -417,3 +417,85 @@ def test_any_number_of_threads_gives_the_same_bytes(one_and_two_threads: tuple[P
     one, two = (out / paradigm for out in one_and_two_threads)
     for name in ("matches.csv", "matrix.npz", "matrix.png", "stages.png"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
+
+
+@pytest.fixture
+def painted(two_laps: Path, tmp_path: Path) -> Path:
+    """The two laps with the same textured strip at the bottom of each image."""
+    strip = views(8)[0][:50]
+    images = [cv2.imread(str(two_laps / f"{k}.png"), 0) for k in range(2 * LAP)]
+    return write(tmp_path / "painted", [np.vstack([image[:-50], strip]) for image in images])
+
+
+def white() -> np.ndarray:
+    return np.full((160, 240), 255, np.uint8)
+
+
+def test_a_strip_that_never_moves_is_named_and_does_no_harm(painted: Path, truth: Path, tmp_path: Path, capsys) -> None:
+    assert places(painted, tmp_path / "out", "--ground-truth", truth) == 0
+    assert "never changes while the camera moves" in capsys.readouterr().out
+    found = metrics(tmp_path / "out")
+    assert 0.2 < found["static_ratio"] < 0.4
+    assert found["places"]["true_positives"] >= LAP - 4
+    assert found["places"]["tolerance_10"]["false_positives"] == 0
+
+
+def test_a_mask_leaves_out_what_the_user_knows(painted: Path, truth: Path, tmp_path: Path) -> None:
+    mask = white()
+    mask[-60:] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    out = tmp_path / "out"
+    assert places(painted, out, "--ground-truth", truth, "--mask", tmp_path / "mask.png") == 0
+    assert metrics(out)["places"]["true_positives"] >= LAP - 4
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("missing", "expected an image, found none"),
+        ("text", "expected an image, found a file that cannot be read"),
+        ("small", "expected 240 x 160 pixels as the images have, found 240 x 100"),
+        ("black", "found a black image"),
+    ],
+)
+def test_a_mask_that_cannot_be_used_is_one_line(
+    two_laps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, message: str
+) -> None:
+    mask = tmp_path / "mask.png"
+    if content == "text":
+        mask.write_text("no image")
+    elif content != "missing":
+        cv2.imwrite(str(mask), np.full((100 if content == "small" else 160, 240), 0 if content == "black" else 255))
+    assert places(two_laps, tmp_path / "out", "--mask", mask) == 1
+    printed = capsys.readouterr().err.strip()
+    assert message in " ".join(printed.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_paradigm_of_whole_images_refuses_a_mask(two_laps: Path, tmp_path: Path, capsys) -> None:
+    cv2.imwrite(str(tmp_path / "mask.png"), white())
+    arguments = two_laps, tmp_path / "out", "--mask", tmp_path / "mask.png"
+    assert places(*arguments, paradigm="pixel-sequences") == 2
+    assert "compares whole images" in " ".join(capsys.readouterr().err.split())
+
+
+def test_images_of_two_sizes_are_matched_in_the_size_of_the_first(
+    two_laps: Path, truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [cv2.imread(str(two_laps / f"{k}.png"), 0) for k in range(2 * LAP)]
+    mixed = [cv2.resize(image, None, fx=0.75, fy=0.75) if k % 2 else image for k, image in enumerate(images)]
+    out = tmp_path / "out"
+    assert places(write(tmp_path / "mixed", mixed), out, "--ground-truth", truth) == 0
+    assert f"{LAP} images were resized" in " ".join(capsys.readouterr().out.split())
+    found = metrics(out)
+    assert found["images_resized"] == LAP
+    assert found["places"]["true_positives"] >= LAP - 4
+
+
+def test_the_seed_reaches_the_recogniser(two_laps: Path, tmp_path: Path) -> None:
+    scores = []
+    for seed in (0, 5, 5):
+        out = tmp_path / f"{len(scores)}"
+        assert places(two_laps, out, "--seed", seed, paradigm="hierarchical-places") == 0
+        scores.append((out / "matrix.npz").read_bytes())
+    assert scores[1] == scores[2] != scores[0]

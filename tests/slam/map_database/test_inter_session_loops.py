@@ -187,7 +187,7 @@ class NoExtractor:
 
     kind = "none-8"
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         raise AssertionError("the features are in the cache")
 
 
