@@ -160,6 +160,11 @@ def with_preset(name: str, config: ParadigmsConfig) -> ParadigmsConfig:
     )
 
 
+def exclusion_s(name: str, config: ParadigmsConfig) -> float:
+    """Return the age below which the preset of a paradigm matches no image, seconds; 0 where it has no such rule."""
+    return published.DECISIONS[name].min_exclusion_s if config.preset == "published" else 0.0
+
+
 def make_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:

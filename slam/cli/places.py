@@ -19,6 +19,7 @@ def places(
     fps: option.FrameRate = None,
     image_topic: option.ImageTopic = None,
     ground_truth: option.PlacesTruth = None,
+    preset: option.PlacesPreset = "default",
     features: option.PlacesFeatures = "surf",
     vocabulary: option.Vocabulary = None,
     descriptor: option.PlacesDescriptor = "hog",
@@ -48,6 +49,7 @@ def places(
         overwrite=overwrite,
         format=dataset_format,
         topics=tuple(image_topic or ()),
+        preset=preset,
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)

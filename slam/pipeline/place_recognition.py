@@ -13,7 +13,7 @@ from rich.table import Table
 from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
-from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor
+from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
@@ -80,7 +80,7 @@ class RecognizerFactory:
 
     def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
         self.clock = StageTimer()
-        self._paradigm, self._config = paradigm, config
+        self._paradigm, self._config = paradigm, with_preset(paradigm, config)
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
         """Make a new recogniser.
