@@ -180,10 +180,9 @@ def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     if not exclude or len(images) < 2:
         return config
     if images.timestamps is None:
-        rule = f"--preset {options.preset}" if options.exclude is None else f"--exclude {exclude:g}"
-        raise ConfigError(
-            f"{rule}: expected times.txt beside the images, to know {exclude:g} s, found none; give --fps"
-        )
+        rule = f"--preset {options.preset}, which excludes {exclude:g} s"
+        rule = rule if options.exclude is None else f"--exclude {exclude:g}"
+        raise ConfigError(f"{rule}: expected times.txt beside the images, found none; give --fps")
     return exclude_time(config, exclude, images.timestamps)
 
 

@@ -106,8 +106,8 @@ def make_row(job: Job, result: JobResult) -> ResultRow:
     """Make the row of a job from its metrics."""
     values = {name: metric_value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
     preset = job.preset or str(result.metrics.get("preset", ""))
-    combination = (job.source_name, job.paradigm, job.robust, job.seed, preset)
-    return ResultRow(job.name, *combination, error=result.error, **values)
+    row = ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, preset, error=result.error)
+    return replace(row, **values)  # type: ignore[arg-type]
 
 
 def format_row(row: ResultRow) -> str:
