@@ -56,8 +56,7 @@ def test_what_is_there_is_measured_and_what_is_missing_is_named(
     published, preset, default = table.splitlines()[2].split("  ")[-1].strip().split(" / ")
     assert published == "20.0"
     assert float(default) > 60
-    assert float(preset) > 60
-    assert default != preset
+    assert 0 < float(preset) < float(default)  # their exclusion of 2c leaves few of these 25 images
     assert "KITTI 00: left out." in messages
     assert "malaga_6L: expected the recording, found nothing; data/README.md says where to get it" in messages
     assert {"table_4_2.txt", "table_4_2.tex", "table_4_2.png"} <= {path.name for path in tmp_path.iterdir()}
