@@ -95,8 +95,8 @@ def plot_table(table: RecallTable) -> Figure:
     panels = figure.subplots(1, len(DATASETS), sharey=True)
     for ax, data_set in zip(panels, DATASETS, strict=True):
         for preset, label, offset, colour in zip(PRESETS, HEADINGS[1:], _OFFSETS, _COLOURS, strict=True):
-            values = [table.measured.get((name, preset, data_set), 0.0) for name in table.paradigms]
-            ax.barh(rows + offset, values, height=0.32, color=colour, label=label)
+            ours = [table.measured.get((name, preset, data_set), 0.0) for name in table.paradigms]
+            ax.barh(rows + offset, ours, height=0.32, color=colour, label=label)
         known = [
             (PUBLISHED[n][DATASETS.index(data_set)], row) for row, n in enumerate(table.paradigms) if n in PUBLISHED
         ]
