@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.candidate_verification import CandidateVerificationConfig, verify_pair
+from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.matching import match_pairs
 from place_recognition.map.image_history import ImageHistory
@@ -19,6 +19,7 @@ from place_recognition.map.image_history import ImageHistory
 # Images by which the beginning of the view advances at most for each new image: bounds the time of an image.
 _MAX_STEPS = 4
 
+_MAX_RATIO = 0.8  # of nearest to second nearest descriptor distance, as in the verification of candidates
 _STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
 _STEP_SHARE = 0.0025  # displacement of the features by which it has, as a share of the image width
 
@@ -35,7 +36,8 @@ class PresentViewConfig:
         min_features: an image with fewer features shows nothing, and does not end the view.
         exclusion_frames: images nearer than this to the newest one are never matched either; 0 leaves it to the view.
             For comparisons with papers, which exclude a time.
-        verification: how two images are compared.
+        compared_features: number of strongest features of each image that are compared for this.
+        epipolar: settings of the fundamental matrix.
     """
 
     min_gap_frames: int = 5
@@ -43,7 +45,8 @@ class PresentViewConfig:
     min_inliers: int = 12
     min_features: int = 30
     exclusion_frames: int = 0
-    verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
+    compared_features: int = 250
+    epipolar: EpipolarConfig = field(default_factory=EpipolarConfig)
 
 
 class PresentView:
@@ -77,8 +80,10 @@ class PresentView:
             self._begin += 1
 
     def _agree(self, newest: int, location: int) -> bool:
-        result = verify_pair(self._history.images, newest, location, self.config.verification)
-        return result.inliers >= self.config.min_inliers
+        now, then = (self._history.images[k].strongest(self.config.compared_features) for k in (newest, location))
+        pairs = match_pairs(now.quantized, then.quantized, _MAX_RATIO)
+        mask = epipolar_inliers(now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], self.config.epipolar)
+        return mask is not None and int(mask.sum()) >= self.config.min_inliers
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
@@ -108,29 +113,39 @@ class FixedWindow:
 
 
 class CameraSteps:
-    """Counts the steps of the camera: a standing or crawling camera takes many images of one step.
+    """Counts the steps of the camera, and the places that it saw: a standing camera takes many images of one step.
 
     Places are counted in steps, so that a stop, or a recording at another frame rate, does not change how fast a
-    revisit moves along the earlier pass.
+    revisit moves along the earlier pass. Each step shows a place of its own, until it is recognised as an earlier one.
     """
 
     def __init__(self, history: ImageHistory) -> None:
         self._history = history
         self._firsts: list[int] = []  # location of the first image of each step
         self._steps: GrowingArray[np.int64] = GrowingArray(np.int64)  # step of each image
+        self._places: GrowingArray[np.int64] = GrowingArray(np.int64)  # place of each step
 
     def add(self, location: int) -> bool:
         """Add the next image; return whether the camera has moved since the first image of its latest step."""
         moved = not self._firsts or self._has_moved(self._firsts[-1], location)
         if moved:
+            self._places.extend(np.array([len(self._firsts)]))
             self._firsts.append(location)
         self._steps.extend(np.array([len(self._firsts) - 1]))
         return moved
 
-    def of(self, locations: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the steps (K,) of the images at locations (K,)."""
-        steps: NDArray[np.int64] = self._steps.rows.reshape(-1)[locations]
-        return steps
+    def of(self, location: int) -> int:
+        """Return the step of the image at a location."""
+        return int(self._steps.rows.reshape(-1)[location])
+
+    def places(self, locations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the places (K,) that the images at locations (K,) show, as the steps that saw them first."""
+        places: NDArray[np.int64] = self._places.rows.reshape(-1)[self._steps.rows.reshape(-1)[locations]]
+        return places
+
+    def recognize(self, step: int, place: int) -> None:
+        """Let a step show an earlier place from now on."""
+        self._places.rows.reshape(-1)[step] = place
 
     def images(self, step: int) -> range:
         """Return the locations of the images of a step."""
@@ -142,7 +157,7 @@ class CameraSteps:
 
     def _has_moved(self, first: int, location: int) -> bool:
         now, then = (self._history.images[k].strongest(_STEP_FEATURES) for k in (location, first))
-        pairs = match_pairs(now.quantized, then.quantized, 0.8)
+        pairs = match_pairs(now.quantized, then.quantized, _MAX_RATIO)
         if len(pairs) < _STEP_FEATURES // 10:
             return True
         shift = np.linalg.norm(now.pixels[pairs[:, 0]] - then.pixels[pairs[:, 1]], axis=1)
@@ -151,9 +166,14 @@ class CameraSteps:
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"first_images": list(self._firsts), "steps": self._steps.state()}
+        return {
+            "first_images": list(self._firsts),
+            "steps": self._steps.state(),
+            "places": self._places.state(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._firsts = list(state["first_images"])
         self._steps.restore(state["steps"])
+        self._places.restore(state["places"])

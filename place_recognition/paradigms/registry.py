@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.belief.candidate_verification import CandidateVerificationConfig
+from place_recognition.belief.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.belief.present_view import FixedWindow, PresentView, PresentViewConfig
@@ -197,10 +197,11 @@ def _stages(
     name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
 ) -> PlaceRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
-    if config.preset == "published" and name in published.DECISIONS:
-        exact = replace(verification, max_candidates=1, refine_radius=0)
+    if config.preset == "published":
+        epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
+        exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)
         window = FixedWindow(history, config.view.exclusion_frames)
-        decision: Decision = PublishedDecision(history, published.DECISIONS[name])
+        decision: Decision = PublishedDecision(history, published.DECISIONS.get(name, published.CONTROL))
         return StagedRecognizer(features, history, window, proposer, decision, exact)
     decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
     return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)

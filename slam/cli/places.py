@@ -18,6 +18,7 @@ def places(
     dataset_format: option.Format = None,
     fps: option.FrameRate = None,
     image_topic: option.ImageTopic = None,
+    mask: option.Mask = None,
     ground_truth: option.PlacesTruth = None,
     preset: option.PlacesPreset = "default",
     features: option.PlacesFeatures = "surf",
@@ -49,6 +50,7 @@ def places(
         overwrite=overwrite,
         format=dataset_format,
         topics=tuple(image_topic or ()),
+        mask=mask,
         preset=preset,
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)

@@ -17,6 +17,7 @@ from place_recognition.paradigms import published, registry
 from place_recognition.paradigms.registry import (
     ParadigmsConfig,
     exclusion_s,
+    make_control,
     make_feature_extractor,
     make_recognizer,
     with_exclusion,
@@ -183,6 +184,19 @@ def is_consistent(matches: dict[int, int], query: int, count: int, gap: int) -> 
     """Whether the latest `count` queries all have matches, each at most `gap` images from that before."""
     latest = range(query - count + 1, query + 1)
     return all(q in matches for q in latest) and all(abs(matches[b] - matches[a]) <= gap for a, b in pairwise(latest))
+
+
+def test_the_control_of_a_preset_has_its_end(images):
+    config = with_exclusion(ParadigmsConfig(preset="published"), EXCLUDED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(published, "CONTROL", replace(published.CONTROL, min_inliers=0, min_consistent_frames=1))
+        free = observe(make_control(FeatureCache(CachingExtractor(make_feature_extractor(config))), config), images)
+    matches = [b for b in free if b.accepted]
+    assert len(matches) > 2 * PASS
+    assert all(b.query - b.match >= EXCLUDED for b in matches)
+    assert [b.answered_at for b in free] == [b.query for b in free]
+    strict = observe(make_control(FeatureCache(CachingExtractor(make_feature_extractor(config))), config), images)
+    assert len(accepted(strict)) < PASS // 2
 
 
 def test_the_exclusion_is_that_of_the_papers():

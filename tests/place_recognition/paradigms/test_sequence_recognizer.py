@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from place_images import changed, kitti_images, sliding_view, textured_world
+from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
 
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
@@ -12,7 +13,6 @@ from place_recognition.paradigms.sequence_paradigms import (
     make_dynamic_sequences,
     make_sequence_histograms,
 )
-from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
 from place_recognition.vocabulary.vocabulary import FlatVocabulary, default_vocabulary
 
 PARADIGMS = pytest.mark.parametrize("paradigm", [make_sequence_histograms, make_dynamic_sequences])
