@@ -78,6 +78,7 @@ def verify_candidates(
         query: location of the query image.
         candidates: locations, best first; the first `max_candidates` are verified.
         last_matchable: latest location that may be matched.
+        config: how candidates are verified.
     """
     results: list[VerificationResult] = []
     for location in candidates[: config.max_candidates]:

@@ -49,11 +49,11 @@ OWN_SCORES = {
 }
 
 # What the two say is not independent, neither of each other nor from image to image: they count by these powers.
-_GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.7, 0.5
+_GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.8, 0.5
 
 # A candidate of less evidence than the best of its image shows the place from further away: its ratio falls by one
 # power of ten for this evidence.
-_EVIDENCE_PER_POWER = 60.0
+_EVIDENCE_PER_POWER = 40.0
 
 # Evidence from which a candidate's place is known better than usual.
 _SHARP_EVIDENCE = 120.0

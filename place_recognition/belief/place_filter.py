@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 # Steps by which the earlier pass advances for each step of this pass; negative where it is driven backwards.
 _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
-_MAX_LOG_RATIO_ELSEWHERE = 3.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
+_MAX_LOG_RATIO_ELSEWHERE = 4.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
 _MOVE_NOISE = 0.1  # probability of moving one step less, or one more, than the speed says
 _SPEED_CHANGE = 0.05  # probability of another speed at the next step, mostly a neighbouring one

@@ -65,7 +65,7 @@ class PublishedDecision:
         recent = [location for location in self._recent if location is not None]
         if len(recent) < self._config.min_consistent_frames:
             return False
-        return all(abs(b - a) <= self._config.max_gap_frames for a, b in zip(recent, recent[1:], strict=False))
+        return all(abs(b - a) <= self._config.max_gap_frames for a, b in pairwise(recent))
 
     def finish(self) -> list[Belief]:
         """Return nothing: each query is answered at once."""

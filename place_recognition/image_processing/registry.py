@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from place_recognition.image_processing.fast_and_brief import Brief, BriefConfig
 from place_recognition.image_processing.local_features import FeatureExtractor
 from place_recognition.image_processing.orb_and_sift import Orb, OrbConfig, Sift, SiftConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
@@ -11,6 +12,7 @@ EXTRACTORS: dict[str, Callable[[int], FeatureExtractor]] = {
     "surf-oriented": lambda features: Surf(SurfConfig(features, oriented=True)),
     "sift": lambda features: Sift(SiftConfig(features)),
     "orb": lambda features: Orb(OrbConfig(features)),
+    "brief": lambda features: Brief(BriefConfig(features)),
 }
 
 

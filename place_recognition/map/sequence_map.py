@@ -47,9 +47,9 @@ class SequenceMap:
         """Return the location (K,) of the first image of each sequence (K,)."""
         return np.where(sequences > 0, self._ends[np.maximum(sequences - 1, 0)] + 1, 0)
 
-    def images_near(self, sequences: Indices) -> Indices:
+    def images_near(self, sequences: Indices, neighbors: int = 1) -> Indices:
         """Return the locations (M,), rising, of the images of sequences (K,) and of the sequences next to each."""
-        near = np.unique(sequences[:, None] + np.arange(-1, 2))
+        near = np.unique(sequences[:, None] + np.arange(-neighbors, neighbors + 1))
         near = near[(near >= 0) & (near < len(self))]
         first, last = self.first(near), self._ends[near]
         return np.concatenate([np.empty(0, np.int64), *map(np.arange, first, last + 1)])

@@ -3,7 +3,8 @@
 Bampis, Amanatiadis, Gasteratos, IROS 2016 and IJRR 37(1) 2018; sections 4.4.1 and 4.4.2 of the chapter. Deviations of
 the default from the papers (reasons and figures: docs/decisions/sequence_paradigms.md):
 * Sequences are proposed without a threshold: the best ones by filter response and the best ones by similarity.
-* The images of the proposed sequences and of their neighbours are ranked by the correlation of their words.
+* The images of these sequences and of their neighbours are ranked by the correlation of their words plus the response
+  of their sequences, where the papers take the L2 score of the images of one sequence.
 """
 
 from collections.abc import Callable
@@ -47,7 +48,13 @@ class SequenceMatchingConfig:
             The time of a query grows with it and with the map.
         score: score of two word vectors: "scaled-l2", "l2" (equation 4.6 as printed) or "cosine".
         min_previous_score: lower bound of the divisor of a row (eq. 4.7).
-        max_sequences: number of best sequences by response, and of best ones by similarity, that propose images.
+        max_sequences: number of best sequences by response that propose images.
+        max_similar_sequences: number of best sequences by plain similarity that propose images too: the filters
+            suppress a pass in the opposite direction.
+        neighbor_sequences: number of sequences before and after each of them that propose images too.
+        image_score: "correlation" of the words of two images, or "l2", the score of their word vectors.
+        response_weight: weight of the response, in units of the filter's threshold, in the score of an image, which is
+            the score of the two images plus this; infinity counts the response alone, as the papers do.
         max_candidates: number of best images of those that are proposed.
         min_separation: smallest number of images between any two of them.
     """
@@ -58,6 +65,10 @@ class SequenceMatchingConfig:
     score: str = "scaled-l2"
     min_previous_score: float = 0.05
     max_sequences: int = 4
+    max_similar_sequences: int = 4
+    neighbor_sequences: int = 1
+    image_score: str = "correlation"
+    response_weight: float = 0.05
     max_candidates: int = MAX_STAGE_CANDIDATES
     min_separation: int = 4
 
@@ -65,6 +76,8 @@ class SequenceMatchingConfig:
         """Raise ValueError for an unknown score."""
         if self.score not in SCORES:
             raise ValueError(f"expected a score of {', '.join(SCORES)}, got {self.score!r}")
+        if self.image_score not in ("correlation", "l2"):
+            raise ValueError(f"expected an image_score of correlation, l2, got {self.image_score!r}")
 
 
 @dataclass(frozen=True)
@@ -178,8 +191,11 @@ class SequenceProposer:
         assert response is not None  # the filter has the row of each waiting sequence
         self._record(sequence.images[0], sequence.row, "similarity")
         self._record(sequence.images[0], response, "filtered")
-        # The filters suppress a pass in the opposite direction, so the best ones by plain similarity propose too.
-        pool = self._map.images_near(_best_columns((response, sequence.row), self.config.max_sequences))
+        sequences = np.union1d(
+            _best_of_row(response, self.config.max_sequences),
+            _best_of_row(sequence.row, self.config.max_similar_sequences),
+        )
+        pool = self._map.images_near(sequences, self.config.neighbor_sequences)
         return [
             self._propose(location, last_matchable, pool[pool <= last_matchable], response)
             for location, last_matchable in zip(sequence.images, sequence.last_matchable, strict=True)
@@ -191,18 +207,36 @@ class SequenceProposer:
 
     def _propose(self, query: int, last_matchable: int, pool: Indices, response: Floats) -> Proposals:
         """Propose the images of a pool of locations that are most similar to the image at location `query`."""
-        scores = self._words.correlation(query, pool)
-        order = np.argsort(-scores, kind="stable")
-        order = order[scores[order] > 0]  # an image without any similarity, like one without features, shows nothing
+        similarity = self._image_similarity(query, pool)
+        # An image without any similarity, like one without features, shows nothing.
+        pool, similarity = pool[similarity > 0], similarity[similarity > 0]
+        responses = self._responses_at(pool, response) / self._threshold
+        weight = self.config.response_weight
+        scores = responses if np.isinf(weight) else similarity + weight * np.maximum(responses, 0.0)
+        order = np.lexsort((-similarity, -scores))
         chosen = order[select_apart(pool[order].tolist(), self.config.max_candidates, self.config.min_separation)]
         return Proposals(query, last_matchable, tuple(pool[chosen].tolist()), tuple(scores[chosen].tolist()))
 
-    def _response_at(self, location: int, response: Floats) -> float:
-        """The largest response of the sequence of an image and of the sequences before and after it."""
+    def _image_similarity(self, query: int, pool: Indices) -> NDArray[np.float64]:
+        """Similarity (K,) of the image at location `query` with those of a pool (K,)."""
+        if self.config.image_score == "correlation":
+            return self._words.correlation(query, pool).astype(np.float64)
+        vectors = [self._image_vector(location) for location in pool.tolist()]
+        own = self._image_vector(query)
+        return SCORES[self.config.score](np.array([own.cosine(vector) for vector in vectors]))
+
+    def _image_vector(self, location: int) -> WordVector:
+        words = self._words.words_between(location, location)
+        return word_vector(words, self._vocabulary.weights, self.config.tf_power)
+
+    def _responses_at(self, locations: Indices, response: Floats) -> NDArray[np.float64]:
+        """The largest response (K,) of the sequence of each image (K,) and of its neighbours that propose too."""
         # Sequences of two passes are cut at different images, so a match near the end may respond in the next one.
-        sequence = self._map.sequence_of(location)
-        around = response[max(sequence - 1, 0) : sequence + 2]
-        return float(around.max()) if len(around) else 0.0
+        near = self.config.neighbor_sequences
+        padded = np.pad(response.astype(np.float64), near, constant_values=-np.inf)
+        largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
+        sequences = np.array([self._map.sequence_of(location) for location in locations.tolist()], np.int64)
+        return np.append(largest, 0.0)[np.minimum(sequences, len(largest))]
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint; the vocabulary stays as it is."""
@@ -225,12 +259,8 @@ class SequenceProposer:
         self._waiting = None if state["waiting"] is None else _EndedSequence.from_state(state["waiting"])
 
 
-def _best_columns(rows: tuple[Floats, ...], max_count: int) -> Indices:
-    """Columns, rising, that are among the `max_count` best of at least one of the rows (S,) and positive there."""
-    return np.unique(np.concatenate([_best_of_row(row, max_count) for row in rows]))
-
-
 def _best_of_row(row: Floats, max_count: int) -> Indices:
+    """Columns that are among the `max_count` best of a row (S,) and positive."""
     # Their order does not matter, so a partition is enough: O(S) instead of O(S log S).
     best = np.argpartition(-row, max_count)[:max_count] if len(row) > max_count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)

@@ -1,7 +1,7 @@
 """The vocabulary file: a line with type and version, a line of JSON, the numbers, and a checksum of all of them.
 
-Plain bytes, never a pickle, so that opening a file from elsewhere runs no code. By the checksum a flipped bit is an
-error and not a slightly different vocabulary.
+Version 1 holds a flat list of words, version 2 a tree of binary words. Plain bytes, never a pickle, so that opening a
+file from elsewhere runs no code. By the checksum a flipped bit is an error and not a slightly different vocabulary.
 """
 
 import json
@@ -15,10 +15,11 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
+Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 MAGIC = b"REVISIT VOCABULARY "
-VERSION = 1
+FLAT, TREE = 1, 2  # versions
 STEPS = 127  # words of the encoding "int8" are multiples of 1 / STEPS
 REMEDY = "copy it again, or make one with: revisit vocabulary train"
 
@@ -26,8 +27,8 @@ _DIGEST = sha256().digest_size
 
 
 @dataclass(frozen=True)
-class Contents:
-    """Contents of a file.
+class FlatContents:
+    """Contents of a file of version 1.
 
     Attributes:
         kind: kind of the features that the words are made of.
@@ -38,6 +39,28 @@ class Contents:
     kind: str
     words: Floats
     weights: Floats
+
+
+@dataclass(frozen=True)
+class TreeContents:
+    """Contents of a file of version 2: a tree of C nodes, of which those without children are the W words.
+
+    Attributes:
+        kind: kind of the features that the words are made of.
+        size: number of bits of a descriptor.
+        centers: (C, ceil(size / 8)) uint8 packed bits of the nodes.
+        children: (C,) uint8 number of children of each node.
+        weights: (W,) float32 weights of the words.
+    """
+
+    kind: str
+    size: int
+    centers: Bytes
+    children: Bytes
+    weights: Floats
+
+
+Contents = FlatContents | TreeContents
 
 
 @dataclass(frozen=True)
@@ -120,6 +143,12 @@ class _UnreadableError(Exception):
 
 
 def _encode(contents: Contents) -> bytes:
+    version, header, numbers = _encode_tree(contents) if isinstance(contents, TreeContents) else _encode_flat(contents)
+    weights = np.asarray(contents.weights, "<f4").tobytes()
+    return b"%s%d\n%s\n" % (MAGIC, version, json.dumps(header).encode()) + numbers + weights
+
+
+def _encode_flat(contents: FlatContents) -> tuple[int, dict[str, Any], bytes]:
     words = np.ascontiguousarray(contents.words, np.float32)
     shape = (len(words), words.shape[1])
     name, packed = next(
@@ -127,38 +156,66 @@ def _encode(contents: Contents) -> bytes:
         for name, encoding in _ENCODINGS.items()
         if np.array_equal(encoding.unpack(packed := encoding.pack(words), shape), words)
     )
-    header = {"kind": contents.kind, "words": shape[0], "size": shape[1], "encoding": name}
-    weights = np.asarray(contents.weights, "<f4").tobytes()
-    return b"%s%d\n%s\n" % (MAGIC, VERSION, json.dumps(header).encode()) + packed + weights
+    return FLAT, {"kind": contents.kind, "words": shape[0], "size": shape[1], "encoding": name}, packed
+
+
+def _encode_tree(contents: TreeContents) -> tuple[int, dict[str, Any], bytes]:
+    header = {"kind": contents.kind, "words": len(contents.weights), "size": contents.size}
+    header["nodes"] = len(contents.children)
+    return TREE, header, contents.centers.tobytes() + contents.children.tobytes()
 
 
 def _decode(data: bytes) -> Contents:
-    _check_version(data)
+    decode = _DECODERS[_read_version(data)]
     body, digest = data[:-_DIGEST], data[-_DIGEST:]
     if sha256(body).digest() != digest:
         raise _UnreadableError(f"a vocabulary that matches its checksum, found {len(data)} bytes that do not")
     try:
         _, head, numbers = body.split(b"\n", 2)
-        return _from_bytes(json.loads(head), numbers)
+        return decode(json.loads(head), numbers)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _UnreadableError(f"the contents of a vocabulary, found other ones ({error})") from error
 
 
-def _check_version(data: bytes) -> None:
+def _read_version(data: bytes) -> int:
     first = data[: data.find(b"\n")]
     if not first.startswith(MAGIC):
         raise _UnreadableError("a vocabulary of Revisit, found another kind of file")
-    if first != b"%s%d" % (MAGIC, VERSION):
-        found = first[len(MAGIC) :].decode("ascii", "replace")[:20]
-        raise _UnreadableError(f"a vocabulary of version {VERSION}, found version {found!r}")
+    for version in _DECODERS:
+        if first == b"%s%d" % (MAGIC, version):
+            return version
+    found = first[len(MAGIC) :].decode("ascii", "replace")[:20]
+    raise _UnreadableError(f"a vocabulary of version {FLAT} or {TREE}, found version {found!r}")
 
 
-def _from_bytes(header: dict[str, Any], numbers: bytes) -> Contents:
+def _decode_flat(header: dict[str, Any], numbers: bytes) -> FlatContents:
     count, size, encoding = header["words"], header["size"], _ENCODINGS[header["encoding"]]
-    if not (isinstance(count, int) and isinstance(size, int) and min(count, size) > 0):
-        raise ValueError(f"{count!r} words of {size!r} numbers")
+    _check_numbers(count, size)
     end = count * encoding.row_bytes(size)
-    if len(numbers) != end + 4 * count:
-        raise ValueError(f"{len(numbers)} bytes for {count} words of {size} numbers")
+    _check_length(numbers, end + 4 * count, f"{count} words of {size} numbers")
     words = encoding.unpack(numbers[:end], (count, size))
-    return Contents(str(header["kind"]), words, np.frombuffer(numbers[end:], "<f4").astype(np.float32))
+    return FlatContents(str(header["kind"]), words, np.frombuffer(numbers[end:], "<f4").astype(np.float32))
+
+
+def _decode_tree(header: dict[str, Any], numbers: bytes) -> TreeContents:
+    count, size, nodes = header["words"], header["size"], header["nodes"]
+    _check_numbers(count, size, nodes)
+    row = (size + 7) // 8
+    _check_length(numbers, nodes * (row + 1) + 4 * count, f"{count} words of {nodes} nodes of {size} bits")
+    centers = np.frombuffer(numbers[: nodes * row], np.uint8).reshape(nodes, row)
+    children = np.frombuffer(numbers[nodes * row : nodes * (row + 1)], np.uint8)
+    weights = np.frombuffer(numbers[nodes * (row + 1) :], "<f4").astype(np.float32)
+    return TreeContents(str(header["kind"]), size, centers, children, weights)
+
+
+_DECODERS: dict[int, Callable[[dict[str, Any], bytes], Contents]] = {FLAT: _decode_flat, TREE: _decode_tree}
+
+
+def _check_numbers(*numbers: Any) -> None:
+    if not (all(isinstance(number, int) for number in numbers) and min(numbers) > 0):
+        raise ValueError(f"numbers of words, of their parts and of nodes from 1, got {numbers!r}")
+
+
+def _check_length(numbers: bytes, length: int, what: str) -> None:
+    if len(numbers) != length:
+        raise ValueError(f"{len(numbers)} bytes for {what}")

@@ -1,6 +1,6 @@
 """Training of a visual vocabulary: k-means for float descriptors, hierarchical k-majority for binary ones.
 
-`revisit vocabulary train` uses it, and `benchmarks/default_vocabulary.py`, which made the vocabulary that ships.
+`revisit vocabulary train` uses it, and `benchmarks/default_vocabulary.py`, which made the vocabularies that ship.
 
 k-majority clusters binary descriptors: Grana, Borghesani, Manfredi, Cucchiara, 'A fast approach for integrating ORB
 descriptors in the bag of words model', SPIE 8667, 2013. Distances are Hamming's, a centre is the majority vote of its
@@ -12,18 +12,20 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from place_recognition.vocabulary.vocabulary import Vocabulary
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, Vocabulary
 from place_recognition.vocabulary.vocabulary_file import bit_value, round_to_steps
+from place_recognition.vocabulary.vocabulary_tree import BITS, VocabularyTree, as_bytes, hamming, pack
 
-Bits = NDArray[np.bool_]
+Bits = NDArray[np.uint64]
+Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 BRANCHING = 10  # of the tree of binary words (Bampis et al., IROS 2016, Table III)
 ROUNDS = 15  # of assignment and vote; most clusters are stable after ten
-ROWS = 65536  # descriptors compared at a time: as float32 they take four times the memory of their bytes
 
 
 @dataclass(frozen=True)
@@ -107,19 +109,37 @@ def train_vocabulary(kind: str, descriptors: Floats, config: VocabularyTrainingC
             f"expected at least {config.words} descriptors for {config.words} words, got {len(descriptors)};"
             " give more images or ask for fewer words"
         )
-    make_words = _binary_words if _is_binary(descriptors) else _float_words
-    words = make_words(descriptors, config)
-    unweighted = Vocabulary(kind, words, np.zeros(len(words), np.float32))
-    return Vocabulary(kind, words, inverse_document_frequencies(unweighted, descriptors))
+    if _is_binary(descriptors):
+        return train_tree(kind, descriptors.shape[1], pack(descriptors), config)
+    words = _float_words(descriptors, config)
+    unweighted = FlatVocabulary(kind, words, np.zeros(len(words), np.float32))
+    return FlatVocabulary(kind, words, inverse_document_frequencies(len(words), unweighted.assign(descriptors)))
 
 
-def inverse_document_frequencies(vocabulary: Vocabulary, descriptors: Floats) -> Floats:
-    """Compute the weights (W,) log(N / N_i) of all words (Bampis et al., IROS 2016, eq. 3).
+def train_tree(kind: str, size: int, bits: Bits, config: VocabularyTrainingConfig) -> VocabularyTree:
+    """Cluster binary descriptors into the words of a tree, and weigh each word by how rare it is.
 
-    N is the number of descriptors, N_i the number of those nearest to word i. A word without any counts as having one.
+    Args:
+        kind: kind of the features (FeatureExtractor.kind).
+        size: number of bits of a descriptor.
+        bits: (N, ceil(size / 64)) packed descriptors; memory is best used by packing early.
+        config: number of words and seed.
     """
-    counts = np.bincount(vocabulary.assign(descriptors), minlength=len(vocabulary))
-    return np.log(len(descriptors) / np.maximum(counts, 1)).astype(np.float32)
+    centers, children = grow_tree(bits, config.words, BRANCHING, np.random.default_rng(config.seed))
+    packed, zeros = as_bytes(centers, size), np.zeros(np.count_nonzero(children == 0), np.float32)
+    words = VocabularyTree(kind, size, packed, children, zeros).assign_bits(bits)
+    return VocabularyTree(kind, size, packed, children, inverse_document_frequencies(len(zeros), words))
+
+
+def inverse_document_frequencies(count: int, words: Indices) -> Floats:
+    """Compute the weights (count,) log(N / N_i) of all words (Bampis et al., IROS 2016, eq. 3).
+
+    Args:
+        count: number of words of the vocabulary.
+        words: (N,) word of each training descriptor; N_i of them are i. A word without any counts as having one.
+    """
+    counts = np.bincount(words, minlength=count)
+    return np.log(len(words) / np.maximum(counts, 1)).astype(np.float32)
 
 
 def _float_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Floats:
@@ -144,84 +164,108 @@ def _float_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Float
     return round_to_steps(np.asarray(k_means.centroids, np.float32))
 
 
-def _binary_words(descriptors: Floats, config: VocabularyTrainingConfig) -> Floats:
-    size = descriptors.shape[1]
-    bits = k_majority(descriptors > 0, config.words, BRANCHING, np.random.default_rng(config.seed))
-    return np.where(bits, bit_value(size), -bit_value(size)).astype(np.float32)
-
-
 def _is_binary(descriptors: Floats) -> bool:
     # The first thousand are enough: float descriptors practically never have this exact value in every number.
     return bool((np.abs(descriptors[:1000]) == bit_value(descriptors.shape[1])).all())
 
 
-def k_majority(bits: Bits, words: int, branching: int, rng: np.random.Generator) -> Bits:
-    """Cluster binary descriptors into words.
+def grow_tree(bits: Bits, words: int, branching: int, rng: np.random.Generator) -> tuple[Bits, Bytes]:
+    """Cluster binary descriptors into a tree.
 
-    The tree grows where most descriptors share a leaf, not level by level: so it has any number of leaves, and the
-    finer ones in dense regions.
+    It grows where most descriptors share a leaf, not level by level: so it has any number of leaves, and the finer ones
+    in dense regions.
 
     Args:
-        bits: (N, D) descriptors.
-        words: number of words.
+        bits: (N, K) packed descriptors, at least one.
+        words: number of leaves; fewer come out where the descriptors do not differ enough.
         branching: maximum number of children of a node.
         rng: generator for the choice of first centres (k-means++).
 
     Returns:
-        (W, D) words; W is less than `words` where the descriptors do not differ enough.
+        Centres (C, K) and numbers of children (C,) of the nodes, as `VocabularyTree` orders them.
     """
-    order = 0
-    leaves: list[tuple[int, int, Indices]] = [(-len(bits), order, np.arange(len(bits)))]
-    settled: list[Indices] = []
-    while leaves and len(leaves) + len(settled) < words:
-        _, _, members = heapq.heappop(leaves)
-        room = words - len(leaves) - len(settled)
-        children = _split(bits[members], min(branching, room), rng)
-        if len(children) == 1:
-            settled.append(members)
+    # A tree has a root and at least a word, which is all that equal descriptors make.
+    centers, children = [np.zeros_like(bits[0])], [[]]  # type: tuple[list[Bits], list[list[int]]]
+    waiting: list[tuple[int, int, Indices]] = [(-len(bits), 0, np.arange(len(bits)))]
+    leaves = 1
+    while waiting and (leaves < words or not children[0]):
+        _, node, rows = heapq.heappop(waiting)
+        groups = _split(bits, rows, min(branching, words - leaves + 1), rng)
+        if len(groups) == 1 and node > 0:
             continue
-        for child in children:
-            order += 1
-            heapq.heappush(leaves, (-len(child), order, members[child]))
-    groups = settled + [members for _, _, members in sorted(leaves, key=lambda leaf: leaf[1])]
-    return np.array([_vote(bits[members]) for members in groups])
+        leaves += len(groups) - 1
+        for center, members in groups:
+            heapq.heappush(waiting, (-len(members), len(centers), members))
+            children[node].append(len(centers))
+            centers.append(center)
+            children.append([])
+    order = [0]
+    for node in order:
+        order.extend(children[node])
+    counts = [len(children[node]) for node in order]
+    return np.array([centers[node] for node in order]), np.array(counts, np.uint8)
 
 
-def _split(bits: Bits, clusters: int, rng: np.random.Generator) -> list[Indices]:
-    """Return the rows of each cluster, none empty; one cluster where all descriptors are the same."""
-    centers = _first_centers(bits, clusters, rng)
-    nearest = np.full(len(bits), -1)
+def _split(bits: Bits, rows: Indices, clusters: int, rng: np.random.Generator) -> list[tuple[Bits, Indices]]:
+    """Return centre and rows of each cluster of these rows, none empty; one cluster where all are the same."""
+    centers = _first_centers(bits, rows, clusters, rng)
+    nearest = np.full(len(rows), -1)
     for _ in range(ROUNDS):
-        before, nearest = nearest, _nearest(bits, centers)
-        if np.array_equal(before, nearest):
+        if not _assign(bits, rows, centers, nearest):
             break
-        centers = np.array([_vote(bits[nearest == k]) for k in np.unique(nearest)])
-    return [np.flatnonzero(nearest == k) for k in np.unique(nearest)]
+        _vote(bits, rows, nearest, centers)
+    return [(center, rows[nearest == k]) for k, center in enumerate(centers) if (nearest == k).any()]
 
 
-def _first_centers(bits: Bits, clusters: int, rng: np.random.Generator) -> Bits:
+def _first_centers(bits: Bits, rows: Indices, clusters: int, rng: np.random.Generator) -> Bits:
     # k-means++: each next centre is drawn with a probability that grows with its squared distance from those so far.
-    centers = [bits[rng.integers(len(bits))]]
-    far = _hamming(bits, centers[0])
+    centers = [bits[rows[rng.integers(len(rows))]]]
+    far = _distances(bits, rows, centers[0])
     while len(centers) < clusters and far.any():
         chance = np.cumsum(far.astype(np.float64) ** 2)
-        centers.append(bits[np.searchsorted(chance, rng.random() * chance[-1], side="right")])
-        far = np.minimum(far, _hamming(bits, centers[-1]))
+        centers.append(bits[rows[np.searchsorted(chance, rng.random() * chance[-1], side="right")]])
+        far = np.minimum(far, _distances(bits, rows, centers[-1]))
     return np.array(centers)
 
 
-def _vote(bits: Bits) -> Bits:
-    return bits.sum(axis=0) * 2 > len(bits)
+@njit(cache=True)
+def _distances(bits: Bits, rows: Indices, center: Bits) -> Indices:
+    """Hamming distance (R,) of each of the rows (R,) of bits (N, K) to a centre (K,)."""
+    distances = np.empty(len(rows), np.int64)
+    for k in range(len(rows)):
+        distances[k] = hamming(bits[rows[k]], center)
+    return distances
 
 
-def _hamming(bits: Bits, center: Bits) -> Indices:
-    return np.count_nonzero(bits != center, axis=1)
+@njit(cache=True)
+def _assign(bits: Bits, rows: Indices, centers: Bits, nearest: Indices) -> bool:
+    """Write the nearest centre (R,) of each of the rows (R,) of bits (N, K), first of equals; whether any changed."""
+    changed = False
+    for k in range(len(rows)):
+        best, nearest_distance = 0, np.int64(BITS * bits.shape[1] + 1)
+        for m in range(len(centers)):
+            distance = hamming(bits[rows[k]], centers[m])
+            if distance < nearest_distance:
+                best, nearest_distance = m, distance
+        changed |= nearest[k] != best
+        nearest[k] = best
+    return changed
 
 
-def _nearest(bits: Bits, centers: Bits) -> Indices:
-    """Find the centre (N,) at the least Hamming distance."""
-    # Agreeing bits are counted by a matrix product; its whole numbers are exact in any order of summation.
-    signs = centers.astype(np.float32).T * 2 - 1
-    zeros = np.count_nonzero(~centers, axis=1)
-    blocks = (bits[begin : begin + ROWS].astype(np.float32) for begin in range(0, len(bits), ROWS))
-    return np.concatenate([(block @ signs + zeros).argmax(axis=1) for block in blocks])
+@njit(cache=True)
+def _vote(bits: Bits, rows: Indices, nearest: Indices, centers: Bits) -> None:
+    """Write the majority of its members, bit by bit, as each centre (M, K); a tie is 0, without members it stays."""
+    one = np.uint64(1)
+    votes, members = np.zeros((*centers.shape, BITS), np.int32), np.zeros(len(centers), np.int32)
+    for k in range(len(rows)):
+        members[nearest[k]] += 1
+        for j in range(bits.shape[1]):
+            number, counts = bits[rows[k], j], votes[nearest[k], j]
+            for b in range(BITS):
+                counts[b] += np.int32((number >> np.uint64(b)) & one)
+    for m in np.flatnonzero(members):
+        for j in range(centers.shape[1]):
+            centers[m, j] = 0
+            for b in range(BITS):
+                if 2 * votes[m, j, b] > members[m]:
+                    centers[m, j] |= one << np.uint64(b)

@@ -17,7 +17,7 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 PARADIGM_NAMES = (
     "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
 )
-FEATURE_NAMES = "surf, surf-oriented, sift, orb"
+FEATURE_NAMES = "surf, surf-oriented, sift, orb, brief"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
 FORMAT_NAMES = "kitti, euroc, tum-rgbd, own-camera, bag, malaga, new-college, city-centre, images"
 

@@ -138,10 +138,13 @@ def vocabularies() -> st.SearchStrategy[bytes]:
     whole = st.one_of(st.integers(-2, 8), st.integers(), st.floats(), st.text(max_size=3), st.none())
     header = st.fixed_dictionaries(
         {"kind": st.sampled_from(["orb", "surf-upright-64"]) | VALUES, "words": whole, "size": whole},
-        optional={"encoding": st.sampled_from(["bits", "int8", "float32", ""]) | VALUES},
+        optional={"encoding": st.sampled_from(["bits", "int8", "float32", ""]) | VALUES, "nodes": whole},
     )
     return st.builds(
-        lambda head, numbers: b"REVISIT VOCABULARY 1\n" + json.dumps(head).encode() + b"\n" + numbers + bytes(32),
+        lambda version, head, numbers: (
+            b"REVISIT VOCABULARY %d\n%s\n" % (version, json.dumps(head).encode()) + numbers + bytes(32)
+        ),
+        st.sampled_from([1, 2]),
         header,
         st.binary(max_size=80),
     )

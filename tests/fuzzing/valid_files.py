@@ -11,7 +11,8 @@ from scipy.io import savemat
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, Vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
 from slam.config import RunConfig, to_toml
 from slam.io.calibration import write_calibration
 from slam.io.frames_and_loops_csv import FrameTable, write_events, write_frames, write_loops, write_stages
@@ -169,10 +170,10 @@ def vocabularies() -> list[bytes]:
     words = np.array([[0.6, 0.8, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]], np.float32)
     signs = np.where(words > 0, 0.5, -0.5).astype(np.float32)
     kinds = (("surf-upright-64", words), ("orb", signs))
-    return [
-        written("a.vocabulary", lambda path, k=kind, w=rows: save_vocabulary(path, Vocabulary(k, w, w[:, 0] + 1)))
-        for kind, rows in kinds
-    ]
+    made: list[Vocabulary] = [FlatVocabulary(kind, rows, rows[:, 0] + 1) for kind, rows in kinds]
+    centers, children = np.array([[0], [15], [240]], np.uint8), np.array([2, 0, 0], np.uint8)
+    made.append(VocabularyTree("brief", 8, centers, children, np.ones(2, np.float32)))
+    return [written("a.vocabulary", lambda path, v=vocabulary: save_vocabulary(path, v)) for vocabulary in made]
 
 
 TRUTH = np.tril(np.ones((4, 4), np.uint8), -2)

@@ -1,10 +1,13 @@
 """All local features keep one contract, and are spread over the image."""
 
+from hashlib import sha256
+
 import cv2
 import numpy as np
 import pytest
 from place_images import gaussian_blob, textured_world
 
+from place_recognition.image_processing.fast_and_brief import PATTERN, Brief, BriefConfig
 from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
 from place_recognition.image_processing.orb_and_sift import unpack_bits
 from place_recognition.image_processing.registry import EXTRACTORS, make_extractor
@@ -52,6 +55,26 @@ def test_features_keep_to_the_middle_of_a_blob_as_it_grows(name):
 def test_a_name_that_no_extractor_has_is_refused_with_those_that_there_are():
     with pytest.raises(ValueError, match="unknown local features 'brisk': expected one of surf, surf-oriented, sift"):
         make_extractor("brisk")
+
+
+def test_brief_takes_the_strongest_corners_of_fast_and_compares_brightness_at_fixed_places():
+    image = textured_world(400, seed=4)
+    features = Brief(BriefConfig(50)).extract(image)
+    corners = cv2.FastFeatureDetector.create(10).detect(image)
+    inside = [p for p in corners if 16 <= p.pt[0] < 400 - 16 and 16 <= p.pt[1] < 240 - 16]
+    strongest = sorted((p.response for p in inside), reverse=True)[:50]
+    np.testing.assert_array_equal(features.responses, strongest)
+    smooth = cv2.GaussianBlur(image, (9, 9), 2)
+    for (x, y), descriptor in zip(features.pixels.astype(int)[:5], features.descriptors, strict=False):
+        expected = [smooth[y + b, x + a] < smooth[y + d, x + c] for (a, b), (c, d) in PATTERN]
+        assert ((descriptor > 0) == expected).all()
+
+
+def test_the_pattern_of_brief_never_changes():
+    # The words that ship are made of it.
+    assert PATTERN.shape == (256, 2, 2)
+    assert np.abs(PATTERN).max() == 15
+    assert sha256(PATTERN.astype(np.int8).tobytes()).hexdigest()[:16] == "576e2933c0609a55"
 
 
 def test_orb_descriptors_are_as_far_apart_as_their_bits_differ():

@@ -10,7 +10,7 @@ from place_recognition.evaluation.memory import count_array_bytes, map_size
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_recognizer, with_exclusion
-from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, save_vocabulary
 
 NAMES = {
     "sequence-histograms",
@@ -41,7 +41,7 @@ def test_an_unknown_name_lists_the_known_ones():
 
 def test_a_vocabulary_of_other_features_is_refused_with_its_file(tmp_path):
     file = tmp_path / "orb.vocabulary"
-    save_vocabulary(file, Vocabulary("orb-256", np.eye(4, dtype=np.float32), np.ones(4, np.float32)))
+    save_vocabulary(file, FlatVocabulary("orb-256", np.eye(4, dtype=np.float32), np.ones(4, np.float32)))
     with pytest.raises(ValueError, match=r"orb\.vocabulary: expected a vocabulary of surf-upright-64 features"):
         make_recognizer("dynamic-sequences", FeatureCache(Surf()), ParadigmsConfig(vocabulary=str(file)))
 

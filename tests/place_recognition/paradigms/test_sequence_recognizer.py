@@ -13,7 +13,7 @@ from place_recognition.paradigms.sequence_paradigms import (
     make_sequence_histograms,
 )
 from place_recognition.paradigms.sequence_recognizer import SequenceMatchingConfig
-from place_recognition.vocabulary.vocabulary import Vocabulary, default_vocabulary
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, default_vocabulary
 
 PARADIGMS = pytest.mark.parametrize("paradigm", [make_sequence_histograms, make_dynamic_sequences])
 
@@ -93,7 +93,7 @@ def test_runs_of_at_most_one_sequence_are_answered(paradigm):
 
 @PARADIGMS
 def test_a_vocabulary_of_other_features_is_refused(paradigm):
-    words = Vocabulary("orb-256", np.eye(256, dtype=np.float32), np.ones(256, np.float32))
+    words = FlatVocabulary("orb-256", np.eye(256, dtype=np.float32), np.ones(256, np.float32))
     with pytest.raises(ValueError, match="expected a vocabulary of surf-upright-64 features, found one of orb-256"):
         paradigm(FeatureCache(Surf()), words)
 

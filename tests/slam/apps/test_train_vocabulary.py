@@ -36,13 +36,16 @@ def test_words_come_from_all_sources(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "of 4 images" in said
 
 
-@pytest.mark.parametrize(("features", "kind"), [("surf-oriented", "surf-64"), ("sift", "sift-128"), ("orb", "orb-256")])
+@pytest.mark.parametrize(
+    ("features", "kind"),
+    [("surf-oriented", "surf-64"), ("sift", "sift-128"), ("orb", "orb-256"), ("brief", "brief-256")],
+)
 def test_words_are_made_of_the_features_asked_for(tmp_path: Path, features: str, kind: str):
     out = tmp_path / "own.vocabulary"
     assert train(textures(tmp_path / "photos", 2), "--features", features, "--words", 30, "--out", out) == 0
     assert load_vocabulary(out).kind == kind
-    bytes_a_word = {"orb-256": 32, "sift-128": 128, "surf-64": 64}[kind]
-    assert out.stat().st_size < 30 * (bytes_a_word + 4) + 300
+    bytes_a_word = {"orb-256": 32, "brief-256": 32, "sift-128": 128, "surf-64": 64}[kind]
+    assert out.stat().st_size < 30 * (bytes_a_word + 8) + 300
 
 
 def test_the_same_images_and_seed_give_the_same_file(tmp_path: Path):
