@@ -17,7 +17,6 @@ from place_recognition.belief.candidate_verification import (
     VerificationResult,
     verify_candidates,
 )
-from place_recognition.belief.present_view import PresentView, PresentViewConfig
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.proposals import ObservedImage, Proposals, Proposer
@@ -26,6 +25,22 @@ from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 # Proposals that are verified while one image is observed. The paradigms of sequences answer for many images at once;
 # their verification is spread over the images that follow.
 _MAX_VERIFIED_AT_ONCE = 2
+
+
+class ExclusionWindow(Protocol):
+    """Which of the latest images belong to the present: a PresentView or a FixedWindow."""
+
+    def advance(self) -> int:
+        """Follow the history to its newest image; return the latest location that it may be matched with, or -1."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes from image to image, for a checkpoint."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
+        ...
 
 
 class Decision(Protocol):
@@ -39,11 +54,11 @@ class Decision(Protocol):
         """Return the beliefs about the last queries."""
         ...
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Any:
         """Everything that waits for later images, for a checkpoint."""
         ...
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Any) -> None:
         """Continue from a state."""
         ...
 
@@ -55,14 +70,14 @@ class StagedRecognizer:
         self,
         features: FeatureCache,
         history: ImageHistory,
+        view: ExclusionWindow,
         proposer: Proposer,
         decision: Decision,
-        view: PresentViewConfig,
         verification: CandidateVerificationConfig,
     ) -> None:
         self._features, self._history = features, history
         self._proposer, self._decision = proposer, decision
-        self._view = PresentView(history, view)
+        self._view = view
         self._verification = verification
         self._unverified: deque[Proposals] = deque()
 

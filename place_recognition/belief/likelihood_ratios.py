@@ -56,7 +56,7 @@ _GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.8, 0.5
 _EVIDENCE_PER_POWER = 40.0
 
 # Evidence from which a candidate's place is known better than usual.
-_SHARP_EVIDENCE = 120.0
+_SHARP_EVIDENCE = 90.0
 
 
 def log_ratios(own: Array, evidence: Array) -> Array:

@@ -28,8 +28,8 @@ _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
 _MAX_LOG_RATIO_ELSEWHERE = 4.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
-_MOVE_NOISE = 0.1  # probability of moving one step less, or one more, than the speed says
-_SPEED_CHANGE = 0.05  # probability of another speed at the next step, mostly a neighbouring one
+_MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
+_SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
 _BIRTH_RADIUS = 2  # a revisit may begin this many steps beside a candidate
 _MAX_PLACES, _MIN_MASS = 60, 1e-9  # only places with mass are kept
@@ -53,7 +53,7 @@ class PlaceFilterConfig:
     begin_probability: float = 0.001
     end_probability: float = 0.02
     miss_probability: float = 0.16
-    location_sigma_frames: float = 1.5
+    location_sigma_frames: float = 2.5
     lag_frames: int = 15
     min_probability: float = 0.999
 

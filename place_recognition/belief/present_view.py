@@ -103,6 +103,24 @@ class PresentView:
         self._whole = state["whole_view"][0], state["whole_view"][1]
 
 
+class FixedWindow:
+    """Excludes a fixed number of images before the newest one, as the published methods do (as PresentView)."""
+
+    def __init__(self, history: ImageHistory, exclusion_frames: int) -> None:
+        self._history, self._exclusion_frames = history, exclusion_frames
+
+    def advance(self) -> int:
+        """Return the latest location that the newest image may be matched with; -1 for none."""
+        return max(self._history.latest - max(self._exclusion_frames, 1), -1)
+
+    def state(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Nothing."""
+
+
 class CameraSteps:
     """Counts the steps of the camera: a standing or crawling camera takes many images of one step.
 

@@ -6,6 +6,7 @@ Thresholds: section 4.4 of the chapter and the papers named in each paradigm.
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 from place_recognition.belief.candidate_verification import VerificationResult
 from place_recognition.belief.smoothed_decision import stage_scores
@@ -20,14 +21,16 @@ class PublishedDecisionConfig:
 
     Attributes:
         min_score: smallest score of the paradigm of an accepted match, on its own scale.
+        min_exclusion_s: age below which no image is matched, seconds; 0 leaves it to the paradigm.
         min_inliers: smallest number of matches that agree with one fundamental matrix; 0 asks for no geometry.
         min_consistent_frames: number of successive images, the query included, whose matches must lie near one another;
             1 asks for no temporal consistency. beta in the paper of the hierarchical places.
         max_gap_frames: largest distance of the matches of two successive images that lie near one another.
     """
 
-    min_score: float
-    min_inliers: int = 0
+    min_score: float = 0.0
+    min_exclusion_s: float = 40.0
+    min_inliers: int = 12
     min_consistent_frames: int = 1
     max_gap_frames: int = 10
 

@@ -24,7 +24,8 @@ from place_recognition.proposals import Proposals
 from place_recognition.recognizer import Belief, StageScores, no_pixels
 
 _MIN_FEATURES = 9  # an image with fewer shows no place, neither as a query nor as a match
-_MUCH_BETTER = 1.5  # ratio of evidence by which the image next to the most likely one is the match
+# The image next to the most likely one is the match if it agrees so strongly, and by this ratio better.
+_EXACT_EVIDENCE, _MUCH_BETTER = 100.0, 1.5
 _LIKELY = 0.5  # only pairs more likely than not are worth a verification of their own
 
 Results = tuple[VerificationResult, ...]
@@ -110,9 +111,9 @@ class SmoothedDecision:
             result = verify_pair(self._history.images, query, location, self._verification)
         beside = [other for other in results if abs(other.location - location) == 1]
         best = max(beside, key=lambda other: other.evidence, default=None)
-        if result is not None and best is not None and best.evidence > _MUCH_BETTER * result.evidence:
-            return best
-        return result
+        if result is None or best is None:
+            return result
+        return best if best.evidence > max(_MUCH_BETTER * result.evidence, _EXACT_EVIDENCE) else result
 
     def _is_textured(self, location: int) -> bool:
         return self._history.images.count(location) >= _MIN_FEATURES

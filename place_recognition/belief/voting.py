@@ -37,44 +37,20 @@ class Votes:
     expected: Array
     log_density: Array
 
-    def top_locations(self, max_count: int, min_separation: int, log_threshold: float) -> list[int]:
-        """Return up to `max_count` locations that most likely show the place, best first.
 
-        Only locations with more votes than expected count. Those whose density is below the threshold come first,
-        sorted by votes; the others follow, sorted by density.
+def count_votes(hit: Indices, words: WordMap, distinct: bool = True) -> Votes:
+    """Count the votes of an image: each word that it hits votes for each location where the word was seen.
 
-        Args:
-            max_count: largest number of locations.
-            min_separation: smallest distance between any two of them, in locations.
-            log_threshold: natural logarithm of the density below which votes are significant.
-        """
-        above = np.flatnonzero(self.votes > self.expected)
-        likely = self.log_density[above] >= log_threshold
-        order = above[np.lexsort((self.log_density[above], np.where(likely, 0, -self.votes[above]), likely))]
-        top: list[int] = []
-        for location in self.locations[order].tolist():
-            if len(top) < max_count and all(abs(location - other) >= min_separation for other in top):
-                top.append(location)
-        return top
-
-    def neg_log10_probability(self, location: int, radius: int) -> float:
-        """Return -log10 of the smallest density of the votes within `radius` locations; 0 if none exceeds chance."""
-        first, end = np.searchsorted(self.locations, [location - radius, location + radius + 1])
-        is_above = self.votes[first:end] > self.expected[first:end]
-        return float(max(-self.log_density[first:end][is_above].min(initial=0.0), 0.0)) / math.log(10)
-
-
-def count_votes(hit: Indices, words: WordMap) -> Votes:
-    """Count the votes of an image: each word that it hits votes once for each location where the word was seen.
-
-    A location is hit with probability p = its words / all words (eq. 5), so its votes are binomial (eq. 4). In the
-    paper a word votes as often as it is hit. But many descriptors of an image hit one word for one reason, a repeated
-    window or the sky, and the binomial test would take them for independent trials.
+    A location is hit with probability p = its words / all words (eq. 5), so its votes are binomial (eq. 4).
 
     Args:
-        hit: (N,) distinct indices of the words hit.
+        hit: (N,) indices of the words hit, one for each descriptor.
         words: map of all words.
+        distinct: whether a word votes once, however often it is hit. In the paper it votes as often; but many
+            descriptors of an image hit one word for one reason, a repeated window or the sky, and the binomial test
+            would take them for independent trials.
     """
+    hit = np.unique(hit) if distinct else hit
     locations, votes = np.unique(expand_spans(words.spans(hit)), return_counts=True)
     share = words.words_at(locations) / max(words.active_count, 1)
     return Votes(locations, votes, len(hit) * share, log_binomial(votes, len(hit), share))
@@ -100,20 +76,21 @@ class PlaceVotes:
         return -float(self.log_density[found[0]]) / math.log(10) if len(found) else 0.0
 
 
-def vote_for_places(hit: Indices, places: PlaceMap, count: int) -> PlaceVotes:
-    """Count the votes of an image: each distinct word that it hits votes once for its place.
+def vote_for_places(hit: Indices, places: PlaceMap, count: int, distinct: bool = True) -> PlaceVotes:
+    """Count the votes of an image: each word that it hits votes for its place.
 
     A place is hit with probability p = its words / all words (equations 5 to 8). Places with fewer votes than expected
-    are dropped before the least likely one is sought, because too few votes are unlikely too. In the paper a word votes
-    as often as it is hit; why not here: docs/decisions/hierarchical_places.md.
+    are dropped before the least likely one is sought, because too few votes are unlikely too.
 
     Args:
         hit: (N,) indices of the words hit, repeated where several descriptors hit one word.
         places: map of all places.
         count: number of places, from the first one on, that may be voted for.
+        distinct: whether a word votes once, however often it is hit (`count_votes`).
     """
     total = places.count_words_of_first(count)
-    words = np.unique(hit[hit < total])
+    words = hit[hit < total]
+    words = np.unique(words) if distinct else words
     voted, votes = np.unique(places.places_of(words), return_counts=True)
     share = places.word_counts(voted) / max(total, 1)
     above = votes > len(words) * share
@@ -134,32 +111,3 @@ def log_binomial(successes: Indices, trials: int, probability: Array) -> Array:
     x = np.asarray(successes, dtype=np.float64)
     choices = gammaln(trials + 1) - gammaln(x + 1) - gammaln(trials - x + 1)
     return choices + xlogy(x, probability) + xlog1py(trials - x, -probability)
-
-
-def normalize_votes(votes: Indices, words: Indices, descriptors: int) -> NDArray[np.float64]:
-    """Divide votes by the geometric mean of the number of words and the number of voting descriptors.
-
-    A rule of thumb, which section 4.2.3.3 of the chapter compares with the binomial density; no paradigm uses it.
-    A place of many words draws many votes, and an image of many descriptors gives many: the count alone means little.
-    Where each word and each descriptor votes at most once, the result is the cosine of the angle between the two sets
-    (the coefficient of Ochiai), from 0 to 1. Unlike the binomial density it ignores the other places, so the value that
-    indicates a revisit differs from map to map.
-
-    Args:
-        votes: (L,) number of votes of each place or location.
-        words: (L,) number of words of each; a place without words draws no votes.
-        descriptors: number of descriptors of the voting image.
-
-    Returns:
-        (L,) normalised votes; 0 where there are no words or descriptors.
-
-    Raises:
-        ValueError: `votes` and `words` differ in shape, or a number is negative.
-    """
-    votes, words = np.asarray(votes), np.asarray(words)
-    if votes.shape != words.shape:
-        raise ValueError(f"expected votes and words of one shape, got {votes.shape} and {words.shape}")
-    if descriptors < 0 or (votes < 0).any() or (words < 0).any():
-        raise ValueError("expected no negative number of votes, words or descriptors")
-    possible = np.sqrt(words.astype(np.float64) * descriptors)
-    return np.divide(votes, possible, out=np.zeros(votes.shape), where=possible > 0)

@@ -27,8 +27,6 @@ from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Floats = NDArray[np.float32]
 
-UNLIMITED = 1_000_000  # more images than a place has
-
 
 @dataclass(frozen=True)
 class HierarchicalPlacesConfig:
@@ -44,6 +42,7 @@ class HierarchicalPlacesConfig:
         ranking_ratio: largest ratio of nearest to second nearest descriptor distance of its matches.
         max_candidates: number of best images that are proposed.
         min_separation: smallest number of images between any two of them.
+        distinct_votes: whether a word votes once, however often it is hit; in the paper it votes as often.
         seed: seed of the order in which the growing neural gas sees the descriptors.
         place: when a place ends.
         gas: growing neural gas, which makes the words of a place.
@@ -58,6 +57,7 @@ class HierarchicalPlacesConfig:
     ranking_ratio: float = 0.8
     max_candidates: int = MAX_STAGE_CANDIDATES
     min_separation: int = 4
+    distinct_votes: bool = True
     seed: int = 0
     place: PlaceSegmentationConfig = field(default_factory=PlaceSegmentationConfig)
     gas: GasConfig = field(default_factory=GasConfig)
@@ -120,7 +120,8 @@ class HierarchicalPlaces:
     def _match(self, image: ObservedImage, descriptors: Floats) -> Proposals:
         """Propose images of the places for which the descriptors (N, D) vote."""
         count = self._places.activate_until(image.last_matchable)
-        votes = vote_for_places(self._places.nearest_words(descriptors), self._places, count)
+        nearest = self._places.nearest_words(descriptors)
+        votes = vote_for_places(nearest, self._places, count, self.config.distinct_votes)
         self._record(image.location, votes)
         locations, matches = self._count_matches(image.location, self._sample_images(votes, count))
         order = np.argsort(-matches, kind="stable")

@@ -9,13 +9,15 @@ import numpy as np
 from place_recognition.belief.candidate_verification import CandidateVerificationConfig
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
-from place_recognition.belief.present_view import PresentViewConfig
+from place_recognition.belief.present_view import FixedWindow, PresentView, PresentViewConfig
+from place_recognition.belief.published_decision import PublishedDecision
 from place_recognition.belief.smoothed_decision import SmoothedDecision
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
+from place_recognition.paradigms import published
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
 from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
@@ -29,8 +31,13 @@ from place_recognition.paradigms.sequence_paradigms import (
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
 from place_recognition.proposals import Proposer
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
-from place_recognition.staged_recognizer import RowsById, StagedRecognizer
-from place_recognition.vocabulary.vocabulary import Vocabulary, default_vocabulary, load_vocabulary
+from place_recognition.staged_recognizer import Decision, RowsById, StagedRecognizer
+from place_recognition.vocabulary.vocabulary import (
+    Vocabulary,
+    default_vocabulary,
+    load_vocabulary,
+    published_vocabulary,
+)
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class ParadigmsConfig:
         descriptor: descriptor of `global-descriptor`: a key of GLOBAL_DESCRIPTORS, such as "hog", or "onnx:FILE" for a
             learned one.
         seed: seed of every random generator.
+        preset: "default", or "published" for the methods as the papers state them (`with_preset`).
         view: which of the latest images belong to the present.
         verification: how candidates are verified geometrically.
         place_filter: how the candidates of successive images become a probability.
@@ -61,6 +69,7 @@ class ParadigmsConfig:
     vocabulary: str = ""
     descriptor: str = "hog"
     seed: int = 0
+    preset: str = "default"
     view: PresentViewConfig = field(default_factory=PresentViewConfig)
     verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
     place_filter: PlaceFilterConfig = field(default_factory=PlaceFilterConfig)
@@ -71,6 +80,9 @@ class ParadigmsConfig:
     pixel_sequences: PixelSequencesConfig = field(default_factory=PixelSequencesConfig)
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
 
+
+PRESETS = ("default", "published")
+PUBLISHED_VOCABULARY = "published"  # name of the vocabulary that ships for the published presets
 
 Builder = Callable[[ImageHistory, str, ParadigmsConfig, MatrixSink], Proposer]
 
@@ -123,6 +135,31 @@ def make_feature_extractor(config: ParadigmsConfig) -> FeatureExtractor:
     return make_extractor(config.features, config.surf.max_features)
 
 
+def with_preset(name: str, config: ParadigmsConfig) -> ParadigmsConfig:
+    """Return the settings with those of the published method of a name in place, where its preset asks for it.
+
+    Settings that are not the defaults stay: features, vocabulary and descriptor may be chosen.
+
+    Raises:
+        ValueError: the preset is unknown; the message lists the known ones.
+    """
+    if config.preset not in PRESETS:
+        raise ValueError(f"unknown preset '{config.preset}': expected one of {', '.join(PRESETS)}")
+    if config.preset == "default":
+        return config
+    if name in ("sequence-histograms", "dynamic-sequences") and config.features == "surf" and not config.vocabulary:
+        config = replace(config, features="brief", vocabulary=PUBLISHED_VOCABULARY)
+    return replace(
+        config,
+        sequence_histograms=published.sequence_histograms(),
+        dynamic_sequences=published.dynamic_sequences(),
+        hierarchical_places=published.hierarchical_places(),
+        tracked_words=published.tracked_words(),
+        pixel_sequences=published.pixel_sequences(),
+        global_descriptor=GlobalDescriptorConfig(max_candidates=1),
+    )
+
+
 def make_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
@@ -139,7 +176,7 @@ def make_recognizer(
     """
     if name not in PARADIGMS:
         raise ValueError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
-    config = config or ParadigmsConfig()
+    config = with_preset(name, config or ParadigmsConfig())
     history = ImageHistory()
     proposer = PARADIGMS[name](history, features.kind, config, RowsById(history, rows))
     return _stages(name, features, history, proposer, config)
@@ -155,8 +192,13 @@ def _stages(
     name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
 ) -> PlaceRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
+    if config.preset == "published" and name in published.DECISIONS:
+        exact = replace(verification, max_candidates=1, refine_radius=0)
+        window = FixedWindow(history, config.view.exclusion_frames)
+        decision: Decision = PublishedDecision(history, published.DECISIONS[name])
+        return StagedRecognizer(features, history, window, proposer, decision, exact)
     decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
-    return StagedRecognizer(features, history, proposer, decision, config.view, verification)
+    return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)
 
 
 def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:
@@ -175,6 +217,8 @@ def _load_vocabulary(config: ParadigmsConfig, kind: str) -> Vocabulary:
     """
     if not config.vocabulary:
         return default_vocabulary().require(kind)
+    if config.vocabulary == PUBLISHED_VOCABULARY:
+        return published_vocabulary().require(kind)
     vocabulary = load_vocabulary(Path(config.vocabulary))
     try:
         return vocabulary.require(kind)

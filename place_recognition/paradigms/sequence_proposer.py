@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter1d
 
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
 from place_recognition.belief.matrix_filter import FilterConfig, OnlineMatrixFilter, normalize_row
@@ -21,6 +22,7 @@ from place_recognition.proposals import ObservedImage, Proposals, select_apart
 from place_recognition.recognizer import MAX_STAGE_CANDIDATES, MatrixSink, NullMatrixSink
 from place_recognition.vocabulary.tf_idf import ImageWords, WordVector, word_vector
 from place_recognition.vocabulary.vocabulary import Vocabulary
+from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Floats = NDArray[np.float32]
@@ -131,8 +133,7 @@ class SequenceProposer:
         self.config = config
         self._segmentation = segmentation
         self._vocabulary = vocabulary.require(kind)
-        self._index = HybridWordIndex()  # finds 99.4 % of the words of an exhaustive search in 0.6 of its time
-        self._index.add(vocabulary.words)
+        self._find_words = _make_word_search(vocabulary)
         self._threshold, self._filter = matrix_filter.threshold, OnlineMatrixFilter(matrix_filter.kernel)
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
@@ -163,7 +164,7 @@ class SequenceProposer:
         return answered
 
     def _assign(self, descriptors: Floats) -> Indices:
-        return self._index.nearest(descriptors) if len(descriptors) else np.empty(0, np.int64)
+        return self._find_words(descriptors) if len(descriptors) else np.empty(0, np.int64)
 
     def _end_sequence(self, last: int) -> list[Proposals]:
         """End the open sequence at location `last` and answer for the sequence before it, whose row can be filtered."""
@@ -210,9 +211,9 @@ class SequenceProposer:
         similarity = self._image_similarity(query, pool)
         # An image without any similarity, like one without features, shows nothing.
         pool, similarity = pool[similarity > 0], similarity[similarity > 0]
-        responses = self._responses_at(pool, response) / self._threshold
-        weight = self.config.response_weight
-        scores = responses if np.isinf(weight) else similarity + weight * np.maximum(responses, 0.0)
+        scores, weight = self._responses_at(pool, response), self.config.response_weight
+        if np.isfinite(weight):
+            scores = similarity + weight * np.maximum(scores, 0.0) / self._threshold
         order = np.lexsort((-similarity, -scores))
         chosen = order[select_apart(pool[order].tolist(), self.config.max_candidates, self.config.min_separation)]
         return Proposals(query, last_matchable, tuple(pool[chosen].tolist()), tuple(scores[chosen].tolist()))
@@ -232,11 +233,11 @@ class SequenceProposer:
     def _responses_at(self, locations: Indices, response: Floats) -> NDArray[np.float64]:
         """The largest response (K,) of the sequence of each image (K,) and of its neighbours that propose too."""
         # Sequences of two passes are cut at different images, so a match near the end may respond in the next one.
-        near = self.config.neighbor_sequences
-        padded = np.pad(response.astype(np.float64), near, constant_values=-np.inf)
-        largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
+        if len(response) == 0:
+            return np.zeros(len(locations))
+        largest = maximum_filter1d(response.astype(np.float64), 2 * self.config.neighbor_sequences + 1, mode="nearest")
         sequences = np.array([self._map.sequence_of(location) for location in locations.tolist()], np.int64)
-        return np.append(largest, 0.0)[np.minimum(sequences, len(largest))]
+        return largest[np.minimum(sequences, len(largest) - 1)]
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint; the vocabulary stays as it is."""
@@ -257,6 +258,15 @@ class SequenceProposer:
         self._map.restore(state["sequences"])
         self._open = list(state["open_last_matchable"])
         self._waiting = None if state["waiting"] is None else _EndedSequence.from_state(state["waiting"])
+
+
+def _make_word_search(vocabulary: Vocabulary) -> Callable[[Floats], Indices]:
+    """Make the function that finds the word (N,) of each descriptor (N, D)."""
+    if isinstance(vocabulary, VocabularyTree):
+        return vocabulary.assign
+    index = HybridWordIndex()  # finds 99.4 % of the words of an exhaustive search in 0.6 of its time
+    index.add(vocabulary.words)
+    return index.nearest
 
 
 def _best_of_row(row: Floats, max_count: int) -> Indices:

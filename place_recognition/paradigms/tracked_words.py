@@ -31,6 +31,7 @@ class TrackedWordsConfig:
         max_places: number of locations that are proposed; the paper's 1.
         min_separation: smallest number of images between any two of them.
         ranking: "probability" or "votes", by which the proposed locations are sorted; the paper takes the most votes.
+        distinct_votes: whether a word votes once, however often it is hit; in the paper it votes as often.
         exclusion_track_lengths: lengths of the longest track by which a match is older than the query, besides the
             present view: the paper's 2.
     """
@@ -39,6 +40,7 @@ class TrackedWordsConfig:
     max_places: int = MAX_STAGE_CANDIDATES
     min_separation: int = 4
     ranking: str = "probability"
+    distinct_votes: bool = True
     exclusion_track_lengths: int = 0
 
 
@@ -77,7 +79,7 @@ class TrackedWords:
         by_tracks = image.location - self.config.exclusion_track_lengths * self._tracks.max_length_frames
         last_matchable = min(image.last_matchable, by_tracks)
         self._words.activate_until(last_matchable)  # words of later images are not hit yet
-        votes = count_votes(self._words.lookup(self._tracks.descriptors), self._words)
+        votes = count_votes(self._words.lookup(self._tracks.descriptors), self._words, self.config.distinct_votes)
         self._rows.add(image.location, votes.locations, votes.votes.astype(np.float64))
         return [self._propose(image.location, last_matchable, votes)]
 

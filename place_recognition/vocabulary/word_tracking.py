@@ -180,10 +180,10 @@ class WordMap:
             self._count_words(words)
 
     def lookup(self, query: Floats) -> Indices:
-        """Find the distinct words (K,) that are nearest to one of the query descriptors (N, D)."""
+        """Find the word (N,) that is nearest to each of the query descriptors (N, D); (0,) while none is active."""
         if self.active_count == 0 or len(query) == 0:
             return np.empty(0, np.int64)
-        return np.unique(self._index.nearest(query))
+        return self._index.nearest(query)
 
     def spans(self, words: Indices) -> NDArray[np.int32]:
         """Return the first and last location (K, 2) of words (K,)."""
