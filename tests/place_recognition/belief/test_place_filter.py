@@ -249,9 +249,7 @@ def test_the_same_candidates_off_any_line_are_not_accepted():
 SLOW = pytest.mark.xfail(reason="a moment at speed 0 counts as a new place, and 0 is the neighbour of 0.5", strict=True)
 
 
-@pytest.mark.parametrize(
-    "speed", [-2, -1, pytest.param(-0.5, marks=SLOW), pytest.param(0.5, marks=SLOW), 1, 1.3, 2]
-)
+@pytest.mark.parametrize("speed", [-2, -1, pytest.param(-0.5, marks=SLOW), pytest.param(0.5, marks=SLOW), 1, 1.3, 2])
 def test_the_earlier_pass_may_be_followed_at_another_speed_or_backwards(speed):
     answers = run(quiet(20) + line(200, speed, 2.0, 20) + quiet(20))
     assert accepted(answers)[23:37].all()
