@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from landmark_street import history_of
-from place_images import LAP_IMAGES, changed, kitti_images, observed_images, propose_all, two_laps
+from place_images import LAP_IMAGES, changed, kitti_images, observed_images, two_laps
 from scipy.stats import binom
 
 from place_recognition.map.image_history import ImageHistory

@@ -141,7 +141,9 @@ def test_the_response_is_part_of_the_score_and_all_of_it_in_the_published_method
 
 
 def test_scores_of_a_revisit_stand_out_from_those_of_other_places():
-    proposals, _ = drive(replace(ALL, neighbor_sequences=1, max_sequences=4, max_similar_sequences=4, response_weight=0.05))
+    proposals, _ = drive(
+        replace(ALL, neighbor_sequences=1, max_sequences=4, max_similar_sequences=4, response_weight=0.05)
+    )
     second = [proposals[k].scores[0] for k in range(IMAGES_A_SEQUENCE * (PASS + 9), IMAGES_A_SEQUENCE * (PASS + 17))]
     first = [score for k in range(IMAGES_A_SEQUENCE * (PASS + 7)) for score in proposals[k].scores[:1]]
     assert min(second) > max(first, default=0.0)

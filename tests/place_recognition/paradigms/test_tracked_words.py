@@ -77,7 +77,9 @@ def test_the_published_method_matches_nothing_younger_than_twice_the_longest_tra
     for image in observed_images():
         [proposals] = proposer.observe(image)
         longest = proposer._tracks.max_length_frames
-        assert proposals.last_matchable == min(image.location - MIN_AGE if image.location >= MIN_AGE else -1, image.location - 2 * longest)
+        assert proposals.last_matchable == min(
+            image.location - MIN_AGE if image.location >= MIN_AGE else -1, image.location - 2 * longest
+        )
         assert all(location <= proposals.last_matchable for location in proposals.locations)
 
 
