@@ -132,7 +132,7 @@ def noisy_matches(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Matches of which few agree, so that the drawn samples matter."""
     rng = np.random.default_rng(seed)
     first, second = (rng.uniform(0, 1, (2, 120, 2)) * [WIDTH_PX, HEIGHT_PX]).astype(np.float32)
-    second[:20] = first[:20] + [30, 0] + rng.normal(0, 2, (20, 2))
+    second[:20] = first[:20] + rng.normal(0, 2, (20, 2)) + np.array([30, 0])
     return first, second
 
 

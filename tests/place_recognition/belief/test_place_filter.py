@@ -227,7 +227,7 @@ def test_nothing_observed_is_no_place():
 
 
 def test_one_strong_candidate_alone_is_not_accepted():
-    observations = quiet(20) + [observe((50, 5.0))] + quiet(20)
+    observations = [*quiet(20), observe((50, 5.0)), *quiet(20)]
     assert not accepted(run(observations)).any()
 
 
