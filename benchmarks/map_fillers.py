@@ -5,12 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from place_recognition.paradigms.sequence_recognizer import SequenceRecognizer
 
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
 from place_recognition.paradigms.sequence_paradigms import make_dynamic_sequences, make_sequence_histograms
-from place_recognition.paradigms.sequence_recognizer import SequenceRecognizer
 from place_recognition.paradigms.tracked_words import TrackedWords
 from place_recognition.vocabulary.tf_idf import word_vector
 from place_recognition.vocabulary.vocabulary import default_vocabulary
@@ -66,7 +66,7 @@ class RecalledFeatures:
         self.kind = kind
         self._features, self._next = features, 0
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
         """Features of the next image."""
         self._next += 1
         return self._features[(self._next - 1) % len(self._features)]

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
-
 from place_recognition.belief.candidate_selection import CandidateVerifier
+
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.image_history import ImageHistory
@@ -105,12 +105,12 @@ class CachedFeatures:
         """Extract features instead of taking them from the cache from now on."""
         self._next = None
 
-    def extract(self, image: Image) -> LocalFeatures:
+    def extract(self, image: Image, mask: Image | None = None) -> LocalFeatures:
         """Features of an image."""
         if self._next is None:
-            return self._surf.extract(image)
+            return self._surf.extract(image, mask)
         if self._next == len(self._known):
-            self._known.append(self._surf.extract(image))
+            self._known.append(self._surf.extract(image, mask))
         self._next += 1
         return self._known[self._next - 1]
 

@@ -28,11 +28,11 @@ class Patches:
         """Keep the `max_features` strongest corners of an image."""
         self._max_features = max_features
 
-    def extract(self, image):
-        """Features of an image (H, W) uint8, strongest first, with descriptors of unit length."""
+    def extract(self, image, mask=None):
+        """Features of an image (H, W) uint8, strongest first, with descriptors of unit length; none where mask is 0."""
         check_gray(image)
         smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
-        found, quality = cv2.goodFeaturesToTrackWithQuality(smooth, self._max_features, 0.001, 6, None)
+        found, quality = cv2.goodFeaturesToTrackWithQuality(smooth, self._max_features, 0.001, 6, mask)
         pixels = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2)
         responses = np.zeros(0, np.float32) if found is None else quality.ravel().astype(np.float32)
         descriptors = np.array([self._describe(smooth, pixel) for pixel in pixels], np.float32).reshape(-1, CELLS**2)

@@ -45,9 +45,15 @@ class TrackingConfig:
         return replace(self, window_px=2 * self.window_px - 1, pyramid_levels=self.pyramid_levels + 1)
 
 
-def detect_corners(image: Image, tracked: Array, config: TrackingConfig) -> Array:
-    """Find new corners (M, 2), pixels, where a grid cell holds too few of the tracked points (N, 2)."""
+def detect_corners(image: Image, tracked: Array, config: TrackingConfig, mask: Image | None = None) -> Array:
+    """Find new corners (M, 2), pixels, where a grid cell holds too few of the tracked points (N, 2).
+
+    None are found where the mask (H, W), if there is one, is 0.
+    """
     strength = _corner_strength(image)
+    if mask is not None:
+        height, width = strength.shape
+        strength[mask[: _HALF * height : _HALF, : _HALF * width : _HALF] == 0] = 0.0
     floor = max(config.min_quality * float(strength.max()), float(np.finfo(np.float32).eps))
     _clear_around(strength, tracked, config.min_spacing_px)
     size = 2 * (config.min_spacing_px // (2 * _HALF)) + 1
@@ -94,6 +100,15 @@ def is_inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bo
     """Which of the pixels (N, 2) lie in the image, a margin in pixels away from its edge."""
     height, width = image.shape
     return np.all((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin]), axis=1)
+
+
+def is_unmasked(pixels: Array, mask: Image | None) -> NDArray[np.bool_]:
+    """Which of the pixels (N, 2), NaN included, are not where the mask (H, W) is 0."""
+    if mask is None:
+        return np.ones(len(pixels), dtype=bool)
+    height, width = mask.shape
+    column, row = np.clip(np.rint(np.nan_to_num(pixels)), 0, [width - 1, height - 1]).astype(np.intp).T
+    return np.asarray(mask[row, column] != 0)
 
 
 def match_brightness(reference: Image, image: Image) -> Image:

@@ -1,5 +1,6 @@
 """The interface of every place recogniser, and the belief that it returns for each image."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -30,6 +31,18 @@ class StageScores:
     own_score: float | None = None
     geometry_match: int | None = None
     geometry_score: float | None = None
+
+    def renumber(self, new_id: Callable[[int], int | None]) -> "StageScores":
+        """Return the same answers with other image ids; what names an image without a new id is left out."""
+        renumbered = [new_id(image) for image in self.candidates]
+        candidates = tuple(image for image in renumbered if image is not None)
+        geometry_match = None if self.geometry_match is None else new_id(self.geometry_match)
+        return StageScores(
+            candidates,
+            self.own_score if candidates and renumbered[0] is not None else None,
+            geometry_match,
+            None if geometry_match is None else self.geometry_score,
+        )
 
 
 @dataclass(frozen=True)

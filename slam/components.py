@@ -4,14 +4,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
+from place_recognition.image_processing.image_masks import ImageMasks
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.registry import EXTRACTORS
-from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_feature_extractor, make_recognizer
+from place_recognition.paradigms.registry import (
+    PARADIGMS,
+    ParadigmsConfig,
+    make_control,
+    make_feature_extractor,
+    make_recognizer,
+)
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
+from slam.datasets.formats.image_sequence import read_grey
 from slam.errors import ConfigError, DataError
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing.loop_closer import LoopCloser
@@ -20,6 +31,8 @@ from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
 from slam.system import Components, VisualOdometry
 from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
+
+Image = NDArray[np.uint8]
 
 _PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor")
 _CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
@@ -103,6 +116,11 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
+def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> PlaceRecognizer:
+    """Build the control of place recognition, which proposes random past images to the same geometry and belief."""
+    return make_control(features, replace(config, seed=seed))
+
+
 def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
     """All components for one camera, of a configuration whose names have been checked.
 
@@ -110,18 +128,43 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         camera: camera of the dataset.
         config: the configuration.
         rows: receives the rows of the recogniser's similarity matrix; None where nobody needs them.
+
+    Raises:
+        DataError: the mask, the vocabulary or the descriptor cannot be used.
     """
-    features = FeatureCache(make_feature_extractor(config.place_recognition))
+    places = replace(config.place_recognition, seed=config.seed)
+    features = FeatureCache(make_feature_extractor(places))
+    mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)
     return Components(
         odometry=odometry,
+        masks=ImageMasks(config.static_regions, mask),
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, config.place_recognition, rows),
+        recognizer=build_recognizer(config.paradigm, features, places, rows),
         loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
         graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),
     )
+
+
+def read_mask(path: Path, shape: tuple[int, int]) -> Image:
+    """Mask (H, W) uint8 from an image file, 0 where the camera does not show the scene.
+
+    Args:
+        path: image of any format.
+        shape: (H, W) of the camera's images.
+
+    Raises:
+        DataError: the file is missing or no image, has another size, or leaves out the whole image.
+    """
+    mask = read_grey(path)
+    if mask.shape != shape:
+        found = f"{mask.shape[1]} x {mask.shape[0]}"
+        raise DataError(f"{path}: expected {shape[1]} x {shape[0]} pixels as the images have, found {found}; resize it")
+    if not mask.any():
+        raise DataError(f"{path}: expected white where features may lie, found a black image; paint that part white")
+    return mask
 
 
 def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:

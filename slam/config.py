@@ -14,6 +14,7 @@ import tomli_w
 
 from odometry.mono.mono_odometry import MonoOdometryConfig
 from odometry.stereo.stereo_odometry import StereoOdometryConfig
+from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig
 from slam.errors import ConfigError
 from slam.keyframes import KeyFrameConfig
@@ -53,6 +54,8 @@ class RunConfig:
         save_recording: write `recording.rrd`.
         save_map: write `map.db`, which resuming, localization and later sessions need.
         mono: use the left camera alone.
+        mask: path of an image of the camera's size, black where it does not show the scene; empty for none.
+        static_regions: how such parts are found without it.
         odometry: settings of the stereo odometry.
         mono_odometry: settings of a run with one camera.
         place_recognition: settings of the place recognisers.
@@ -68,6 +71,8 @@ class RunConfig:
     save_recording: bool = True
     save_map: bool = True
     mono: bool = False
+    mask: str = ""
+    static_regions: StaticRegionConfig = field(default_factory=StaticRegionConfig)
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
     mono_odometry: MonoConfig = field(default_factory=MonoConfig)
     place_recognition: ParadigmsConfig = field(default_factory=ParadigmsConfig)

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall
+from place_recognition.evaluation.reliability import Reliability
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
+from place_recognition.evaluation.stages import StageResults
 
 Array = NDArray[np.float64]
 
@@ -144,6 +146,8 @@ class RunRecord:
         events: decisions of the online pose graph about the verified loops, by query.
         matched: matched pixels of the rows whose images agree somewhere.
         curve: precision over recall of the recogniser; None without ground truth.
+        place_stages: what each stage of the recogniser reaches; None without ground truth.
+        reliability: how far its probabilities can be trusted; None without ground truth or probabilities.
         matrices: similarity matrices of the recogniser by stage, "similarity" and "filtered".
         odometry_covariances, corrected_covariances: (N, 6, 6) of right perturbations, rotation first (rad, m), the
             first pose fixed; None where they are not known.
@@ -166,6 +170,8 @@ class RunRecord:
     events: tuple[LoopEventRow, ...] = ()
     matched: tuple[MatchedPixels, ...] = ()
     curve: PrecisionRecall | None = None
+    place_stages: StageResults | None = None
+    reliability: Reliability | None = None
     matrices: Mapping[str, SimilarityMatrix] = field(default_factory=dict)
     odometry_covariances: Array | None = None
     corrected_covariances: Array | None = None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from odometry.stereo.stereo_self_calibration import Calibration
+from place_recognition.image_processing.image_masks import ImageMasks
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.datasets.dataset import Frame
@@ -80,6 +81,7 @@ class Components:
     """The interchangeable components of the system, built by `slam.components.build_components`."""
 
     odometry: VisualOdometry
+    masks: ImageMasks
     features: FeatureCache
     recognizer: PlaceRecognizer
     loop_closer: LoopVerifier
@@ -151,8 +153,11 @@ class Slam:
         self._num_frames = 0
 
     def describe(self, frame: Frame) -> Frame:
-        """Return the frame with its local features. Another thread may do this ahead of `process`."""
-        return frame.with_features(self.components.features.extractor)
+        """Return the frame with its mask and its local features; every frame once, in order.
+
+        Another thread may do this ahead of `process`.
+        """
+        return frame.with_features(self.components.features.extractor, self.components.masks)
 
     def process(self, frame: Frame) -> FrameResult:
         """Process the next frame of a dataset.
@@ -160,6 +165,7 @@ class Slam:
         Args:
             frame: the next frame: `frame.index` counts from 0 without gaps. Its features are extracted if it has none.
         """
+        frame = self._describe(frame)
         motion = self._track(frame)
         landmarks = self._extract_landmarks(frame)
         candidates = self._verify_all(self._recognize(frame))
@@ -209,11 +215,16 @@ class Slam:
                 self.components.graph.add_odometry(motion.T_previous_current, motion.covariance)
         self._num_frames += 1
 
-    def _extract_landmarks(self, frame: Frame) -> FrameLandmarks:
+    def _describe(self, frame: Frame) -> Frame:
         with self.timer.stage("features"):
-            features = self.describe(frame).features
-        assert features is not None
-        self.components.features.put(frame.index, features)
+            frame = self.describe(frame)
+        assert frame.features is not None
+        self.components.features.put(frame.index, frame.features)
+        if frame.mask is not None:
+            self.components.masks.confirm(frame.mask)
+        return frame
+
+    def _extract_landmarks(self, frame: Frame) -> FrameLandmarks:
         with self.timer.stage("landmarks"):
             return self.components.loop_closer.add_frame(frame.index, frame.left, frame.right)
 

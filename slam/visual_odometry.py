@@ -37,7 +37,7 @@ class StereoVisualOdometry:
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous pair."""
         assert frame.right is not None  # a run refuses datasets without right images
-        return self._odometry.track(frame.left, frame.right, frame.timestamp)
+        return self._odometry.track(frame.left, frame.right, frame.timestamp, frame.usable_pixels)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
         """Disparity (N,) by matching left and right."""
@@ -71,7 +71,7 @@ class MonocularVisualOdometry:
 
     def track(self, frame: Frame) -> Motion:
         """Motion since the previous left image."""
-        return self._odometry.track(frame.left, frame.timestamp)
+        return self._odometry.track(frame.left, frame.timestamp, frame.usable_pixels)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
         """Disparity (N,) by depth from motion, where that is about as accurate as a pair's."""

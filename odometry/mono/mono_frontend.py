@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+from odometry.klt_tracking import (
+    TrackingConfig,
+    detect_corners,
+    is_inside,
+    is_unmasked,
+    match_brightness,
+    track_points,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -56,15 +63,20 @@ class FollowedTracks:
 
 
 class MonoFrontEnd:
-    """Detects corners, numbers their tracks and follows them."""
+    """Detects corners, numbers their tracks and follows them.
+
+    Attributes:
+        mask: (H, W) uint8, 0 where the image shows no scene but the vehicle or a text; None for nowhere.
+    """
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config, self._count = config, 0
+        self.mask: Image | None = None
 
     def observe(self, image: Image, kept: MonoTracks | None = None) -> MonoTracks:
         """Make a reference frame of the points kept, topped up with new corners."""
         ids, pixels = (np.zeros(0, np.int64), np.zeros((0, 2))) if kept is None else (kept.ids, kept.pixels)
-        corners = detect_corners(image, pixels, self._config)
+        corners = detect_corners(image, pixels, self._config, self.mask)
         ids = np.concatenate([ids, self._count + np.arange(len(corners))])
         pixels = np.concatenate([pixels, corners])
         self._count += len(corners)
@@ -78,7 +90,7 @@ class MonoFrontEnd:
         start = np.where(visible[:, None], ahead, tracks.pixels)
         lit = match_brightness(tracks.image, image) if wide else image
         pixels = track_points((tracks.image, lit), tracks.pixels, start, config)
-        found = np.isfinite(pixels[:, 0])
+        found = np.isfinite(pixels[:, 0]) & is_unmasked(pixels, self.mask)
         there = MonoTracks(
             image.copy(), tracks.ids[found], pixels[found], tracks.reference_pixels[found], tracks.reference_image
         )

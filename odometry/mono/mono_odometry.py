@@ -109,17 +109,19 @@ class MonoOdometry:
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
 
-    def track(self, image: Image, timestamp: float | None = None) -> Motion:
+    def track(self, image: Image, timestamp: float | None = None, mask: Image | None = None) -> Motion:
         """Measure the motion since the previous image.
 
         Args:
             image: (H, W) uint8 of the camera's size.
             timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
+            mask: (H, W) uint8, 0 where the image does not show the scene; None if it shows it everywhere.
 
         Raises:
             ValueError: an image of another size or type.
         """
         self._check(image)
+        self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         first, self._unmeasured = self._unmeasured == 0 and self._reference is None, self._unmeasured + steps
         if first:

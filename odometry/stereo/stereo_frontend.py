@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+from odometry.klt_tracking import (
+    TrackingConfig,
+    detect_corners,
+    is_inside,
+    is_unmasked,
+    match_brightness,
+    track_points,
+)
 from odometry.stereo.sliding_window import StereoFrameObservations
 from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.stereo.stereo_self_calibration import Calibration
@@ -44,16 +51,22 @@ class StereoObservation:
 
 
 class StereoFrontEnd:
-    """Detects corners, numbers their tracks and follows them."""
+    """Detects corners, numbers their tracks and follows them.
+
+    Attributes:
+        mask: (H, W) uint8, 0 where the left image shows no scene but the vehicle or a text; None for nowhere. The
+            right image needs none: its points are sought from those of the left one.
+    """
 
     def __init__(self, tracking: TrackingConfig, matching: StereoMatchingConfig) -> None:
         self._tracking, self.matching = tracking, matching
         self._count = 0
+        self.mask: Image | None = None
 
     def observe(self, pair: Pair, kept: StereoFrameObservations | None = None) -> StereoObservation:
         """Observe a pair: the points kept, topped up with new corners that the right image shows as well."""
         kept = kept or StereoFrameObservations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-        corners = detect_corners(pair[0], kept.left, self._tracking)
+        corners = detect_corners(pair[0], kept.left, self._tracking, self.mask)
         places = match_right(*pair, corners, self.matching)
         matched = np.isfinite(places[:, 0])
         ids = self._count + np.arange(int(matched.sum()))
@@ -76,7 +89,7 @@ class StereoFrontEnd:
         second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
-        kept = np.flatnonzero(np.isfinite(start[:, 0]))
+        kept = np.flatnonzero(np.isfinite(start[:, 0]) & is_unmasked(second_left, self.mask))
         second_right = refine_right(pair, second_left[kept], start[kept], self.matching)
         matched = np.isfinite(second_right[:, 0])
         kept, second_right = kept[matched], second_right[matched]
@@ -86,7 +99,7 @@ class StereoFrontEnd:
         """Whether left and right image are swapped: whether far more points match the other way round."""
         counts = []
         for one, other in (pair, pair[::-1]):
-            corners = detect_corners(one, np.zeros((0, 2)), self._tracking)
+            corners = detect_corners(one, np.zeros((0, 2)), self._tracking, self.mask)
             shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
             counts.append(int((shifts > _MIN_CLEAR_DISPARITY_PX).sum()))
         return counts[1] > max(_MIN_SWAPPED, 3 * counts[0])

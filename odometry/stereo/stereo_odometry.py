@@ -89,18 +89,20 @@ class StereoOdometry:
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
 
-    def track(self, left: Image, right: Image, timestamp: float | None = None) -> Motion:
+    def track(self, left: Image, right: Image, timestamp: float | None = None, mask: Image | None = None) -> Motion:
         """Measure the motion since the previous pair.
 
         Args:
             left: (H, W) uint8 of the camera's size.
             right: of the same size, taken at the same time.
             timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
+            mask: (H, W) uint8, 0 where the left image does not show the scene; None if it shows it everywhere.
 
         Raises:
             ValueError: images of another size or type.
         """
         self._check(left, right)
+        self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         self._unmeasured += steps
         if self._reference is None:

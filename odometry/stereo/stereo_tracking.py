@@ -99,7 +99,7 @@ class StereoTracker:
 
     def _match_descriptors(self, search: "_Search") -> TrackingResult | None:
         """Track the pair by descriptors; None where they give no acceptable motion."""
-        tracks = match_descriptors(search.reference.pair, search.pair, self._front_end.matching)
+        tracks = match_descriptors(search.reference.pair, search.pair, self._front_end.matching, self._front_end.mask)
         result = self._check(search, tracks, search.guess)
         if result.estimate is None or self._stops_implausibly(search, result.estimate):
             return None
@@ -172,10 +172,12 @@ class _Search:
         return np.eye(4) if self.predicted is None else self.predicted.T_reference_current
 
 
-def match_descriptors(first: Pair, second: Pair, matching: StereoMatchingConfig) -> StereoTracks:
-    """Match points of two pairs of images (H, W) uint8, anywhere in them; there may be none."""
+def match_descriptors(
+    first: Pair, second: Pair, matching: StereoMatchingConfig, mask: Image | None = None
+) -> StereoTracks:
+    """Match points of two pairs of images (H, W) uint8, anywhere in them but where the mask is 0; there may be none."""
     sift = cv2.SIFT.create(_MAX_SIFT_FEATURES)
-    pixels, descriptors = zip(*(_describe(sift, pair[0]) for pair in (first, second)), strict=True)
+    pixels, descriptors = zip(*(_describe(sift, pair[0], mask) for pair in (first, second)), strict=True)
     if min(len(pixels[0]), len(pixels[1])) < 2:
         return _tracks(*(np.zeros((0, 2)) for _ in range(4)))
     index = _match_mutually(*descriptors)
@@ -190,9 +192,9 @@ def _tracks(first_left: Array, first_right: Array, second_left: Array, second_ri
     return StereoTracks(first_left, first_right, second_left, second_right, np.full(len(first_left), -1))
 
 
-def _describe(sift: cv2.SIFT, image: Image) -> tuple[Array, NDArray[np.float32]]:
+def _describe(sift: cv2.SIFT, image: Image, mask: Image | None) -> tuple[Array, NDArray[np.float32]]:
     """Pixels (N, 2) and descriptors (N, 128) of the SIFT features of an image (H, W) uint8."""
-    keypoints, descriptors = sift.detectAndCompute(image, None)
+    keypoints, descriptors = sift.detectAndCompute(image, mask)
     pixels = np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)
     return pixels, np.zeros((0, 128), np.float32) if descriptors is None else descriptors
 

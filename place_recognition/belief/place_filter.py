@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 # Steps by which the earlier pass advances for each step of this pass; negative where it is driven backwards.
 _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
-_MAX_LOG_RATIO_ELSEWHERE = 4.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
+_MAX_LOG_RATIO_ELSEWHERE = 4.5  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
 _MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
 _SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
@@ -50,7 +50,7 @@ class PlaceFilterConfig:
         min_probability: smallest probability of an accepted match.
     """
 
-    begin_probability: float = 0.001
+    begin_probability: float = 0.0003
     end_probability: float = 0.02
     miss_probability: float = 0.16
     location_sigma_frames: float = 2.5
@@ -244,4 +244,6 @@ def _speed_changes() -> Array:
 
 
 _MOVE_PROBABILITIES, _SPEED_CHANGES = _move_probabilities(), _speed_changes()
-_BIRTH_SPEEDS = np.where(_SPEEDS > 0, 2.0, 1.0) / np.where(_SPEEDS > 0, 2.0, 1.0).sum()  # most passes go forwards
+# Revisits begin with a view from elsewhere, as a street is seen before it is entered; most passes go forwards.
+_BIRTH_WEIGHTS = np.where(_SPEEDS == 0, 8.0, np.where(_SPEEDS > 0, 2.0, 1.0))
+_BIRTH_SPEEDS = _BIRTH_WEIGHTS / _BIRTH_WEIGHTS.sum()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.candidate_verification import CandidateVerificationConfig, verify_pair
+from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.matching import match_pairs
 from place_recognition.map.image_history import ImageHistory
@@ -22,6 +22,7 @@ _MAX_STEPS = 4
 # Images for which something may hide the whole view, as a lorry does, and the view goes on afterwards.
 _MAX_HIDDEN = 30
 
+_MAX_RATIO = 0.8  # of nearest to second nearest descriptor distance, as in the verification of candidates
 _STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
 _STEP_SHARE = 0.0025  # displacement of the features by which it has, as a share of the image width
 
@@ -38,7 +39,8 @@ class PresentViewConfig:
         min_features: an image with fewer features shows nothing, and does not end the view.
         exclusion_frames: images nearer than this to the newest one are never matched either; 0 leaves it to the view.
             For comparisons with papers, which exclude a time.
-        verification: how two images are compared.
+        compared_features: number of strongest features of each image that are compared for this.
+        epipolar: settings of the fundamental matrix.
     """
 
     min_gap_frames: int = 5
@@ -46,7 +48,8 @@ class PresentViewConfig:
     min_inliers: int = 12
     min_features: int = 30
     exclusion_frames: int = 0
-    verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
+    compared_features: int = 250
+    epipolar: EpipolarConfig = field(default_factory=EpipolarConfig)
 
 
 class PresentView:
@@ -90,8 +93,10 @@ class PresentView:
             self._begin += 1
 
     def _agree(self, newest: int, location: int) -> bool:
-        result = verify_pair(self._history.images, newest, location, self.config.verification)
-        return result.inliers >= self.config.min_inliers
+        now, then = (self._history.images[k].strongest(self.config.compared_features) for k in (newest, location))
+        pairs = match_pairs(now.quantized, then.quantized, _MAX_RATIO)
+        mask = epipolar_inliers(now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], self.config.epipolar)
+        return mask is not None and int(mask.sum()) >= self.config.min_inliers
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
@@ -156,7 +161,7 @@ class CameraSteps:
 
     def _has_moved(self, first: int, location: int) -> bool:
         now, then = (self._history.images[k].strongest(_STEP_FEATURES) for k in (location, first))
-        pairs = match_pairs(now.quantized, then.quantized, 0.8)
+        pairs = match_pairs(now.quantized, then.quantized, _MAX_RATIO)
         if len(pairs) < _STEP_FEATURES // 10:
             return True
         shift = np.linalg.norm(now.pixels[pairs[:, 0]] - then.pixels[pairs[:, 1]], axis=1)

@@ -53,6 +53,12 @@ class PrecisionRecall:
         return float(np.sum(self.precision * np.diff(self.recall, prepend=0.0)))
 
     @property
+    def area_under_curve(self) -> float:
+        """Area under straight lines between the points; precision from recall 0 to the first point is that point's."""
+        before = np.concatenate([self.precision[:1], self.precision[:-1]])
+        return float(np.sum((before + self.precision) / 2 * np.diff(self.recall, prepend=0.0)))
+
+    @property
     def _clean(self) -> int | None:
         clean = np.flatnonzero(self.false_positives == 0)
         return int(clean[-1]) if len(clean) else None

@@ -61,10 +61,13 @@ class Brief:
             fastThreshold=self.config.min_contrast,
         )
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none.
+
+        A mask (H, W) leaves out the pixels where it is 0.
+        """
         check_gray(image)
-        points = self._fast.detect(image) if min(image.shape) > PATCH_PX + 1 else ()
+        points = self._fast.detect(image, mask) if min(image.shape) > PATCH_PX + 1 else ()
         responses = np.array([point.response for point in points], np.float32)
         kept = np.argsort(-responses, kind="stable")[: self.config.max_features]
         pixels = np.array([points[k].pt for k in kept], np.float32).reshape(-1, 2)

@@ -42,8 +42,11 @@ class FeatureExtractor(Protocol):
         """Name of the descriptor, with every setting that makes descriptors incomparable."""
         ...
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a grey image (H, W) uint8; an image without structure has none, and is no error."""
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
+        """Extract the features of a grey image (H, W) uint8; an image without structure has none, and is no error.
+
+        A mask (H, W) leaves out the pixels where it is 0, before the strongest features are chosen.
+        """
         ...
 
 
@@ -76,6 +79,15 @@ class FeatureCache:
         if self._latest is None or self._latest[0] != image_id:
             self._latest = (image_id, self._extractor.extract(image))
         return self._latest[1]
+
+
+def is_unmasked(pixels: NDArray[np.generic], mask: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
+    """Whether each of the pixels (N, 2), x right and y down, is one where the mask (H, W) is not 0."""
+    if mask is None:
+        return np.ones(len(pixels), bool)
+    column, row = np.rint(pixels).astype(np.intp).T
+    height, width = mask.shape
+    return np.asarray(mask[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] != 0)
 
 
 def check_gray(image: NDArray[np.uint8]) -> None:

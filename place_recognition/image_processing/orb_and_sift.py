@@ -59,10 +59,13 @@ class Orb:
             patchSize=ORB_PATCH_PX,
         )
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none.
+
+        A mask (H, W) leaves out the pixels where it is 0.
+        """
         check_gray(image)
-        points, described = self._orb.detectAndCompute(image, None) if min(image.shape) > ORB_PATCH_PX else ((), None)
+        points, described = self._orb.detectAndCompute(image, mask) if min(image.shape) > ORB_PATCH_PX else ((), None)
         descriptors = unpack_bits(np.empty((0, ORB_BITS // 8), np.uint8) if described is None else described)
         # the circle of comparisons ends at about three sigmas of the smoothing that a blob of its size would need
         found = convert_keypoints(points, descriptors, sigmas_per_size=1 / 6)
@@ -101,12 +104,16 @@ class Sift:
             enable_precise_upscale=True,
         )
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none.
+
+        A mask (H, W) leaves out the pixels where it is 0.
+        """
         check_gray(image)
         size = [max(round(side / self.config.shrink_factor), 1) for side in image.shape[::-1]]
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        points, described = self._sift.detectAndCompute(small, None)
+        small_mask = None if mask is None else cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST)
+        points, described = self._sift.detectAndCompute(small, small_mask)
         if len(points) == 0:
             described = np.empty((0, 128), np.float32)
         lengths = np.linalg.norm(described, axis=1, keepdims=True)

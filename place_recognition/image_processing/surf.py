@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
-from place_recognition.image_processing.local_features import LocalFeatures, check_gray
+from place_recognition.image_processing.local_features import LocalFeatures, check_gray, is_unmasked
 from place_recognition.image_processing.surf_descriptor_kernels import cell_weights, describe_oriented, describe_upright
 from place_recognition.image_processing.surf_detector_kernels import deinterleave, find_blobs
 
@@ -56,20 +56,24 @@ class Surf:
         """Name of the descriptor; upright and oriented ones cannot be compared."""
         return "surf-64" if self.config.oriented else "surf-upright-64"
 
-    def extract(self, image: NDArray[np.uint8]) -> LocalFeatures:
-        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none."""
+    def extract(self, image: NDArray[np.uint8], mask: NDArray[np.uint8] | None = None) -> LocalFeatures:
+        """Extract the features of a grey image (H, W) uint8, strongest first; a blank or tiny one has none.
+
+        A mask (H, W) leaves out the pixels where it is 0.
+        """
         check_gray(image)
         integral = cv2.integral(image)
-        blobs = self._find_blobs(integral)
+        blobs = self._find_blobs(integral, mask)
         descriptors = self._describe(integral, blobs[:, :3], self._weights)
         keep = descriptors.any(axis=1)  # perfectly even surroundings have nothing to describe
         blobs = blobs[keep]
         return LocalFeatures(blobs[:, :2].copy(), blobs[:, 2].copy(), blobs[:, 3].copy(), descriptors[keep])
 
-    def _find_blobs(self, integral: Ints) -> Floats:
-        """Find the strongest blobs, strongest first: (N, 4) x, y and scale in pixels, determinant."""
+    def _find_blobs(self, integral: Ints, mask: NDArray[np.uint8] | None) -> Floats:
+        """Find the strongest unmasked blobs, strongest first: (N, 4) x, y and scale in pixels, determinant."""
         shape = (integral.shape[0] - 1, integral.shape[1] - 1)
         found = np.concatenate([self._find_in_octave(integral, octave) for octave in range(self.config.octaves)])
+        found = found[is_unmasked(found[:, :2], mask)]
         return found[select_strongest(found[:, :2], found[:, 3], shape, self.config.max_features, self.config.spread)]
 
     def _find_in_octave(self, integral: Ints, octave: int) -> Floats:

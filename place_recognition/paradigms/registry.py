@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.belief.candidate_verification import CandidateVerificationConfig
+from place_recognition.belief.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.belief.present_view import FixedWindow, PresentView, PresentViewConfig
@@ -193,7 +193,8 @@ def _stages(
 ) -> PlaceRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
     if config.preset == "published" and name in published.DECISIONS:
-        exact = replace(verification, max_candidates=1, refine_radius=0)
+        epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
+        exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)
         window = FixedWindow(history, config.view.exclusion_frames)
         decision: Decision = PublishedDecision(history, published.DECISIONS[name])
         return StagedRecognizer(features, history, window, proposer, decision, exact)

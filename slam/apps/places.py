@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +11,19 @@ from rich.console import Console
 
 from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion
 from place_recognition.recognizer import Belief
-from slam.components import check_features, check_paradigm
+from slam.components import check_features, check_paradigm, read_mask
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError
+from slam.evaluation.place_stages import DriveData
 from slam.evaluation.revisit_truth_files import (
     RevisitTruth,
     check_truth_size,
     read_revisit_truth,
     revisit_truth_from_poses,
 )
+from slam.evaluation.trajectory_errors import distances_along
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
 from slam.pipeline.place_recognition import (
@@ -28,12 +31,15 @@ from slam.pipeline.place_recognition import (
     PlacesRecord,
     RecognizerFactory,
     make_record,
-    make_summary,
     run_recognizer,
     write_results,
 )
+from slam.pipeline.places_summary import make_summary
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
+
+# They use no features, so there is nothing that a mask could leave out.
+WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor")
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,7 @@ class PlacesOptions:
         overwrite: whether to replace earlier results.
         format: format of the source; None to detect it.
         topics: topics of the left camera in a bag; empty to detect them.
+        mask: image of the camera's size, black where features are left out; None for none.
     """
 
     source: Path
@@ -71,6 +78,7 @@ class PlacesOptions:
     overwrite: bool = False
     format: str | None = None
     topics: tuple[str, ...] = ()
+    mask: Path | None = None
 
     @property
     def recording(self) -> DatasetSpec:
@@ -84,6 +92,11 @@ def check_options(options: PlacesOptions) -> None:
     check_features(options.features)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
+    if options.mask is not None and options.paradigm in WHOLE_IMAGE_PARADIGMS:
+        raise ConfigError(
+            f"--mask: expected a paradigm of local features, found {options.paradigm}, which compares whole images;"
+            " leave the option out or choose another paradigm"
+        )
 
 
 def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
@@ -118,8 +131,9 @@ def recognize_images(
     """
     config = _config(options, images)
     with RunFolder.create(options.out, options.overwrite) as folder:
-        run = _run(options, config, images, messages)
-        record = make_record(run, truth, provenance(options.source, images.name) | _settings(options))
+        run = _run(options, config, images, truth, messages)
+        origin = provenance(options.source, images.name) | _settings(options)
+        record = make_record(run, truth, _drive_data(images, truth), origin)
         write_results(folder.path, record)
         folder.commit()
     return record
@@ -142,26 +156,50 @@ def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> Revisi
 
 
 def drop_recent_matches(beliefs: Sequence[Belief], images: ImageDataset, min_age_s: float | None) -> list[Belief]:
-    """Replace beliefs whose match is less than `min_age_s` older than the query by beliefs without match."""
+    """Replace beliefs whose match is less than `min_age_s` older than the query by beliefs without match.
+
+    Candidates that are too recent are left out as well.
+    """
     times = images.timestamps
     if min_age_s is None or times is None:
         return list(beliefs)
-    recent = [b.match is not None and times[b.query] - times[b.match] < min_age_s for b in beliefs]
-    return [Belief(b.query, None, 0.0, accepted=False) if r else b for b, r in zip(beliefs, recent, strict=True)]
+
+    def old_enough(query: int, match: int) -> int | None:
+        return match if times[query] - times[match] >= min_age_s else None
+
+    kept = []
+    for belief in beliefs:
+        stages = belief.stages.renumber(partial(old_enough, belief.query))
+        if belief.match is None or old_enough(belief.query, belief.match) is not None:
+            kept.append(replace(belief, stages=stages))
+        else:
+            kept.append(Belief(belief.query, None, 0.0, False, stages=stages, answered_at=belief.answered_at))
+    return kept
+
+
+def _drive_data(images: ImageDataset, truth: RevisitTruth) -> DriveData:
+    path_lengths_m = truth.path_lengths_m
+    if path_lengths_m is None and images.ground_truth is not None:
+        path_lengths_m = distances_along(images.ground_truth)
+    return DriveData(images.timestamps, path_lengths_m)
 
 
 def _run(
-    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, messages: Console
+    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, truth: RevisitTruth, messages: Console
 ) -> PlaceRecognitionRun:
     import cv2
 
-    factory = RecognizerFactory(options.paradigm, config)
+    mask = None if options.mask is None else read_mask(options.mask, images[0].shape)
+    # Without truth the control can be compared with nothing.
+    control_seed = None if truth.matrix is None else options.seed
+    factory = RecognizerFactory(options.paradigm, config, control_seed, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
         run = run_recognizer(images, factory, progress, lambda: stop.requested)
     if run.interrupted:
         messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
-    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude))
+    control = None if run.control is None else drop_recent_matches(run.control, images, options.exclude)
+    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude), control=control)
 
 
 def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
@@ -172,6 +210,7 @@ def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
     config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
+    config = replace(config, seed=options.seed)
     if not options.exclude or len(images) < 2:
         return config
     if images.timestamps is None:
@@ -197,4 +236,5 @@ def _print(record: PlacesRecord, out: Path, results: Console, json: bool) -> Non
         results.print(metrics_text(record.metrics), markup=False, highlight=False, soft_wrap=True)
         return
     results.print(make_summary(record))
-    results.print(f"Pictures: {out / 'precision_recall.png'}, {out / 'matrix.png'}", markup=False, highlight=False)
+    pictures = ", ".join(str(out / name) for name in ("precision_recall.png", "stages.png", "matrix.png"))
+    results.print(f"Pictures: {pictures}", markup=False, highlight=False)

@@ -74,6 +74,15 @@ Settings = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
+Mask = Annotated[
+    Path | None,
+    typer.Option(
+        "--mask",
+        help="Image of the camera's size, black where it does not show the scene, such as on the bonnet.",
+        show_default="static parts are found",
+        rich_help_panel=INPUT,
+    ),
+]
 Vocabulary = Annotated[
     Path | None,
     typer.Option(

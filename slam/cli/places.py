@@ -18,6 +18,7 @@ def places(
     dataset_format: option.Format = None,
     fps: option.FrameRate = None,
     image_topic: option.ImageTopic = None,
+    mask: option.Mask = None,
     ground_truth: option.PlacesTruth = None,
     features: option.PlacesFeatures = "surf",
     vocabulary: option.Vocabulary = None,
@@ -48,6 +49,7 @@ def places(
         overwrite=overwrite,
         format=dataset_format,
         topics=tuple(image_topic or ()),
+        mask=mask,
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)

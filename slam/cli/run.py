@@ -75,6 +75,7 @@ def run(
     dataset_format: option.Format = None,
     fps: option.FrameRate = None,
     image_topic: option.ImageTopic = None,
+    mask: option.Mask = None,
     config: option.Settings = None,
     map_file: option.EarlierMap = None,
     resume: option.Resume = False,
@@ -105,6 +106,7 @@ def run(
     options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
     settings: dict[str, object] = {"paradigm": paradigm, "features": features, "descriptor": descriptor}
     settings |= {"vocabulary": None if vocabulary is None else str(vocabulary), "robust": robust, "seed": seed}
+    settings |= {"mask": None if mask is None else str(mask)}
     settings |= {"mono": mono or None, "camera_height": camera_height}
     settings |= {"save_recording": False if no_record else None, "save_map": False if no_map else None}
     interrupted = run_pipeline(options, _given(settings), Console(stderr=True), Console())

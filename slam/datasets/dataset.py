@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
+from place_recognition.image_processing.image_masks import ImageMask, ImageMasks
 from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
 from slam.errors import ConfigError, DataError
 
@@ -30,6 +31,7 @@ class Frame:
         left: (H, W) uint8, grey, rectified.
         right: (H, W) uint8, or None in a dataset with one camera.
         features: local features of the left image; None until they are extracted.
+        mask: which pixels of the left image were left out of them; None until they are extracted.
     """
 
     index: int
@@ -37,10 +39,24 @@ class Frame:
     left: NDArray[np.uint8]
     right: NDArray[np.uint8] | None
     features: LocalFeatures | None = None
+    mask: ImageMask | None = None
 
-    def with_features(self, extractor: FeatureExtractor) -> "Frame":
-        """Return the frame with the features of its left image; itself where it has them."""
-        return self if self.features is not None else replace(self, features=extractor.extract(self.left))
+    @property
+    def usable_pixels(self) -> NDArray[np.uint8] | None:
+        """(H, W) uint8, 0 where the left image is left out of features and odometry; None if it is used everywhere."""
+        return None if self.mask is None else self.mask.pixels
+
+    def with_features(self, extractor: FeatureExtractor, masks: ImageMasks | None = None) -> "Frame":
+        """Return the frame with the features of its left image; itself where it has them.
+
+        The masks, if any, see each frame once, in order, and say where its features may lie.
+        """
+        if self.features is not None:
+            return self
+        if masks is None:
+            return replace(self, features=extractor.extract(self.left))
+        mask = masks.observe(self.left)
+        return replace(self, features=extractor.extract(self.left, mask.pixels), mask=mask)
 
 
 class Dataset(Protocol):

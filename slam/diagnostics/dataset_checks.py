@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.image_processing.image_masks import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format
@@ -24,6 +25,7 @@ from slam.diagnostics.sensor_checks import (
     check_camera,
     check_images,
     check_rectification,
+    check_static_area,
     check_timestamps,
     measure_image,
 )
@@ -47,12 +49,16 @@ class _Samples:
         images: statistics of all sampled left images.
         successors: those of them whose predecessor was sampled too.
         pairs: some pairs of left and right images.
+        masks: masks of the sampled images, which know what is static in them.
+        static_ratio: static share of the last of them.
         fault: message of the first image that cannot be read; empty if there is none.
     """
 
     images: list[ImageStatistics] = field(default_factory=list)
     successors: list[ImageStatistics] = field(default_factory=list)
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
+    masks: ImageMasks = field(default_factory=ImageMasks)
+    static_ratio: float = 0.0
     fault: str = ""
 
 
@@ -124,6 +130,7 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
             seen.fault = str(error)
             return seen
         follows = before is not None and index == last + 1
+        seen.static_ratio = seen.masks.observe(left).static_ratio
         seen.images.append(measure_image(left, before if follows else None))
         if follows:
             seen.successors.append(seen.images[-1])
@@ -144,7 +151,9 @@ def _sample_indices(count: int) -> list[int]:
 
 def _check_samples(seen: _Samples) -> list[Finding]:
     faults = [report_fault("images", seen.fault, ALL_USES)] if seen.fault else []
-    return faults + (check_images(seen.images, seen.successors) if seen.images else [])
+    if not seen.images:
+        return faults
+    return [*faults, *check_images(seen.images, seen.successors), check_static_area(seen.static_ratio)]
 
 
 def _check_count(count: int, things: str) -> Finding:

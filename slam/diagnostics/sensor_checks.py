@@ -31,6 +31,7 @@ _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
 _MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
 _MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
 _MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
+_MAX_STATIC_RATIO = 0.005  # of the image area, that is no bonnet or text
 _HARMLESS_SHARE = 0.05  # of the images
 # Timestamps.
 _PAUSE_RATIO = 3.0  # a pause is a step longer than this many median steps
@@ -180,6 +181,15 @@ def check_images(images: Sequence[ImageStatistics], successors: Sequence[ImageSt
             "repetitions", [image.is_repeated for image in successors], "the same as the one before: remove the copies"
         ),
     ]
+
+
+def check_static_area(ratio: float) -> Finding:
+    """Report the share of the image area that never changes while the camera moves."""
+    text = f"{ratio:.1%} of the image area never changes while the camera moves"
+    if ratio > _MAX_STATIC_RATIO:
+        advice = "found and left out while driving; a bonnet or a text that is known is left out at once with --mask"
+        return report_warning("static parts", f"{text}: {advice}", ratio=ratio)
+    return report_ok("static parts", text, ratio=ratio)
 
 
 def _check_sizes(images: Sequence[ImageStatistics]) -> Finding:

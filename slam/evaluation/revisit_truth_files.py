@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, load_truth, truth_from_poses
 from slam.errors import ConfigError, DataError
+from slam.evaluation.trajectory_errors import distances_along
 from slam.io.trajectory_files import read_trajectory
 
 MATRIX_SUFFIXES = (".mat", ".npz")
@@ -20,10 +21,12 @@ class RevisitTruth:
     Attributes:
         matrix: (N, N) bool, row = query, column = earlier image; None if there is no ground truth.
         origin: description of the source for people, with the rule if one was applied.
+        path_lengths_m: (N,) length of the true path from the first image, metres; None if the poses are not known.
     """
 
     matrix: NDArray[np.bool_] | None
     origin: str
+    path_lengths_m: NDArray[np.float64] | None = None
 
     @property
     def required_matrix(self) -> NDArray[np.bool_]:
@@ -73,7 +76,8 @@ def revisit_truth_from_poses(
         times: (N,) seconds, for a rule with a minimum time.
     """
     rule = rule or RevisitRule()
-    return RevisitTruth(truth_from_poses(poses, times, rule), f"{origin} under {describe_rule(rule)}")
+    matrix = truth_from_poses(poses, times, rule)
+    return RevisitTruth(matrix, f"{origin} under {describe_rule(rule)}", distances_along(poses))
 
 
 def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:

@@ -9,23 +9,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall
-from place_recognition.recognizer import Belief
+from place_recognition.recognizer import Belief, StageScores
 from slam.errors import DataError
 from slam.io.files import atomic_writer
 from slam.io.frames_and_loops_csv import write_table
 
-MATCH_COLUMNS = ("query", "match", "score", "accepted", "inliers", "verified")
+MATCH_COLUMNS = (
+    "query",
+    "match",
+    "score",
+    "accepted",
+    "inliers",
+    "verified",
+    "probability",
+    "candidates",
+    "own_score",
+    "geometry_match",
+    "geometry_score",
+    "answered_at",
+)
 CURVE_COLUMNS = ("threshold", "precision", "recall", "true_positives", "false_positives")
 _NEEDED = MATCH_COLUMNS[:3]
 
 
 def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
-    """Write matches.csv, a line for each belief; a missing match and uncounted inliers are empty cells.
+    """Write matches.csv, a line for each belief; what is missing or not known is an empty cell.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    write_table(path, MATCH_COLUMNS, ([getattr(belief, name) for name in MATCH_COLUMNS] for belief in beliefs))
+    write_table(path, MATCH_COLUMNS, map(_row, beliefs))
 
 
 def write_curve(path: Path, curve: PrecisionRecall | None) -> None:
@@ -54,11 +67,12 @@ def write_matrix(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 def read_matches(path: Path) -> tuple[Belief, ...]:
     """Read beliefs, by query, from matches.csv or any table with the columns query, match and score.
 
-    A table without the column accepted or verified counts all its matches as such.
+    A table without the column accepted or verified counts all its matches as such; what the other columns hold is not
+    known where they are missing.
 
     Raises:
-        DataError: the file is missing, columns are missing, a cell is not a number, a match is not earlier than its
-            query, or a query has two lines.
+        DataError: the file is missing, columns are missing, a cell is not a number, a match or candidate is not earlier
+            than its query, an answer is, or a query has two lines.
     """
     beliefs: dict[int, Belief] = {}
     for number, row in _rows(path):
@@ -88,39 +102,92 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     return rows
 
 
+def _row(belief: Belief) -> list[object]:
+    stages = belief.stages
+    return [
+        *(getattr(belief, name) for name in MATCH_COLUMNS[:7]),
+        " ".join(map(str, stages.candidates)),
+        stages.own_score,
+        stages.geometry_match,
+        stages.geometry_score,
+        belief.answered_at,
+    ]
+
+
 def _belief(where: str, row: dict[str, str]) -> Belief:
-    query, match = _index(where, row, "query"), _index(where, row, "match") if row["match"] else None
-    if match is not None and match >= query:
-        raise DataError(f"{where}: expected a match earlier than query {query}, found {match}; swap or correct them")
+    query = _index(where, row, "query")
+    match, answered_at = _earlier(where, row, "match", query), _optional_index(where, row, "answered_at")
+    if answered_at is not None and answered_at < query:
+        raise DataError(f"{where}: expected answered_at from query {query} on, found {answered_at}; correct that line")
     verified = _truth_value(where, row, "verified")
     return Belief(
         query=query,
         match=match,
-        score=_score(where, row["score"]) if match is not None else 0.0,
+        score=_number(where, row, "score") if match is not None else 0.0,
         accepted=match is not None and verified and _truth_value(where, row, "accepted"),
-        inliers=_index(where, row, "inliers") if row.get("inliers") else None,
+        inliers=_optional_index(where, row, "inliers"),
         verified=verified,
+        probability=_probability(where, row),
+        stages=StageScores(
+            candidates=tuple(
+                _check_earlier(where, "candidate", _whole(where, "candidates", cell), query)
+                for cell in (row.get("candidates") or "").split()
+            ),
+            own_score=_number(where, row, "own_score") if row.get("own_score") else None,
+            geometry_match=_earlier(where, row, "geometry_match", query),
+            geometry_score=_number(where, row, "geometry_score") if row.get("geometry_score") else None,
+        ),
+        answered_at=answered_at,
     )
 
 
+def _earlier(where: str, row: dict[str, str], name: str, query: int) -> int | None:
+    """Read the id of an image earlier than the query; None for an empty cell."""
+    found = _optional_index(where, row, name)
+    return None if found is None else _check_earlier(where, name, found, query)
+
+
+def _check_earlier(where: str, name: str, found: int, query: int) -> int:
+    if found >= query:
+        raise DataError(f"{where}: expected a {name} earlier than query {query}, found {found}; swap or correct them")
+    return found
+
+
+def _optional_index(where: str, row: dict[str, str], name: str) -> int | None:
+    return _index(where, row, name) if row.get(name) else None
+
+
 def _index(where: str, row: dict[str, str], name: str) -> int:
+    return _whole(where, name, row[name])
+
+
+def _whole(where: str, name: str, cell: str) -> int:
     try:
-        value = float(row[name])  # other programs write 12.0
+        value = float(cell)  # other programs write 12.0
     except ValueError:
         value = -1.0
     if not (value >= 0 and math.isfinite(value) and value.is_integer()):
-        raise DataError(f"{where}: expected {name} to be a whole number from 0, found {row[name]!r}; correct that line")
+        raise DataError(f"{where}: expected {name} to be a whole number from 0, found {cell!r}; correct that line")
     return int(value)
 
 
-def _score(where: str, cell: str) -> float:
+def _probability(where: str, row: dict[str, str]) -> float | None:
+    if not row.get("probability"):
+        return None
+    value = _number(where, row, "probability")
+    if not 0.0 <= value <= 1.0:
+        raise DataError(f"{where}: expected a probability from 0 to 1, found {value:g}; correct that line")
+    return value
+
+
+def _number(where: str, row: dict[str, str], name: str) -> float:
     try:
-        score = float(cell)
+        value = float(row[name])
     except ValueError:
-        score = math.nan
-    if not math.isfinite(score):
-        raise DataError(f"{where}: expected a finite score, found {cell!r}; correct that line")
-    return score
+        value = math.nan
+    if not math.isfinite(value):
+        raise DataError(f"{where}: expected a finite {name}, found {row[name]!r}; correct that line")
+    return value
 
 
 def _truth_value(where: str, row: dict[str, str], name: str) -> bool:

@@ -21,7 +21,7 @@ trajectory_odometry.txt trajectory_online.txt trajectory_corrected.txt
 trajectory_odometry.tum trajectory_online.tum trajectory_corrected.tum
 pose_graph_before.g2o pose_graph_after.g2o map_before.ply map_after.ply landmarks.npz
 dense_before.ply dense_after.ply mesh_before.ply mesh_after.ply occupancy.png occupancy.yaml
-matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png optimized.g2o edges.csv
+matches.csv matrix.npz matrix.png precision_recall.csv precision_recall.png stages.png optimized.g2o edges.csv
 dense.html dense.rrd
 """
 RESULTS = frozenset(_RESULTS.split())

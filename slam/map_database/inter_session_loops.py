@@ -145,10 +145,10 @@ def components_in_session(components: Components, start: SessionStart) -> Compon
 
 def belief_in_session(belief: Belief, first_image: int) -> Belief:
     """A belief in the numbers of a session; without its match where that is an image of an earlier session."""
-    query = belief.query - first_image
-    if belief.match is not None and belief.match < first_image:
-        return Belief(query, None, 0.0, accepted=False)
-    return replace(belief, query=query, match=None if belief.match is None else belief.match - first_image)
+    shifted = _renumber_belief(belief, -first_image)
+    if shifted.match is None or shifted.match >= 0:
+        return shifted
+    return Belief(shifted.query, None, 0.0, accepted=False, stages=shifted.stages, answered_at=shifted.answered_at)
 
 
 def frame_in_session(record: FrameRecord, first_image: int) -> FrameRecord:
@@ -166,10 +166,23 @@ def loop_in_session(record: LoopRecord, first_image: int) -> LoopRecord:
 
 def loop_in_map(candidate: LoopCandidate, at_image: int | None, first_image: int) -> LoopRecord:
     """A loop of a session in the numbers of the map; `at_image` is one of the map already."""
-    belief = candidate.belief
-    match = None if belief.match is None else belief.match + first_image
-    belief = replace(belief, query=belief.query + first_image, match=match)
+    belief = _renumber_belief(candidate.belief, first_image)
     return LoopRecord(at_image, belief, _renumber_geometry(candidate.geometry, first_image))
+
+
+def _renumber_belief(belief: Belief, offset: int) -> Belief:
+    """Shift all ids of a belief; candidates of an earlier session are left out."""
+
+    def shift(image: int) -> int | None:
+        return image + offset if image + offset >= 0 else None
+
+    return replace(
+        belief,
+        query=belief.query + offset,
+        match=None if belief.match is None else belief.match + offset,
+        stages=belief.stages.renumber(shift),
+        answered_at=None if belief.answered_at is None else belief.answered_at + offset,
+    )
 
 
 def _renumber_geometry(geometry: LoopVerification, offset: int) -> LoopVerification:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.motion import Motion
-from place_recognition.recognizer import Belief
+from place_recognition.recognizer import Belief, StageScores
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.loop_closing.relative_pose import ScaleRatio
@@ -61,6 +61,7 @@ def loop_row(number: int, loop: LoopRecord) -> dict[str, Any]:
         "accepted": bool(belief.accepted),
         "inliers": None if belief.inliers is None else int(belief.inliers),
         "verified": bool(belief.verified),
+        "stages": json.dumps(_stages(belief)),
         "pixels": pack(belief.pixels, "<f4"),
         "outcome": "" if geometry is None else "rejected" if closed is None else "closed",
         "geometry": json.dumps(_details(geometry)),
@@ -110,6 +111,7 @@ def read_landmarks(row: sqlite3.Row) -> FrameLandmarks:
 
 def read_loop(row: sqlite3.Row) -> LoopRecord:
     """A loop record from its row."""
+    stages = json.loads(row["stages"])
     belief = Belief(
         query=row["query"],
         match=row["match"],
@@ -118,8 +120,28 @@ def read_loop(row: sqlite3.Row) -> LoopRecord:
         inliers=row["inliers"],
         verified=bool(row["verified"]),
         pixels=unpack(row["pixels"], "<f4", -1, 4),
+        probability=stages.pop("probability"),
+        answered_at=stages.pop("answered_at"),
+        stages=StageScores(tuple(stages.pop("candidates")), **stages),
     )
     return LoopRecord(row["at_image"], belief, _geometry(row))
+
+
+def _stages(belief: Belief) -> dict[str, Any]:
+    scores = belief.stages
+    return {
+        "probability": _plain(belief.probability, float),
+        "answered_at": _plain(belief.answered_at, int),
+        "candidates": [int(image) for image in scores.candidates],
+        "own_score": _plain(scores.own_score, float),
+        "geometry_match": _plain(scores.geometry_match, int),
+        "geometry_score": _plain(scores.geometry_score, float),
+    }
+
+
+def _plain(value: float | None, kind: type[float]) -> float | None:
+    """A number as JSON knows it: recognisers may answer with numbers of NumPy."""
+    return None if value is None else kind(value)
 
 
 def _details(geometry: LoopVerification) -> dict[str, Any]:

@@ -243,6 +243,7 @@ def system_state(components: Components, matrix: MatrixRecorder) -> dict[str, An
     """State of what changes with each image and cannot be rebuilt from frame records, for a checkpoint."""
     return {
         "odometry": components.odometry.state(),
+        "masks": components.masks.state(),
         "recognizer": components.recognizer.state(),
         "key_frames": components.key_frames.state(),
         "similarity_matrix": matrix.state(),
@@ -262,6 +263,7 @@ def _restore_checkpoint(store: MapDatabase, session: Session, components: Compon
     if own is not None:
         with store.reading():
             components.odometry.restore(own.state["odometry"])
+            components.masks.restore(own.state["masks"])
             components.recognizer.restore(own.state["recognizer"])
             components.key_frames.restore(own.state["key_frames"])
             matrix.restore(own.state["similarity_matrix"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slam.errors import DataError, OutputError
 
-VERSION = 2
+VERSION = 3
 APPLICATION = 0x52565354  # "RVST": marks Revisit's files among other SQLite files
 _BUSY_S = 5.0  # longest wait for another reader or writer
 
@@ -58,6 +58,7 @@ CREATE TABLE loop (
     accepted INTEGER NOT NULL,
     inliers INTEGER,
     verified INTEGER NOT NULL,
+    stages TEXT NOT NULL,                 -- JSON: probability, answered_at, and what each earlier stage answered
     pixels BLOB NOT NULL,                 -- (K, 4) float32
     outcome TEXT NOT NULL,                -- '' of a belief that was not accepted, 'closed' or 'rejected' by geometry
     geometry TEXT NOT NULL,               -- JSON: reason, matches, inliers, unit

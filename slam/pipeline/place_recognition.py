@@ -5,19 +5,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.markup import escape
-from rich.table import Table
 
 from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
+from place_recognition.image_processing.image_masks import ImageMasks, MaskedExtractor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
+from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
-from slam.components import build_recognizer
+from slam.components import build_control, build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
 from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
+from slam.evaluation.place_stages import DriveData
 from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
 from slam.io.metrics import write_metrics
@@ -41,16 +43,22 @@ class PlaceRecognitionRun:
         stage_ms: milliseconds of each stage, one entry per image.
         rows: rows of the similarity matrices.
         size: size of the map at the end.
+        static_ratio: mean share of the images that was left out because it is static.
+        resized: indices of the processed images that had another size than the first.
         interrupted: whether the user stopped the run.
-        wall_seconds: time from the first image to the last belief.
+        wall_seconds: time from the first image to the last belief, without the control's.
+        control: beliefs of the control about the same images; None where it did not run.
     """
 
     beliefs: list[Belief] = field(default_factory=list)
     stage_ms: list[dict[str, float]] = field(default_factory=list)
     rows: MatrixRecorder = field(default_factory=MatrixRecorder)
     size: MapSize | None = None
+    static_ratio: float = 0.0
+    resized: tuple[int, ...] = ()
     interrupted: bool = False
     wall_seconds: float = 0.0
+    control: list[Belief] | None = None
 
     @property
     def images(self) -> int:
@@ -69,18 +77,70 @@ class TimedExtractor:
         """Name of the descriptor."""
         return self._inner.kind
 
-    def extract(self, image: Image) -> LocalFeatures:
-        """Return the features of a grey image (H, W) uint8."""
+    def extract(self, image: Image, mask: Image | None = None) -> LocalFeatures:
+        """Return the features of a grey image (H, W) uint8 where the mask is not 0."""
         with self._clock.stage("features"):
-            return self._inner.extract(image)
+            return self._inner.extract(image, mask)
+
+
+class SameSizeImages:
+    """Images of a recording, all in the size of the first: features of one place are alike at one scale only.
+
+    Attributes:
+        resized: indices of the images read so far that had another size.
+    """
+
+    def __init__(self, images: Recording[Image]) -> None:
+        self.resized: set[int] = set()
+        self._images = images
+        self._shape: tuple[int, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8."""
+        if self._shape is None:
+            self._shape = self._images[0].shape
+        image = self._images[index]
+        if image.shape == self._shape:
+            return image
+        self.resized.add(index)
+        height, width = self._shape
+        shrinks = image.shape[0] * image.shape[1] > height * width
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.uint8)
 
 
 class RecognizerFactory:
-    """Makes recognisers of one paradigm; their feature extraction is timed separately."""
+    """Makes recognisers of one paradigm; their feature extraction is timed separately.
 
-    def __init__(self, paradigm: str, config: ParadigmsConfig) -> None:
+    Attributes:
+        clock: measures the stages.
+        masks: masks of the recogniser that was made last.
+    """
+
+    def __init__(
+        self,
+        paradigm: str,
+        config: ParadigmsConfig,
+        control_seed: int | None = None,
+        static_regions: StaticRegionConfig | None = None,
+        mask: Image | None = None,
+    ) -> None:
+        """Choose what is made.
+
+        Args:
+            paradigm: name of the recogniser.
+            config: settings of the paradigms.
+            control_seed: seed of the control; None for a run without one.
+            static_regions: how static regions are found; the defaults if None.
+            mask: (H, W) uint8, 0 where features are left out of all images; None for nowhere.
+        """
         self.clock = StageTimer()
-        self._paradigm, self._config = paradigm, config
+        self.masks = ImageMasks()
+        self._paradigm, self._config, self._control_seed = paradigm, config, control_seed
+        self._static_regions, self._mask = static_regions, mask
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
         """Make a new recogniser.
@@ -88,8 +148,56 @@ class RecognizerFactory:
         Raises:
             DataError: its vocabulary or descriptor file cannot be used.
         """
-        features = FeatureCache(TimedExtractor(make_feature_extractor(self._config), self.clock))
-        return build_recognizer(self._paradigm, features, self._config, rows)
+        return build_recognizer(self._paradigm, self._make_features(), self._config, rows)
+
+    def make_with_control(self, rows: MatrixSink) -> tuple[PlaceRecognizer, PlaceRecognizer | None]:
+        """Make a new recogniser, and the control with the same features of each image.
+
+        Raises:
+            DataError: its vocabulary or descriptor file cannot be used.
+        """
+        features = self._make_features()
+        recognizer = build_recognizer(self._paradigm, features, self._config, rows)
+        if self._control_seed is None:
+            return recognizer, None
+        return recognizer, build_control(features, self._config, self._control_seed)
+
+    def _make_features(self) -> FeatureCache:
+        self.masks = ImageMasks(self._static_regions, self._mask)
+        extractor = MaskedExtractor(make_feature_extractor(self._config), self.masks)
+        return FeatureCache(TimedExtractor(extractor, self.clock))
+
+
+class ControlRun:
+    """Shows the control each image after the recogniser, outside the timing of the recogniser.
+
+    Attributes:
+        beliefs: its beliefs; None where there is no control.
+        seconds: time that it took.
+    """
+
+    def __init__(self, control: PlaceRecognizer | None, clock: StageTimer) -> None:
+        self._control, self._clock = control, clock
+        self.beliefs: list[Belief] | None = None if control is None else []
+        self.seconds = 0.0
+
+    def observe(self, index: int, image: Image) -> None:
+        """Show it an image."""
+        if self._control is not None:
+            self._add(lambda control: control.observe(index, image, float("nan")))
+
+    def finish(self) -> None:
+        """Take its late beliefs."""
+        if self._control is not None:
+            self._add(lambda control: control.finish())
+
+    def _add(self, answer: Callable[[PlaceRecognizer], list[Belief]]) -> None:
+        assert self._control is not None
+        assert self.beliefs is not None
+        start = time.perf_counter()
+        self.beliefs += answer(self._control)
+        self._clock.lap()  # features that only the control needed are not the recogniser's
+        self.seconds += time.perf_counter() - start
 
 
 def run_recognizer(
@@ -101,7 +209,7 @@ def run_recognizer(
     """Run a recogniser once over all images, in order, without a measured distance.
 
     Args:
-        images: images of the recording; a thread reads ahead.
+        images: images of the recording; a thread reads ahead, and resizes them to the size of the first.
         factory: makes the recogniser.
         show_progress: called after each image with the number of images done and their total number.
         should_stop: called after each image; returns whether to end the run there.
@@ -109,19 +217,31 @@ def run_recognizer(
     Raises:
         DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
     """
+    images = SameSizeImages(images)
     _warm_up(images, factory)
     run = PlaceRecognitionRun()
-    recognizer, start = factory.make(run.rows), time.perf_counter()
+    recognizer, control = factory.make_with_control(run.rows)
+    control_run, start = ControlRun(control, factory.clock), time.perf_counter()
     for index, image in enumerate(timed(prefetch(images), factory.clock)):
         with factory.clock.stage("place recognition"):
             run.beliefs += recognizer.observe(index, image, float("nan"))
         run.stage_ms.append(_subtract_features(factory.clock.lap()))
+        control_run.observe(index, image)
         show_progress(index + 1, len(images))
         if should_stop():
             run.interrupted = True
             break
     run.beliefs += recognizer.finish()
-    return replace(run, size=map_size(recognizer), wall_seconds=time.perf_counter() - start)
+    control_run.finish()
+    wall_seconds = time.perf_counter() - start - control_run.seconds
+    return replace(
+        run,
+        size=map_size(recognizer),
+        static_ratio=factory.masks.mean_static_ratio,
+        resized=tuple(sorted(index for index in images.resized if index < run.images)),
+        wall_seconds=wall_seconds,
+        control=control_run.beliefs,
+    )
 
 
 def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
@@ -154,6 +274,7 @@ class PlacesRecord:
         matrices: similarity matrix of each stage, "similarity" first.
         truth: (N, N) ground truth of the N processed images, or None.
         metrics: content of metrics.json.
+        remark: what the user should know about the images; empty for nothing.
     """
 
     name: str
@@ -162,6 +283,7 @@ class PlacesRecord:
     matrices: dict[str, SimilarityMatrix]
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
+    remark: str = ""
 
     @property
     def detections(self) -> NDArray[np.int64]:
@@ -170,18 +292,21 @@ class PlacesRecord:
         return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def make_record(run: PlaceRecognitionRun, truth: RevisitTruth, provenance: dict[str, object]) -> PlacesRecord:
+def make_record(
+    run: PlaceRecognitionRun, truth: RevisitTruth, drive: DriveData, provenance: dict[str, object]
+) -> PlacesRecord:
     """Gather the results of a run and measure them.
 
     Args:
         run: beliefs, times and matrices.
         truth: ground truth of the whole recording.
+        drive: times and path lengths of the whole recording.
         provenance: source, settings and versions, for metrics.json.
     """
     seen_truth = None if truth.matrix is None else truth.matrix[: run.images, : run.images]
     paradigm = str(provenance["paradigm"])
     beliefs = tuple(sorted(run.beliefs, key=lambda belief: belief.query))
-    result = evaluate_places(paradigm, beliefs, seen_truth, run.size)
+    result = evaluate_places(paradigm, beliefs, seen_truth, run.size, drive, run.control)
     stages = ("similarity", *(stage for stage in run.rows.stages if stage != "similarity"))
     return PlacesRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}: {paradigm}",
@@ -190,12 +315,21 @@ def make_record(run: PlaceRecognitionRun, truth: RevisitTruth, provenance: dict[
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
         truth=seen_truth,
         metrics=provenance | _measure(run, result, truth),
+        remark=_describe_sizes(run.resized),
     )
+
+
+def _describe_sizes(resized: tuple[int, ...]) -> str:
+    if not resized:
+        return ""
+    return f"{len(resized)} images were resized to the size of the first; image {resized[0]} is the first of them"
 
 
 def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
     return {
         "frames": run.images,
+        "static_ratio": run.static_ratio,
+        "images_resized": len(run.resized),
         "ground_truth": truth.origin,
         "places": result.section,
         "timing_ms": timing_ms(stage_times(run)),
@@ -214,6 +348,7 @@ def write_results(folder: Path, record: PlacesRecord) -> None:
         OutputError: a file cannot be written.
     """
     from slam.report.place_recognition_figures import plot_places, plot_precision_recall
+    from slam.report.place_stage_figures import plot_stages
     from slam.report.trajectory_figure import save_png
 
     write_metrics(folder / "metrics.json", record.metrics)
@@ -226,36 +361,5 @@ def write_results(folder: Path, record: PlacesRecord) -> None:
     save_png(plot_precision_recall(curves, record.name), folder / "precision_recall.png")
     picture = plot_places(record.name, record.matrices, record.detections, record.truth)
     save_png(picture, folder / "matrix.png")
-
-
-def make_summary(record: PlacesRecord) -> Table:
-    """Return a table of recall, counts and speed; unknown values are dashes."""
-    places, timing = record.result.section, record.metrics["timing_ms"]
-    tolerant = places["tolerance_10"]
-    table = Table(title=escape(record.name), caption=_caption(record), caption_justify="left")
-    for heading in ("rule", "R@P100", "AP", "accepted true", "false", "revisits"):
-        table.add_column(heading, justify="left" if heading == "rule" else "right")
-    table.add_row("authors'", *_format_cells(places))
-    table.add_row("+-10 images", *_format_cells(tolerant if isinstance(tolerant, dict) else {}))
-    assert isinstance(timing, dict)
-    stages = ", ".join(f"{stage} {spent['median']:.1f}" for stage, spent in timing.items())
-    table.caption = f"{table.caption}\nmedian ms an image: {stages}"
-    return table
-
-
-def _format_cells(section: dict[str, object]) -> list[str]:
-    names = ("recall_at_100_precision", "average_precision", "true_positives", "false_positives", "truth_rows")
-    values = [section.get(name) for name in names]
-    return ["-" if v is None else f"{v:.4f}" if isinstance(v, float) else str(v) for v in values]
-
-
-def _caption(record: PlacesRecord) -> str:
-    places, speed = record.result.section, record.metrics["frames_per_second"]
-    size = float(str(places["map_bytes"] or 0)) / 1e6
-    words = "" if places["words"] is None else f", {places['words']} words"
-    lines = [
-        f"ground truth: {record.metrics['ground_truth']}",
-        f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"
-        f"; map {size:.1f} MB{words}",
-    ]
-    return escape("\n".join(lines))
+    result = record.result
+    save_png(plot_stages(result.stages, result.control, result.reliability, record.name), folder / "stages.png")

@@ -15,9 +15,11 @@ from slam.datasets.dataset import Dataset
 from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
 from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
+from slam.evaluation.place_stages import DriveData
 from slam.evaluation.trajectory_errors import (
     Alignment,
     TrajectoryErrors,
+    distances_along,
     path_length,
     trajectory_errors,
     umeyama,
@@ -86,7 +88,7 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
     truth = None if dataset.ground_truth is None else dataset.ground_truth[: len(table)]
     unit_m = None if truth is None else _unit_m(optimized, truth, result.alignment)
     odometry = np.array(log.odometry)
-    places = _places(result, truth)
+    places = _places(result, table.timestamps, truth)
     record = RunRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {dataset.name}",
         timestamps=table.timestamps,
@@ -105,6 +107,8 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
         events=event_rows(log.candidates, graph.loop_events),
         matched=matched_pixels(log.candidates),
         curve=places.curve,
+        place_stages=places.stages,
+        reliability=places.reliability,
         matrices={stage: result.matrix.matrix(len(table), stage) for stage in result.matrix.stages},
         odometry_covariances=graph.odometry_covariances(),
         corrected_covariances=graph.covariances(optimized),
@@ -210,6 +214,7 @@ def _measure(record: RunRecord, result: PipelineResult, places: PlaceMetrics) ->
         "frames": len(record.timestamps),
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
+        "static_ratio": result.components.masks.mean_static_ratio,
         "loops": loops.as_metrics(),
         "places": places.section,
         "graph": _graph_metrics(record, errors, result.optimized),
@@ -231,11 +236,12 @@ def _map_metrics(merge: MergeResult | None) -> dict[str, object]:
     return {"map": dataclasses.asdict(merge) | lists}
 
 
-def _places(result: PipelineResult, ground_truth: Array | None) -> PlaceMetrics:
+def _places(result: PipelineResult, timestamps: Array, ground_truth: Array | None) -> PlaceMetrics:
     truth = None if ground_truth is None else revisit_matrix(ground_truth)
+    path_lengths_m = None if ground_truth is None else distances_along(ground_truth)
     beliefs = [candidate.belief for candidate in result.run_log.candidates]
     size = map_size(result.components.recognizer)
-    return evaluate_places(result.config.paradigm, beliefs, truth, size)
+    return evaluate_places(result.config.paradigm, beliefs, truth, size, DriveData(timestamps, path_lengths_m))
 
 
 def _errors(estimate: Array, truth: Array | None, alignment: Alignment) -> TrajectoryErrors:

@@ -11,6 +11,7 @@ from rich.table import Table
 from slam.run_result import LoopRow, RunRecord
 
 MISSING = "\N{EN DASH}"
+_MIN_STATIC_RATIO = 0.0005  # of the image area, to be mentioned: less is not seen in the rounded share
 ESTIMATES = ("odometry", "online", "corrected")
 ERRORS = {
     "t_rel_percent": "t_rel [%]",
@@ -162,10 +163,28 @@ def _caption(record: RunRecord) -> str:
         f"ATE after {' and '.join(alignments)} alignment of all poses" if known else "no ground truth",
         f"loops: {loops}; by ground truth {truth}",
         f"places: R@P100 {recall}" if recall != MISSING else "",
+        _events_and_delay(record),
+        describe_static_ratio(record.metrics),
         f"{len(record.timestamps)} frames, {text('frames_per_second', 1)} per second",
         f"median ms per frame: {stages}" if stages else "",
     ]
     return escape("\n".join(line for line in lines if line))
+
+
+def _events_and_delay(record: RunRecord) -> str:
+    names = ("events.found", "events.count", "delay_frames.median")
+    found, count, delay = (metric_value(record.metrics, f"places.{name}") for name in names)
+    events = "" if count is None else f"revisit events: {format_value(found)} of {format_value(count)} found"
+    late = "" if delay is None else f"an answer comes {format_value(delay, 0)} images late (median)"
+    return "; ".join(text for text in (events, late) if text)
+
+
+def describe_static_ratio(metrics: Mapping[str, object]) -> str:
+    """Return the share of the images that was left out as static, in words; empty where there was none."""
+    ratio = metric_value(metrics, "static_ratio")
+    if not isinstance(ratio, float) or ratio < _MIN_STATIC_RATIO:
+        return ""
+    return f"{100 * ratio:.1f} % of the image area never changes while the camera moves, and is left out"
 
 
 def cell(record: RunRecord, key: str, digits: int = 2, unit: str = "") -> Cell:

@@ -31,6 +31,7 @@ from slam.report.formatting import (
 from slam.report.interactive_map import draw_interactive_map, map_data
 from slam.report.loop_details import ImageSource, example_pairs, loop_details
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall
+from slam.report.place_stage_figures import stage_curves, stage_figures
 from slam.report.svg import inline_svg
 from slam.run_result import RunRecord
 
@@ -152,7 +153,13 @@ def _facts(record: RunRecord) -> list[tuple[str, Cell]]:
         ("wall time", cell(record, "wall_seconds", 1, " s")),
         ("peak memory", cell(record, "peak_memory_mb", 0, " MB")),
         ("predicted motions", Cell(str(int(np.count_nonzero(record.predicted))))),
+        ("static image area", _static_area(record)),
     ]
+
+
+def _static_area(record: RunRecord) -> Cell:
+    ratio = metric_value(record.metrics, "static_ratio")
+    return Cell(f"{100 * ratio:.1f} %") if isinstance(ratio, float) else cell(record, "static_ratio")
 
 
 def _notes(record: RunRecord) -> list[tuple[str, str]]:
@@ -197,8 +204,12 @@ def draw_places(record: RunRecord) -> list[Picture]:
     if record.curve is not None:
         full = record.curve.recall_at_full_precision
         caption = f"The circle marks R@P100 = {full:.3f}: the highest recall at which no detection is false."
-        curve = plot_precision_recall({"all thresholds": record.curve}, "")
-        pictures.append(_picture("places-curve", "Precision over recall", caption, curve))
+        curves = stage_curves(record.place_stages, None) or {"all thresholds": record.curve}
+        pictures.append(_picture("places-curve", "Precision over recall", caption, plot_precision_recall(curves, "")))
+    pictures += [
+        _picture(f"places-{name}", title, caption, figure)
+        for name, title, caption, figure in stage_figures(record.place_stages, record.reliability)
+    ]
     for stage, matrix in record.matrices.items():
         title = _MATRIX_TITLES.get(stage, stage)
         caption = "A line parallel to the diagonal is a stretch of the path that was visited again."

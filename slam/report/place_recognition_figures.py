@@ -28,6 +28,7 @@ _LINES = (
     (colours.REJECTED, (0, (1, 1))),
     (colours.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
     (INK, (0, (6, 3))),
+    (colours.GROUND_TRUTH, (0, (1, 2))),
 )
 
 
@@ -111,23 +112,38 @@ def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> 
     """
     figure = new_figure(6.4, 4.8)
     ax = figure.subplots()
+    draw_precision_recall(ax, curves)
+    ax.set_title(title, color=INK, parse_math=False, fontsize=11, fontweight="bold")
+    return figure
+
+
+def draw_precision_recall(
+    ax: Axes, curves: Mapping[str, PrecisionRecall | None], missing: str = "no ground truth, no curve"
+) -> None:
+    """Draw precision over recall with a circle at R@P100.
+
+    Args:
+        ax: axes to draw into.
+        curves: precision-recall curves by name; None leaves a name out and its line style unused.
+        missing: text for an empty panel.
+    """
     style_axes(ax)
     ax.set(xlim=(-0.01, 1.01), ylim=(0.0, 1.03), xlabel="recall", ylabel="precision")
-    ax.set_title(title, color=INK, parse_math=False, fontsize=11, fontweight="bold")
     for (name, curve), (colour, dashes) in zip(curves.items(), _LINES * len(curves), strict=False):
+        if curve is None:
+            continue
         full = curve.recall_at_full_precision
         ax.plot(curve.recall, curve.precision, color=colour, ls=dashes, lw=1.8, label=f"{name}: R@P100 {full:.3f}")
         ax.plot([full], [1.0 if full else 0.0], "o", color=colour, ms=9, mfc="none", mew=1.8, clip_on=False, zorder=5)
-    if curves:
-        title = "circle: largest recall without a false match"
-        clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
-        legend = ax.legend(loc="lower left", title=title, title_fontsize=8, fontsize=9, **clear)
-        legend.get_title().set_color(INK)
-        for name_text in legend.get_texts():
-            name_text.set_parse_math(False)
-    else:
-        ax.text(0.5, 0.5, "no ground truth, no curve", transform=ax.transAxes, ha="center", color=INK)
-    return figure
+    if not ax.lines:
+        ax.text(0.5, 0.5, missing, transform=ax.transAxes, ha="center", color=INK)
+        return
+    title = "circle: largest recall without a false match"
+    clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
+    legend = ax.legend(loc="best", title=title, title_fontsize=8, fontsize=9, **clear)
+    legend.get_title().set_color(INK)
+    for name_text in legend.get_texts():
+        name_text.set_parse_math(False)
 
 
 def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:

@@ -137,7 +137,8 @@ def tables() -> dict[str, bytes]:
         "loops.csv": written("a.csv", lambda path: write_loops(path, record.loops[:3])),
         "loop_events.csv": written("a.csv", lambda path: write_events(path, record.events[:3])),
         "loop_stages.csv": written("a.csv", lambda path: write_stages(path, record.stages[:3])),
-        "matches.csv": b"query,match,score,accepted,inliers,verified\n5,,0.0,false,,true\n6,1,0.75,true,30,true\n",
+        "matches.csv": b"query,match,score,accepted,inliers,verified,probability,candidates,own_score,geometry_match,"
+        b"geometry_score,answered_at\n5,,0.0,false,,true,,,,,,\n6,1,0.75,true,30,true,0.5,1 0,2.5,1,9.5,8\n",
         "metrics.json": b'{"schema": 1, "frames": 4, "odometry": {"ate_m": 0.5, "t_rel": null}, "notes": {"a": "b"}}',
     }
 

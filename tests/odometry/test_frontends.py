@@ -1,14 +1,17 @@
 """Both front ends number their tracks, keep the points of before, and follow points to where they are."""
 
+import cv2
 import numpy as np
 import pytest
 
 from odometry import se3
+from odometry.camera import StereoCamera
 from odometry.klt_tracking import TrackingConfig
 from odometry.mono.mono_frontend import MonoFrontEnd
 from odometry.stereo.sliding_window import StereoFrameObservations
 from odometry.stereo.stereo_frontend import StereoFrontEnd
 from odometry.stereo.stereo_matching import StereoMatchingConfig
+from odometry.stereo.stereo_odometry import StereoOdometry
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 
 
@@ -95,3 +98,36 @@ def test_points_of_unknown_place_are_looked_for_where_they_were(mono, drive):
     followed = mono.follow(first, drive[0][0], np.full_like(first.pixels, np.nan))
     assert len(followed.tracks) > 0.9 * len(first)
     np.testing.assert_allclose(followed.tracks.pixels, followed.before, atol=0.1)
+
+
+def test_no_corner_is_chosen_or_kept_where_the_mask_is_black(stereo, mono, drive):
+    height, width = drive[0][0].shape
+    mask = np.full((height, width), 255, np.uint8)
+    mask[:, : width // 2] = 0
+    pair, tracks = stereo.observe(drive[0]), mono.observe(drive[0][0])
+    half = width / 2 - 1
+    assert (pair.points.left[:, 0] < half).sum() > 20
+    stereo.mask = mono.mask = mask
+    calibration = Calibration.unknown(StereoCamera(350, 350, 255.5, 111.5, 0.5, width, height), CalibrationConfig())
+    followed = stereo.follow(pair, drive[1], np.eye(4), calibration)
+    assert len(followed) > 20
+    assert (followed.second_left[:, 0] > half).all()
+    assert (mono.follow(tracks, drive[1][0], tracks.pixels).tracks.pixels[:, 0] > half).all()
+    assert (stereo.observe(drive[1]).points.left[:, 0] > half).all()
+    assert (mono.observe(drive[1][0]).pixels[:, 0] > half).all()
+
+
+@pytest.mark.parametrize("masked", [True, False], ids=["masked", "control"])
+def test_a_bonnet_stops_the_motion_unless_it_is_masked(clip, masked):
+    camera, pairs, poses = clip("05", 20)
+    mask = np.full((camera.height, camera.width), 255, np.uint8)
+    mask[-100:] = 0
+    cells = np.random.default_rng(1).integers(0, 255, (15, camera.width // 6)).astype(np.uint8)
+    strip = cv2.resize(cells, (camera.width, 90), interpolation=cv2.INTER_CUBIC)
+    odometry, T = StereoOdometry(camera), np.eye(4)
+    for left, right in pairs:
+        left, right = left.copy(), right.copy()
+        left[-90:] = right[-90:] = strip
+        T = T @ odometry.track(left, right, mask=mask if masked else None).T_previous_current
+    truth = np.linalg.inv(poses[0]) @ poses[len(pairs) - 1]
+    assert (np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 0.3) == masked

@@ -14,6 +14,8 @@ from place_recognition.proposals import ObservedImage, Proposals, Proposer
 
 Image = NDArray[np.uint8]
 
+DRIVE_SHAPE = (240, 400)  # of the images of `drive`
+
 
 def textured_world(width: int, seed: int, height: int = 240) -> Image:
     """A strip (height, width) of blobs of many sizes, the same for the same seed."""
@@ -28,6 +30,26 @@ def textured_world(width: int, seed: int, height: int = 240) -> Image:
 def sliding_view(world: Image, starts: list[int], width: int = 320) -> list[Image]:
     """Windows of a world that begin at the given columns: a camera that moves sideways."""
     return [np.ascontiguousarray(world[:, s : s + width]) for s in starts]
+
+
+def drive(count: int, seed: int = 1) -> list[Image]:
+    """A camera that slides over a wall and shakes a little, with noise: images of DRIVE_SHAPE."""
+    rng, (height, width) = np.random.default_rng(seed), DRIVE_SHAPE
+    world = textured_world(width + 6 * count + 20, seed, height + 20)
+    images = []
+    for k in range(count):
+        x, y = 6 * k + rng.integers(0, 20), rng.integers(0, 20)
+        noisy = world[y : y + height, x : x + width] + rng.normal(0, 2, DRIVE_SHAPE)
+        images.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    return images
+
+
+def bonnet(image: Image, index: int) -> Image:
+    """The image with the same textured strip over its lowest quarter, whatever its number."""
+    height, width = image.shape
+    painted = image.copy()
+    painted[3 * height // 4 :] = textured_world(width, 99)[: height - 3 * height // 4]
+    return painted
 
 
 def kitti_images(root: Path, sequence: str, frames: range) -> list[Image]:
@@ -55,12 +77,12 @@ def gaussian_blob(
 class CachingSurf(Surf):
     """Extracts the features of each image once for all tests."""
 
-    extracted: ClassVar[dict[tuple[bytes, tuple[int, ...]], LocalFeatures]] = {}
+    extracted: ClassVar[dict[tuple[bytes, tuple[int, ...], bytes | None], LocalFeatures]] = {}
 
-    def extract(self, image):
-        key = image.tobytes(), image.shape
+    def extract(self, image, mask=None):
+        key = image.tobytes(), image.shape, None if mask is None else mask.tobytes()
         if key not in self.extracted:
-            self.extracted[key] = super().extract(image)
+            self.extracted[key] = super().extract(image, mask)
         return self.extracted[key]
 
 

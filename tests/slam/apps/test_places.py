@@ -5,21 +5,40 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from place_recognition.paradigms.registry import PARADIGMS
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
+from place_recognition.recognizer import Belief, StageScores
+from slam.apps.places import drop_recent_matches
 from slam.cli import app
 from slam.io.matches import read_matches
 from slam.pipeline import place_recognition as places_drive
 
 ROOT = Path(__file__).parents[3]
-FILES = {"metrics.json", "matches.csv", "matrix.npz", "matrix.png", "precision_recall.csv", "precision_recall.png"}
+FILES = {
+    "metrics.json",
+    "matches.csv",
+    "matrix.npz",
+    "matrix.png",
+    "precision_recall.csv",
+    "precision_recall.png",
+    "stages.png",
+}
 LAP = 30
+
+
+class LoadedImages(list[np.ndarray]):
+    """Images in memory, as a recording."""
+
+    name = "hall"
 
 
 def views(seed: int) -> list[np.ndarray]:
@@ -99,6 +118,117 @@ def test_the_curve_ends_at_the_recall_of_all_detections(evaluated: Path) -> None
     assert lines[0] == "threshold,precision,recall,true_positives,false_positives"
     thresholds = [float(line.split(",")[0]) for line in lines[1:]]
     assert thresholds == sorted(thresholds, reverse=True)
+
+
+def test_the_control_is_measured_beside_the_recogniser(evaluated: Path) -> None:
+    section = metrics(evaluated)["places"]
+    assert section["control"]["what"].startswith("random-images")
+    assert set(section["stages"]) == set(section["control"]) - {"what"}
+    assert 0.0 < section["control"]["candidates"]["recall_at_10"] < 0.8
+    ours, theirs = (section[part]["temporal"]["recall_at_100_precision"] for part in ("stages", "control"))
+    assert ours == section["recall_at_100_precision"] > theirs
+    assert section["events"]["count"] == section["events"]["found"] == 1
+
+
+def test_the_seed_decides_what_the_control_proposes(two_laps: Path, truth: Path, tmp_path: Path) -> None:
+    found = []
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        assert places(two_laps, tmp_path / name, "--ground-truth", truth, "--seed", seed) == 0
+        found.append(metrics(tmp_path / name)["places"]["control"])
+    assert found[0] == found[1] != found[2]
+
+
+@pytest.mark.parametrize("paradigm", PARADIGMS)
+def test_the_control_changes_nothing_of_the_recogniser(paradigm: str) -> None:
+    images = LoadedImages(2 * views(3))
+    alone, beside = (
+        places_drive.run_recognizer(
+            images, places_drive.RecognizerFactory(paradigm, ParadigmsConfig(), seed), lambda *_: None, lambda: False
+        )
+        for seed in (None, 7)
+    )
+    assert alone.beliefs == beside.beliefs
+    assert alone.control is None
+    assert beside.control is not None
+    assert len(beside.control) == 2 * LAP
+
+
+class SlowControl:
+    """A control that takes its time and asks for features that nobody else needs."""
+
+    def __init__(self, features: FeatureCache) -> None:
+        self.features = features
+
+    def observe(self, image_id: int, image: np.ndarray, travelled: float) -> list[Belief]:
+        time.sleep(0.05)
+        self.features.get(image_id + 1000, image)
+        return [Belief(image_id, None, 0.0, accepted=False)]
+
+    def finish(self) -> list[Belief]:
+        time.sleep(0.5)
+        return []
+
+
+def test_the_time_of_the_control_is_not_that_of_the_paradigm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places_drive, "build_control", lambda features, config, seed: SlowControl(features))
+    factory = places_drive.RecognizerFactory("pixel-sequences", ParadigmsConfig(), 0)
+    start = time.perf_counter()
+    run = places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)
+    assert time.perf_counter() - start > run.wall_seconds + LAP * 0.05 + 0.5
+    assert {name for spent in run.stage_ms for name in spent} == {"read", "place recognition"}
+
+
+class CountingExtractor:
+    """Counts how often an image is described."""
+
+    kind = "none-8"
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def extract(self, image: np.ndarray) -> LocalFeatures:
+        self.count += 1
+        return LocalFeatures(*(np.empty(shape, np.float32) for shape in ((0, 2), 0, 0, (0, 8))))
+
+
+def test_the_control_shares_the_features_of_each_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor = CountingExtractor()
+    monkeypatch.setattr(places_drive, "make_feature_extractor", lambda config: extractor)
+    monkeypatch.setattr(places_drive, "_WARM_UP_IMAGES", 0)
+    factory = places_drive.RecognizerFactory("tracked-words", ParadigmsConfig(), 0)
+    places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)
+    assert extractor.count == LAP
+
+
+def test_the_summary_fits_into_100_columns_and_names_the_stages(
+    two_laps: Path, truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert places(two_laps, tmp_path / "out", "--ground-truth", truth, "--fps", 1) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.split("Pictures:")[0].splitlines())) <= 100
+    for words in (
+        "candidates",
+        "own score",
+        "geometry",
+        "temporal model",
+        "random images",
+        "revisit events: 1 of 1 found",
+    ):
+        assert words in printed
+
+
+def test_a_candidate_that_is_too_recent_goes_with_its_score() -> None:
+    images = SimpleNamespace(timestamps=np.arange(60.0))
+    stages = StageScores((45, 20), 3.0, 45, 9.0)
+    recent, old = (Belief(50, match, 1.0, True, stages=stages, answered_at=52) for match in (45, 20))
+    kept = drop_recent_matches([recent, old], images, 10.0)  # type: ignore[arg-type]
+    only = StageScores((20,), None, None, None)
+    assert kept == [
+        Belief(50, None, 0.0, False, stages=only, answered_at=52),
+        Belief(50, 20, 1.0, True, stages=only, answered_at=52),
+    ]
+    assert drop_recent_matches([recent], images, None) == [recent]  # type: ignore[arg-type]
 
 
 def test_without_a_truth_its_metrics_are_null_with_a_reason(two_laps: Path, tmp_path: Path) -> None:
@@ -285,5 +415,87 @@ def one_and_two_threads(two_laps: Path, tmp_path_factory: pytest.TempPathFactory
 @pytest.mark.parametrize("paradigm", PARADIGMS)
 def test_any_number_of_threads_gives_the_same_bytes(one_and_two_threads: tuple[Path, Path], paradigm: str) -> None:
     one, two = (out / paradigm for out in one_and_two_threads)
-    for name in ("matches.csv", "matrix.npz", "matrix.png"):
+    for name in ("matches.csv", "matrix.npz", "matrix.png", "stages.png"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
+
+
+@pytest.fixture
+def painted(two_laps: Path, tmp_path: Path) -> Path:
+    """The two laps with the same textured strip at the bottom of each image."""
+    strip = views(8)[0][:50]
+    images = [cv2.imread(str(two_laps / f"{k}.png"), 0) for k in range(2 * LAP)]
+    return write(tmp_path / "painted", [np.vstack([image[:-50], strip]) for image in images])
+
+
+def white() -> np.ndarray:
+    return np.full((160, 240), 255, np.uint8)
+
+
+def test_a_strip_that_never_moves_is_named_and_does_no_harm(painted: Path, truth: Path, tmp_path: Path, capsys) -> None:
+    assert places(painted, tmp_path / "out", "--ground-truth", truth) == 0
+    assert "never changes while the camera moves" in capsys.readouterr().out
+    found = metrics(tmp_path / "out")
+    assert 0.2 < found["static_ratio"] < 0.4
+    assert found["places"]["true_positives"] >= LAP - 4
+    assert found["places"]["tolerance_10"]["false_positives"] == 0
+
+
+def test_a_mask_leaves_out_what_the_user_knows(painted: Path, truth: Path, tmp_path: Path) -> None:
+    mask = white()
+    mask[-60:] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    out = tmp_path / "out"
+    assert places(painted, out, "--ground-truth", truth, "--mask", tmp_path / "mask.png") == 0
+    assert metrics(out)["places"]["true_positives"] >= LAP - 4
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("missing", "expected an image, found none"),
+        ("text", "expected an image, found a file that cannot be read"),
+        ("small", "expected 240 x 160 pixels as the images have, found 240 x 100"),
+        ("black", "found a black image"),
+    ],
+)
+def test_a_mask_that_cannot_be_used_is_one_line(
+    two_laps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, message: str
+) -> None:
+    mask = tmp_path / "mask.png"
+    if content == "text":
+        mask.write_text("no image")
+    elif content != "missing":
+        cv2.imwrite(str(mask), np.full((100 if content == "small" else 160, 240), 0 if content == "black" else 255))
+    assert places(two_laps, tmp_path / "out", "--mask", mask) == 1
+    printed = capsys.readouterr().err.strip()
+    assert message in " ".join(printed.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_paradigm_of_whole_images_refuses_a_mask(two_laps: Path, tmp_path: Path, capsys) -> None:
+    cv2.imwrite(str(tmp_path / "mask.png"), white())
+    arguments = two_laps, tmp_path / "out", "--mask", tmp_path / "mask.png"
+    assert places(*arguments, paradigm="pixel-sequences") == 2
+    assert "compares whole images" in " ".join(capsys.readouterr().err.split())
+
+
+def test_images_of_two_sizes_are_matched_in_the_size_of_the_first(
+    two_laps: Path, truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = [cv2.imread(str(two_laps / f"{k}.png"), 0) for k in range(2 * LAP)]
+    mixed = [cv2.resize(image, None, fx=0.75, fy=0.75) if k % 2 else image for k, image in enumerate(images)]
+    out = tmp_path / "out"
+    assert places(write(tmp_path / "mixed", mixed), out, "--ground-truth", truth) == 0
+    assert f"{LAP} images were resized" in " ".join(capsys.readouterr().out.split())
+    found = metrics(out)
+    assert found["images_resized"] == LAP
+    assert found["places"]["true_positives"] >= LAP - 4
+
+
+def test_the_seed_reaches_the_recogniser(two_laps: Path, tmp_path: Path) -> None:
+    scores = []
+    for seed in (0, 5, 5):
+        out = tmp_path / f"{len(scores)}"
+        assert places(two_laps, out, "--seed", seed, paradigm="hierarchical-places") == 0
+        scores.append((out / "matrix.npz").read_bytes())
+    assert scores[1] == scores[2] != scores[0]

@@ -12,6 +12,7 @@ from slam.diagnostics.sensor_checks import (
     check_camera,
     check_images,
     check_rectification,
+    check_static_area,
     check_timestamps,
     match_displacements,
     measure_image,
@@ -148,3 +149,11 @@ def test_a_use_is_possible_unless_a_fault_forbids_it() -> None:
     assert inspection.possible_uses == (Use.STEREO, Use.PLACES)
     assert inspection.reasons_against(Use.MONO) == ["no"]
     assert inspection.reasons_against(Use.STEREO) == []
+
+
+def test_a_large_share_that_never_changes_is_a_warning() -> None:
+    assert check_static_area(0.001).status is Status.OK
+    finding = check_static_area(0.25)
+    assert finding.status is Status.WARNING
+    assert "25.0% of the image area" in finding.text
+    assert "--mask" in finding.text

@@ -57,7 +57,7 @@ class World:
         self.views.append((features, disparity))
         return np.full((CAMERA.height, CAMERA.width), len(self.views) - 1, np.uint8)
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         return self.views[image[0, 0]][0]
 
     def disparity(self, left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -256,7 +256,7 @@ class Sift:
 
     count: int = 1500
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         points, descriptors = cv2.SIFT_create(nfeatures=self.count).detectAndCompute(image, None)
         response = np.array([p.response for p in points], np.float32)
         order = np.argsort(-response, kind="stable")

@@ -5,7 +5,7 @@ import pytest
 
 from odometry.motion import Motion
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
-from place_recognition.recognizer import Belief
+from place_recognition.recognizer import Belief, StageScores
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, Rejection
 from slam.map_database.inter_session_loops import (
@@ -18,6 +18,7 @@ from slam.map_database.inter_session_loops import (
     loop_in_map,
     loop_in_session,
 )
+from slam.map_database.records import loop_row, read_loop
 from slam.system import LoopCandidate
 
 FIRST = 40  # number of the first image of the session
@@ -145,7 +146,9 @@ def test_records_come_back_from_the_map_in_the_numbers_of_the_session():
 @pytest.mark.parametrize("geometry", [None, Rejection("no"), closure(9, 2)])
 @pytest.mark.parametrize("first", [0, FIRST])
 def test_a_loop_is_written_into_the_map_and_restored(geometry: LoopClosure | Rejection | None, first: int):
-    candidate = LoopCandidate(Belief(9, 2, 4.0, accepted=geometry is not None), geometry, None)
+    stages = StageScores((2, 5), 0.5, 2, 9.0)
+    belief = Belief(9, 2, 4.0, accepted=geometry is not None, probability=0.5, stages=stages, answered_at=11)
+    candidate = LoopCandidate(belief, geometry, None)
     record = loop_in_map(candidate, first + 11, first)
     back = loop_in_session(record, first)
     assert back.belief == candidate.belief
@@ -154,6 +157,25 @@ def test_a_loop_is_written_into_the_map_and_restored(geometry: LoopClosure | Rej
     if isinstance(geometry, LoopClosure):
         assert (record.geometry.query, record.geometry.match) == (first + 9, first + 2)
         assert (back.geometry.query, back.geometry.match) == (9, 2)
+
+
+def test_the_stages_of_a_belief_count_the_images_of_the_session():
+    stages = StageScores((45, 12, 41), 0.5, 12, 9.0)
+    belief = Belief(49, 42, 9.0, accepted=True, probability=0.9, stages=stages, answered_at=52)
+    inside = belief_in_session(belief, FIRST)
+    assert inside.stages == StageScores((5, 1), 0.5, None, None)
+    assert (inside.answered_at, inside.probability) == (12, 0.9)
+    across = belief_in_session(Belief(49, 5, 9.0, accepted=True, probability=0.9, stages=stages, answered_at=52), FIRST)
+    assert across == Belief(9, None, 0.0, accepted=False, stages=inside.stages, answered_at=12)
+    first_elsewhere = belief_in_session(Belief(49, 42, 9.0, True, stages=StageScores((3, 41), 0.5)), FIRST)
+    assert first_elsewhere.stages == StageScores((1,), None)
+
+
+def test_the_stages_of_a_belief_are_kept_in_the_map():
+    stages = StageScores((np.int64(4), 2), np.float32(0.5), np.int64(2), 9.0)
+    belief = Belief(9, 2, 4.0, False, probability=np.float64(0.25), stages=stages, answered_at=np.int64(12))
+    row = loop_row(0, LoopRecord(11, belief, None))
+    assert read_loop(row).belief == belief
 
 
 def test_a_belief_without_a_match_stays_without_one():
@@ -165,7 +187,7 @@ class NoExtractor:
 
     kind = "none-8"
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         raise AssertionError("the features are in the cache")
 
 

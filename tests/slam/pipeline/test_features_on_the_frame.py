@@ -30,9 +30,9 @@ class CountingExtractor:
     def kind(self) -> str:
         return self.inner.kind
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         self.threads.append(threading.current_thread().name)
-        return self.inner.extract(image)
+        return self.inner.extract(image, mask)
 
 
 def same(one: LocalFeatures, other: LocalFeatures) -> bool:

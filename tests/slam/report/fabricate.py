@@ -9,8 +9,10 @@ import numpy as np
 
 from odometry import se3
 from place_recognition.evaluation.precision_recall import precision_recall
+from place_recognition.evaluation.reliability import measure_reliability
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
-from place_recognition.recognizer import Belief
+from place_recognition.evaluation.stages import measure_stages
+from place_recognition.recognizer import Belief, StageScores
 from slam.mapping.birds_eye_view import BirdsEyeView, PlaneWindow, render_birds_eye_view
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.tsdf import Surface
@@ -141,13 +143,19 @@ def with_evidence(whole, seed=5):
     truth = np.zeros(matrix.shape, bool)
     for row in sought:
         truth[row.query, row.match] = row.truth
-    beliefs = [Belief(row.query, row.match, float(row.inliers), True) for row in sought]
+    beliefs = [
+        Belief(row.query, row.match, float(row.inliers), True, probability=0.98,
+               stages=StageScores((row.match, 2), row.score, row.match, 0.3 * row.inliers))
+        for row in sought
+    ]  # fmt: skip
     return replace(
         whole,
         stages=tuple(stages),
         events=tuple(events),
         matched=tuple(matched(row, rng) for row in sought),
         curve=precision_recall(beliefs, truth),
+        place_stages=measure_stages(beliefs, truth),
+        reliability=measure_reliability(beliefs, truth),
         matrices={"similarity": SimilarityMatrix(matrix)},
     )
 

@@ -148,3 +148,12 @@ def test_the_configuration_is_listed_by_dotted_names(tmp_path):
 def test_a_report_that_cannot_be_written_names_the_file(tmp_path):
     with pytest.raises(OutputError, match=r"nowhere/r\.html: cannot write the report"):
         write_report(WHOLE, tmp_path / "nowhere" / "r.html")
+
+
+def test_the_stages_of_place_recognition_are_pictures(tmp_path):
+    page = Page(written(fabricate.with_evidence(WHOLE), tmp_path)).text
+    for words in ("Precision over recall", "own score: R@P100", "Candidates", "Reliability", "calibration error"):
+        assert words in page
+    without = Page(written(replace(fabricate.with_evidence(WHOLE), place_stages=None, reliability=None), tmp_path)).text
+    assert "all thresholds: R@P100" in without
+    assert "calibration error" not in without

@@ -28,6 +28,13 @@ def test_the_terminal_shows_the_recall_at_full_precision():
     assert "places: R@P100 0.875" in shown(record_with_recall())
 
 
+def test_the_terminal_shows_revisit_events_and_how_late_answers_come():
+    whole = record_with_recall()
+    more = {"events": {"found": 3, "count": 4}, "delay_frames": {"median": 15.0, "max": 20.0}}
+    whole.metrics["places"] |= more
+    assert "revisit events: 3 of 4 found; an answer comes 15 images late (median)" in shown(whole)
+
+
 def test_the_terminal_is_silent_about_a_recall_that_is_not_known():
     assert "R@P100" not in shown(replace(record(), metrics={}))
 
