@@ -99,6 +99,7 @@ class _Message:
         new: probability of a new place.
         likelihood: (N, S) likelihood ratio of each place and speed.
         births: (N,) probability that a revisit begins there.
+        begin: probability that a revisit begins anywhere: 0 where nothing was observed.
     """
 
     places: Indices
@@ -106,6 +107,7 @@ class _Message:
     new: float
     likelihood: Array
     births: Array
+    begin: float
 
 
 class PlaceFilter:
@@ -119,7 +121,8 @@ class PlaceFilter:
         """Add the observation of the next step: predict, add births, weigh by the likelihood, normalise, prune."""
         places, mass, new = self._predict()
         born = _around(observation.places, _BIRTH_RADIUS)
-        birth = self.config.begin_probability / max(len(born), 1)
+        begin = self.config.begin_probability if len(born) else 0.0
+        birth = begin / max(len(born), 1)
         union, index = np.unique(np.concatenate([places, born]), return_inverse=True)
         predicted = np.zeros((len(union), len(_SPEEDS)))
         stays_new = self._window[-1].new if self._window else 1.0
@@ -127,12 +130,13 @@ class PlaceFilter:
         np.add.at(predicted, index, np.concatenate([mass, begins]))
         likelihood, births = self._likelihood(observation, union), np.where(np.isin(union, born), birth, 0.0)
         joint = predicted * likelihood
-        new -= stays_new * birth * len(born)
+        new -= stays_new * begin
         total = float(joint.sum()) + new
         at_place = joint.sum(axis=1) / total
         keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
         keep = keep[(at_place[keep] > _MIN_MASS) & (union[keep] >= 0)]
-        self._window.append(_Message(union[keep], joint[keep] / total, new / total, likelihood[keep], births[keep]))
+        mass, new = joint[keep] / total, new / total
+        self._window.append(_Message(union[keep], mass, new, likelihood[keep], births[keep], begin))
 
     def _predict(self) -> tuple[Indices, Array, float]:
         """Places and mass (N, S) after one more step of all revisits that go on, and the probability of a new place."""
@@ -168,7 +172,7 @@ class PlaceFilter:
         goes_on = _gather(before.places, after.places, weighted, _MOVE_PROBABILITIES) @ _SPEED_CHANGES.T
         earlier = (1 - ends) * goes_on + ends * new
         begins = float(after.births @ (weighted @ _BIRTH_SPEEDS))
-        earlier_new = (1 - self.config.begin_probability) * new + begins
+        earlier_new = (1 - after.begin) * new + begins
         scale = max(earlier_new, float(earlier.max(initial=0.0)))
         return earlier / scale, earlier_new / scale
 
