@@ -28,7 +28,9 @@ _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
 _MAX_LOG_RATIO_ELSEWHERE = 5.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
-_MOVES_ELSEWHERE = np.array([0.02, 0.05, 0.13, 0.6, 0.13, 0.05, 0.02])  # from elsewhere any of the places ahead may match
+_MOVES_ELSEWHERE = np.array(
+    [0.02, 0.05, 0.13, 0.6, 0.13, 0.05, 0.02]
+)  # from elsewhere any of the places ahead may match
 _MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
 _SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
@@ -53,7 +55,7 @@ class PlaceFilterConfig:
 
     begin_probability: float = 0.0003
     end_probability: float = 0.02
-    miss_probability: float = 0.2
+    miss_probability: float = 0.35
     location_sigma_frames: float = 2.5
     lag_frames: int = 15
     min_probability: float = 0.999
