@@ -54,7 +54,7 @@ class BrightnessPattern:
 
 NAME = "brightness-pattern"
 PARADIGMS[NAME] = lambda history, features, config, rows: BrightnessPattern()
-# How many powers of ten likelier each score is at a revisit than at a new place. Without a measurement: it says nothing.
+# Powers of ten by which each score is likelier at a revisit than at a new place. As long as nobody measured them: 0.
 OWN_SCORES[NAME] = RatioTable((0.0,), (0.0,))
 
 given = arguments(__doc__).parse_args()
