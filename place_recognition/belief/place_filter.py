@@ -28,7 +28,9 @@ _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
 _MAX_LOG_RATIO_ELSEWHERE = 5.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
-_MOVES_ELSEWHERE = np.array([0.05, 0.1, 0.2, 0.3, 0.2, 0.1, 0.05])  # from elsewhere any of the places ahead may match
+_MOVES_ELSEWHERE = np.array(
+    [0.02, 0.05, 0.13, 0.6, 0.13, 0.05, 0.02]
+)  # from elsewhere any of the places ahead may match
 _MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
 _SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
@@ -53,7 +55,7 @@ class PlaceFilterConfig:
 
     begin_probability: float = 0.0003
     end_probability: float = 0.02
-    miss_probability: float = 0.2
+    miss_probability: float = 0.35
     location_sigma_frames: float = 2.5
     lag_frames: int = 15
     min_probability: float = 0.999
@@ -99,6 +101,7 @@ class _Message:
         new: probability of a new place.
         likelihood: (N, S) likelihood ratio of each place and speed.
         births: (N,) probability that a revisit begins there.
+        begin: probability that a revisit begins anywhere: 0 where nothing was observed.
     """
 
     places: Indices
@@ -106,6 +109,7 @@ class _Message:
     new: float
     likelihood: Array
     births: Array
+    begin: float
 
 
 class PlaceFilter:
@@ -119,7 +123,8 @@ class PlaceFilter:
         """Add the observation of the next step: predict, add births, weigh by the likelihood, normalise, prune."""
         places, mass, new = self._predict()
         born = _around(observation.places, _BIRTH_RADIUS)
-        birth = self.config.begin_probability / max(len(born), 1)
+        begin = self.config.begin_probability if len(born) else 0.0
+        birth = begin / max(len(born), 1)
         union, index = np.unique(np.concatenate([places, born]), return_inverse=True)
         predicted = np.zeros((len(union), len(_SPEEDS)))
         stays_new = self._window[-1].new if self._window else 1.0
@@ -127,12 +132,13 @@ class PlaceFilter:
         np.add.at(predicted, index, np.concatenate([mass, begins]))
         likelihood, births = self._likelihood(observation, union), np.where(np.isin(union, born), birth, 0.0)
         joint = predicted * likelihood
-        new -= stays_new * birth * len(born)
+        new -= stays_new * begin
         total = float(joint.sum()) + new
         at_place = joint.sum(axis=1) / total
         keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
         keep = keep[(at_place[keep] > _MIN_MASS) & (union[keep] >= 0)]
-        self._window.append(_Message(union[keep], joint[keep] / total, new / total, likelihood[keep], births[keep]))
+        mass, new = joint[keep] / total, new / total
+        self._window.append(_Message(union[keep], mass, new, likelihood[keep], births[keep], begin))
 
     def _predict(self) -> tuple[Indices, Array, float]:
         """Places and mass (N, S) after one more step of all revisits that go on, and the probability of a new place."""
@@ -168,7 +174,7 @@ class PlaceFilter:
         goes_on = _gather(before.places, after.places, weighted, _MOVE_PROBABILITIES) @ _SPEED_CHANGES.T
         earlier = (1 - ends) * goes_on + ends * new
         begins = float(after.births @ (weighted @ _BIRTH_SPEEDS))
-        earlier_new = (1 - self.config.begin_probability) * new + begins
+        earlier_new = (1 - after.begin) * new + begins
         scale = max(earlier_new, float(earlier.max(initial=0.0)))
         return earlier / scale, earlier_new / scale
 

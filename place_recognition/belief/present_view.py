@@ -19,6 +19,9 @@ from place_recognition.map.image_history import ImageHistory
 # Images by which the beginning of the view advances at most for each new image: bounds the time of an image.
 _MAX_STEPS = 4
 
+# Images for which something may hide the whole view, as a lorry does, and the view goes on afterwards.
+_MAX_HIDDEN = 30
+
 _MAX_RATIO = 0.8  # of nearest to second nearest descriptor distance, as in the verification of candidates
 _STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
 _STEP_SHARE = 0.0025  # displacement of the features by which it has, as a share of the image width
@@ -57,6 +60,7 @@ class PresentView:
         self._history = history
         self._begin = 0  # location of the oldest image that agrees with the newest one
         self._reach = 0  # number of images of the view, and of those before that are excluded besides
+        self._whole = (0, 0)  # the latest image before the view began to shrink, and where the view began then
 
     def advance(self) -> int:
         """Follow the view to the newest image of the history; return the latest location that it may be matched with.
@@ -65,13 +69,22 @@ class PresentView:
         """
         newest = self._history.latest
         if len(self._history.images[newest]) >= self.config.min_features:
+            self._resume(newest)
             self._follow(newest)
+            if newest - self._begin >= max(self._reach, 1):
+                self._whole = (newest, self._begin)
         # Where something hides the view for a moment, as a lorry does, the view ends, but the past does not begin: the
         # reach falls by one image at a time.
         self._reach = max(newest - self._begin, self._reach - 1)
         by_count = newest - max(self.config.min_gap_frames, self.config.exclusion_frames)
         by_distance = self._history.last_behind(self.config.min_distance_m)
         return max(min(self._begin - self._reach, by_count, by_distance), -1)
+
+    def _resume(self, newest: int) -> None:
+        """Go on with the view as it was if the newest image shows again what was seen before something hid it."""
+        latest, begin = self._whole
+        if latest <= self._begin and newest - latest <= _MAX_HIDDEN and self._agree(newest, latest):
+            self._begin = begin
 
     def _follow(self, newest: int) -> None:
         for _ in range(_MAX_STEPS):
@@ -87,11 +100,12 @@ class PresentView:
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"view_begin": self._begin, "reach_frames": self._reach}
+        return {"view_begin": self._begin, "reach_frames": self._reach, "whole_view": list(self._whole)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._begin, self._reach = state["view_begin"], state["reach_frames"]
+        self._whole = state["whole_view"][0], state["whole_view"][1]
 
 
 class FixedWindow:

@@ -1,5 +1,6 @@
 """Images that the tests of this folder look at, and an extractor that describes each of them once."""
 
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
+from place_recognition.proposals import ObservedImage, Proposals, Proposer
 
 Image = NDArray[np.uint8]
 
@@ -82,3 +84,36 @@ class CachingSurf(Surf):
         if key not in self.extracted:
             self.extracted[key] = super().extract(image, mask)
         return self.extracted[key]
+
+
+LAP_IMAGES, MIN_AGE = 40, 12  # images of a lap, and of those before a query that may not be matched
+
+
+@cache
+def two_laps() -> list[Image]:
+    """Forty images along one path, each with new texture, and the same again."""
+    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 31 * LAP_IMAGES, 31)))
+    return lap + lap
+
+
+def observe_image(location: int, image: Image, distance_m: float = float("nan")) -> ObservedImage:
+    """An image as a proposer sees it; those less than MIN_AGE before it are not matchable."""
+    features = CachingSurf().extract(image)
+    return ObservedImage(location, image, features, distance_m, max(location - MIN_AGE, -1))
+
+
+def observed_images(images: list[Image] | None = None) -> list[ObservedImage]:
+    """Images, of two laps where none are given, as a proposer sees them."""
+    return [observe_image(k, image) for k, image in enumerate(images or two_laps())]
+
+
+def make_observed(location: int, descriptors: NDArray[np.float32], last_matchable: int) -> ObservedImage:
+    """An image that is nothing but descriptors (N, D)."""
+    ones = np.ones(len(descriptors), np.float32)
+    features = LocalFeatures(np.zeros((len(descriptors), 2), np.float32), ones, ones, descriptors)
+    return ObservedImage(location, np.zeros((8, 8), np.uint8), features, float("nan"), last_matchable)
+
+
+def propose_all(proposer: Proposer, images: list[ObservedImage]) -> list[Proposals]:
+    """The proposals for all images of a recording."""
+    return [one for image in images for one in proposer.observe(image)] + proposer.finish()

@@ -1,4 +1,4 @@
-"""The two-state filter and the rule of thumb for votes agree with sums done by hand."""
+"""The two-state filter agrees with sums done by hand."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from place_recognition.belief.bayes_filter import BayesFilter, BayesFilterConfig
-from place_recognition.belief.voting import normalize_votes
 
 
 def probabilities(detections, config=None):
@@ -74,29 +73,6 @@ def test_the_filter_agrees_with_a_sum_over_all_histories(detections, numbers):
             before = state
         weight[before] += w
     assert probabilities(detections, config)[-1] == pytest.approx(weight[1] / weight.sum())
-
-
-def test_normalised_votes_are_the_cosine_of_two_sets_of_words():
-    rng = np.random.default_rng(0)
-    place, image = rng.random(40) < 0.5, rng.random(40) < 0.3
-    cosine = place @ image.astype(float) / np.linalg.norm(place) / np.linalg.norm(image)
-    votes = normalize_votes(np.array([np.sum(place & image)]), np.array([place.sum()]), int(image.sum()))
-    assert votes[0] == pytest.approx(cosine)
-
-
-def test_a_large_place_needs_more_votes_for_the_same_value():
-    np.testing.assert_allclose(normalize_votes(np.array([5, 10, 5]), np.array([25, 100, 100]), 4), [0.5, 0.5, 0.25])
-
-
-def test_where_nothing_can_vote_votes_are_zero():
-    np.testing.assert_array_equal(normalize_votes(np.array([0, 0]), np.array([0, 9]), 0), [0, 0])
-
-
-def test_votes_of_another_shape_or_sign_are_refused():
-    with pytest.raises(ValueError, match=r"expected votes and words of one shape, got \(2,\) and \(3,\)"):
-        normalize_votes(np.zeros(2, np.int64), np.ones(3, np.int64), 5)
-    with pytest.raises(ValueError, match="expected no negative number"):
-        normalize_votes(np.array([-1]), np.array([3]), 5)
 
 
 @settings(max_examples=80, deadline=None)

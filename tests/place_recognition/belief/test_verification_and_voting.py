@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
-from place_recognition.belief.voting import Votes, count_votes, expand_spans, log_binomial
+from place_recognition.belief.voting import count_votes, expand_spans, log_binomial
 from place_recognition.image_processing.matching import count_matches, match_pairs, mutual_matches
 from place_recognition.vocabulary.word_index import ExactWordIndex, nearest_words
 from place_recognition.vocabulary.word_tracking import WordMap, Words
@@ -77,35 +77,18 @@ def test_above_the_expected_number_more_votes_are_less_likely(trials, p):
 def test_without_hits_there_are_no_votes():
     votes = count_votes(np.empty(0, np.int64), WordMap(ExactWordIndex()))
     assert len(votes.locations) == 0
-    assert votes.top_locations(3, 1, -20) == []
-    assert votes.neg_log10_probability(0, 6) == 0
 
 
-@pytest.fixture
-def example_votes():
-    votes, expected, density = np.array([9, 7, 8, 2]), np.array([1.0, 1, 1, 3]), np.array([-5.0, -40, -30, -90])
-    return Votes(np.array([3, 4, 8, 9]), votes, expected, density)
-
-
-def test_significant_locations_come_first_by_votes_and_the_others_follow(example_votes):
-    assert example_votes.top_locations(3, 1, log_threshold=-20) == [8, 4, 3]
-    assert example_votes.top_locations(3, 1, log_threshold=-100) == [4, 8, 3]
-
-
-def test_top_locations_are_apart(example_votes):
-    assert example_votes.top_locations(3, 2, log_threshold=-20) == [8, 4]
-    assert example_votes.top_locations(1, 1, log_threshold=-20) == [8]
-
-
-def test_fewer_votes_than_expected_are_no_match_however_unlikely():
-    poor = Votes(np.array([7]), np.array([2]), np.array([50.0]), np.array([-60.0]))
-    assert poor.top_locations(3, 1, -20) == []
-    assert poor.neg_log10_probability(7, 0) == 0
-
-
-def test_a_location_takes_the_smallest_density_within_the_radius(example_votes):
-    assert example_votes.neg_log10_probability(3, 0) == pytest.approx(5 / np.log(10))
-    assert example_votes.neg_log10_probability(3, 1) == pytest.approx(40 / np.log(10))
+def test_a_word_that_is_hit_often_votes_once_or_as_often():
+    words = WordMap(ExactWordIndex())
+    for first, last in ((0, 1), (1, 2)):
+        words.add(Words(np.zeros((1, 2), np.float32), np.array([first]), np.array([last])))
+    words.activate_until(4)
+    hit = np.array([0, 0, 0, 1])
+    np.testing.assert_array_equal(count_votes(hit, words).votes, [1, 2, 1])
+    often = count_votes(hit, words, distinct=False)
+    np.testing.assert_array_equal(often.votes, [3, 4, 1])
+    np.testing.assert_allclose(often.log_density, binom.logpmf([3, 4, 1], 4, [0.5, 1.0, 0.5]), atol=1e-12)
 
 
 def test_mutual_matches_undo_a_shuffle():

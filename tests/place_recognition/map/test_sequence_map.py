@@ -90,6 +90,23 @@ def test_likeness_is_the_correlation_of_words_written_out():
     np.testing.assert_allclose(words.correlation(0, np.array([3, 2])), [expected, 0], rtol=1e-5)
 
 
+def test_a_rare_word_says_more_than_a_common_one():
+    """Without the weights of rarity both images would be equally like the first."""
+    words = ImageWords(8)
+    for image in ([0, 1, 4], [1, 5], [0, 6], [1, 7], [1, 2, 3], [1, 3], [1, 2]):
+        words.add(np.array(image, np.int64))
+    with_common, with_rare = words.correlation(0, np.array([1, 2]))
+    assert with_rare > 2 * max(with_common, 0.0)
+    share = (np.array([2, 6, 2, 2, 1, 1, 1, 1]) + 0.5) / 8.5
+    idf = -np.log(share)
+    query = np.isin(np.arange(8), [0, 1, 4])
+    for location, present in ((1, [1, 5]), (2, [0, 6])):
+        other = np.isin(np.arange(8), present)
+        lengths = np.linalg.norm(query * idf) * np.linalg.norm(other * idf)
+        expected = (query - share) * idf @ (other * idf) / lengths
+        assert words.correlation(0, np.array([location]))[0] == pytest.approx(expected, rel=1e-5)
+
+
 def test_fixed_sequences_are_as_long_as_they_should_be():
     distances = np.arange(30) * 1.0
     assert begins_of(FixedDistanceSegmentation(), 30 * [[]], distances) == [0, *range(5, 30, 5)][:6]

@@ -1,11 +1,10 @@
 """The registry makes every paradigm by its name and passes on an exclusion to each."""
 
-from dataclasses import fields, is_dataclass
-
 import numpy as np
 import pytest
-from place_images import CachingSurf, sliding_view, textured_world
+from place_images import CachingSurf, two_laps
 
+from place_recognition import staged_recognizer
 from place_recognition.evaluation.memory import count_array_bytes, map_size
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
@@ -20,14 +19,6 @@ NAMES = {
     "pixel-sequences",
     "global-descriptor",
 }
-
-
-def exclusions(settings):
-    """Every exclusion within settings."""
-    if not is_dataclass(settings):
-        return []
-    inner = [(item.name, getattr(settings, item.name)) for item in fields(settings)]
-    return [found for name, value in inner for found in ([value] if name == "exclusion_frames" else exclusions(value))]
 
 
 def test_the_names_are_those_of_the_command_line():
@@ -63,24 +54,39 @@ def test_a_descriptor_that_does_not_exist_is_refused(tmp_path):
         )
 
 
-def test_an_exclusion_reaches_every_paradigm_and_changes_nothing_else():
+def test_an_exclusion_changes_nothing_else():
     config = ParadigmsConfig()
     changed = with_exclusion(config, 40)
-    assert exclusions(changed) == [40] * len(PARADIGMS)
+    assert changed.view.exclusion_frames == 40
     assert with_exclusion(changed, 0) == config
 
 
-@pytest.fixture(scope="module")
-def two_laps():
-    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    return lap + lap
+def test_an_unknown_preset_lists_the_known_ones():
+    with pytest.raises(ValueError, match=r"unknown preset .best.: expected one of default, published"):
+        make_recognizer("tracked-words", FeatureCache(Surf()), ParadigmsConfig(preset="best"))
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two_laps, name):
+def test_the_seed_reaches_the_samples_of_geometry(name, monkeypatch):
+    seeds = []
+
+    def record(images, query, candidates, last_matchable, config):
+        seeds.append(config.epipolar.seed)
+        return ()
+
+    monkeypatch.setattr(staged_recognizer, "verify_candidates", record)
+    recognizer = make_recognizer(name, FeatureCache(CachingSurf()), ParadigmsConfig(seed=7))
+    for i, image in enumerate(two_laps()[:3]):
+        recognizer.observe(i, image, float("nan"))
+    recognizer.finish()
+    assert seeds == [7, 7, 7]
+
+
+@pytest.mark.parametrize("name", PARADIGMS)
+def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(name):
     def beliefs(images):
         recognizer = make_recognizer(name, FeatureCache(CachingSurf()), with_exclusion(ParadigmsConfig(), images))
-        found = [b for i, image in enumerate(two_laps) for b in recognizer.observe(i, image, float("nan"))]
+        found = [b for i, image in enumerate(two_laps()) for b in recognizer.observe(i, image, float("nan"))]
         return found + recognizer.finish()
 
     matched = [b for b in beliefs(38) if b.match is not None]
@@ -90,10 +96,10 @@ def test_no_image_within_the_exclusion_is_matched_and_those_beyond_still_are(two
 
 
 @pytest.mark.parametrize("name", PARADIGMS)
-def test_a_map_grows_with_the_images(two_laps, name):
+def test_a_map_grows_with_the_images(name):
     recognizer = make_recognizer(name, FeatureCache(CachingSurf()))
     sizes = []
-    for i, image in enumerate(two_laps):
+    for i, image in enumerate(two_laps()):
         recognizer.observe(i, image, float("nan"))
         if i in (0, 79):
             sizes.append(map_size(recognizer).bytes)

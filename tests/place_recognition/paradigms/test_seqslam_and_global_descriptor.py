@@ -1,18 +1,24 @@
-"""The naive baselines and their parts: dense maps, lines in a matrix, and the exclusion of recent images."""
+"""The naive baselines and their parts: dense maps, and lines in a matrix."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from place_images import changed, kitti_images, sliding_view, textured_world
+from place_images import (
+    LAP_IMAGES,
+    MIN_AGE,
+    changed,
+    kitti_images,
+    observed_images,
+    propose_all,
+    sliding_view,
+    textured_world,
+)
 
 from place_recognition.image_processing.global_descriptors import Hog
 from place_recognition.map.descriptor_database import DescriptorDatabase, absolute_differences, dot_products
-from place_recognition.map.exclusion_window import ExclusionWindow, ExclusionWindowConfig
 from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
 from place_recognition.paradigms.pixel_sequences import PixelSequences, best_lines, local_contrast
-
-DISTANCE_M = float("nan")
 
 
 class Collected:
@@ -23,10 +29,6 @@ class Collected:
 
     def add(self, query, matches, values, stage="similarity"):
         self.rows[stage][query] = (np.array(matches), np.array(values))
-
-
-def drive(recognizer, images):
-    return [b for i, image in enumerate(images) for b in recognizer.observe(i, image, DISTANCE_M)]
 
 
 @settings(max_examples=30, deadline=None)
@@ -101,66 +103,60 @@ def test_the_best_lines_agree_with_a_plain_search(seed, count):
 
 
 @pytest.mark.parametrize("speed", [0.6, 1.0, 1.6])
-def test_a_lap_driven_at_another_speed_is_recognised_by_its_sequence(speed):
+def test_a_lap_driven_at_another_speed_is_proposed_by_its_sequence(speed):
     world = textured_world(2200, seed=8)
     first = sliding_view(world, list(range(0, 1800, 20)))
     starts = np.arange(400, 1500, round(20 * speed))
-    beliefs = drive(PixelSequences(), first + sliding_view(world, list(starts)))[len(first) + 10 :]
+    images = observed_images(first + sliding_view(world, list(starts)))
+    proposals = propose_all(PixelSequences(), images)[len(first) + 10 :]
     right = [
-        abs(20 * b.match - start) <= 20 for b, start in zip(beliefs, starts[10:], strict=True) if b.match is not None
+        bool(one.locations) and abs(20 * one.locations[0] - start) <= 20
+        for one, start in zip(proposals, starts[10:], strict=True)
     ]
     assert np.mean(right) > 0.9
 
 
 def test_a_sequence_has_a_higher_score_than_a_few_images():
-    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    beliefs = drive(PixelSequences(), lap + lap)[40:]
-    assert np.mean([b.score for b in beliefs[10:]]) > 2 * beliefs[2].score
-    assert all(b.inliers is None and b.verified for b in beliefs)
+    second = propose_all(PixelSequences(), observed_images())[LAP_IMAGES:]
+    assert np.mean([one.scores[0] for one in second[10:]]) > 2 * second[2].scores[0]
+
+
+def test_the_score_is_what_the_best_line_exceeds_the_best_one_elsewhere_by():
+    rows = Collected()
+    proposer = PixelSequences(rows=rows)
+    proposals = propose_all(proposer, observed_images())
+    window = proposer.config.window
+    for one in proposals[LAP_IMAGES + 10 :]:
+        _, sums = rows.rows["filtered"][one.query]
+        best = int(sums.argmax())
+        elsewhere = [value for k, value in enumerate(sums) if abs(k - best) > window]
+        assert one.locations[0] == best
+        assert one.scores[0] == pytest.approx(sums[best] - max(max(elsewhere), 0.0), rel=1e-5)
+
+
+def test_the_score_of_a_global_descriptor_is_its_cosine():
+    rows = Collected()
+    proposals = propose_all(GlobalDescriptorMatching(Hog(), rows=rows), observed_images())
+    for one in proposals[LAP_IMAGES:]:
+        _, cosines = rows.rows["similarity"][one.query]
+        assert one.scores == pytest.approx([cosines[location] for location in one.locations])
+        assert one.scores[0] == pytest.approx(cosines.max())
+        assert list(one.scores) == sorted(one.scores, reverse=True)
 
 
 def test_baselines_report_the_rows_of_their_matrices_up_to_the_exclusion():
-    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
     for make in (PixelSequences, lambda rows: GlobalDescriptorMatching(Hog(), rows=rows)):
         rows = Collected()
-        beliefs = drive(make(rows=rows), lap + lap)
-        for belief in beliefs[50:]:
-            matches, values = rows.rows["similarity"][belief.query]
-            assert matches[-1] <= belief.query - 10
-            assert matches[values.argmax()] == belief.query - 40
+        for one in propose_all(make(rows=rows), observed_images())[LAP_IMAGES + 10 :]:
+            matches, values = rows.rows["similarity"][one.query]
+            assert matches[-1] == one.query - MIN_AGE
+            assert matches[values.argmax()] == one.query - LAP_IMAGES
 
 
-def test_real_images_are_recognised_when_they_come_again_a_little_changed(test_data):
+def test_real_images_are_proposed_when_they_come_again_a_little_changed(test_data):
     images = kitti_images(test_data, "06", range(0, 50, 2))
     again = [changed(image, seed) for seed, image in enumerate(images)]
-    for recognizer in (PixelSequences(), GlobalDescriptorMatching(Hog())):
-        beliefs = drive(recognizer, images + again)[len(images) + 5 :]
-        near = [b.match is not None and abs(b.query - len(images) - b.match) <= 1 for b in beliefs]
-        assert np.mean(near) > 0.8, type(recognizer)
-
-
-def test_the_present_ends_where_the_view_has_changed_and_waits_where_it_has_not():
-    views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
-    past = []
-    for k, image in enumerate(views[:15] + 30 * [views[15]] + views[16:]):
-        present.add(k, image, DISTANCE_M)
-        past.append(present.count_matchable())
-    assert past[14] > 5
-    assert len(set(past[20:45])) == 1
-    assert past[-1] > 50
-
-
-def test_the_present_reaches_as_far_back_as_the_distance_demands():
-    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3, min_distance_m=20.0))
-    for k, image in enumerate(sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))):
-        present.add(k, image, 0.5 * k)
-    assert present.count_matchable() == 0  # 39 images, but 19.5 m
-
-
-def test_a_blank_image_does_not_end_the_present():
-    views = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    present = ExclusionWindow(ExclusionWindowConfig(min_gap_frames=3))
-    for k, image in enumerate(20 * [views[0]] + 5 * [np.zeros_like(views[0])] + 5 * [views[0]]):
-        present.add(k, image, DISTANCE_M)
-        assert present.count_matchable() == 0
+    for proposer in (PixelSequences(), GlobalDescriptorMatching(Hog())):
+        proposals = propose_all(proposer, observed_images(images + again))[len(images) + 5 :]
+        near = [bool(one.locations) and abs(one.query - len(images) - one.locations[0]) <= 1 for one in proposals]
+        assert np.mean(near) > 0.8, type(proposer)

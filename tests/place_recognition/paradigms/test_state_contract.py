@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from place_images import CachingSurf, sliding_view, textured_world
+from place_images import CachingSurf, two_laps
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.map.feature_store import FeatureStore
 from place_recognition.map.inverted_index import InvertedIndex
-from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_control, make_recognizer
 from place_recognition.recognizer import Belief
 from place_recognition.vocabulary.tf_idf import WordVector
 from place_recognition.vocabulary.word_index import ExactWordIndex
@@ -31,19 +31,18 @@ def bits(state):
     return [bits(value) for value in state] if isinstance(state, list | tuple) else repr(state)
 
 
-@pytest.fixture(scope="module")
-def two_laps():
-    lap = sliding_view(textured_world(1600, seed=8), list(range(0, 1240, 31)))
-    return lap + lap
-
-
-@pytest.fixture(scope="module", params=PARADIGMS)
+@pytest.fixture(scope="module", params=[*PARADIGMS, "control", "published"])
 def name(request):
     return request.param
 
 
 def make(name, rows=None):
-    return make_recognizer(name, FeatureCache(CachingSurf()), rows=rows)
+    features = FeatureCache(CachingSurf())
+    if name == "control":
+        return make_control(features)
+    if name == "published":
+        return make_recognizer("tracked-words", features, ParadigmsConfig(preset="published"), rows)
+    return make_recognizer(name, features, rows=rows)
 
 
 def observe(recognizer, images, first=0):
@@ -51,32 +50,32 @@ def observe(recognizer, images, first=0):
 
 
 @pytest.mark.parametrize("stop", [0, 1, 23, 44, 70])
-def test_a_restored_recogniser_goes_on_with_the_same_bits(name, two_laps, stop):
+def test_a_restored_recogniser_goes_on_with_the_same_bits(name, stop):
     undisturbed, stopped, restored = make(name), make(name), make(name)
-    expected = observe(undisturbed, two_laps)
-    before = observe(stopped, two_laps[:stop])
+    expected = observe(undisturbed, two_laps())
+    before = observe(stopped, two_laps()[:stop])
     restored.restore(copy.deepcopy(stopped.state()))
-    after = observe(restored, two_laps[stop:], stop)
+    after = observe(restored, two_laps()[stop:], stop)
     assert before + after == expected
     assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(before + after, expected, strict=True))
     assert bits(restored.state()) == bits(undisturbed.state())
     assert restored.finish() == undisturbed.finish()
 
 
-def test_reading_a_state_changes_nothing(name, two_laps):
+def test_reading_a_state_changes_nothing(name):
     undisturbed, read = make(name), make(name)
-    expected = observe(undisturbed, two_laps[:50])
+    expected = observe(undisturbed, two_laps()[:50])
     beliefs: list[Belief] = []
-    for i, image in enumerate(two_laps[:50]):
+    for i, image in enumerate(two_laps()[:50]):
         read.state()
         beliefs += read.observe(i, image, STEP_M * i)
     assert beliefs == expected
 
 
-def test_the_state_of_another_paradigm_is_refused(two_laps):
+def test_the_state_of_another_paradigm_is_refused():
     states = {name: make(name) for name in ("tracked-words", "hierarchical-places", "global-descriptor")}
     for recognizer in states.values():
-        observe(recognizer, two_laps[:3])
+        observe(recognizer, two_laps()[:3])
     for name, recognizer in states.items():
         for other in states.keys() - {name}:
             with pytest.raises((KeyError, TypeError, ValueError)):

@@ -33,6 +33,47 @@ def quantisation_error(samples, nodes):
     return cdist(samples, nodes).min(axis=1).mean()
 
 
+def plain_gas(samples, config, seed):
+    """Fritzke's algorithm in double precision, step by step as numbered in his paper: nodes and edges."""
+    shown = np.asarray(samples, np.float64)[np.random.default_rng(seed).permutation(len(samples))]
+    nodes, error, age = [shown[0].copy(), shown[1].copy()], [0.0, 0.0], {}
+    for count, sample in enumerate(shown, start=1):
+        distances = [float(np.sum((sample - node) ** 2)) for node in nodes]
+        winner, second = np.argsort(distances, kind="stable")[:2].tolist()  # 2
+        for edge in [edge for edge in age if winner in edge]:  # 3
+            age[edge] += 1
+        error[winner] += distances[winner]  # 4
+        nodes[winner] = nodes[winner] + config.winner_step_ratio * (sample - nodes[winner])  # 5
+        for edge in [edge for edge in age if winner in edge]:
+            [other] = edge - {winner}
+            nodes[other] = nodes[other] + config.neighbor_step_ratio * (sample - nodes[other])
+        age[frozenset((winner, second))] = 0  # 6
+        age = {edge: old for edge, old in age.items() if old <= config.max_edge_age}  # 7
+        assert all(any(k in edge for edge in age) for k in range(len(nodes))), "chosen so that no node is removed"
+        if count % config.insertion_period == 0 and len(nodes) < config.max_nodes:  # 8
+            worst = int(np.argmax(error))
+            joined = sorted(k for edge in age if worst in edge for k in edge - {worst})
+            neighbor = max(joined, key=lambda k: (error[k], -k))
+            nodes.append((nodes[worst] + nodes[neighbor]) / 2)
+            del age[frozenset((worst, neighbor))]
+            age[frozenset((worst, len(nodes) - 1))] = age[frozenset((neighbor, len(nodes) - 1))] = 0
+            error[worst] *= config.split_factor
+            error[neighbor] *= config.split_factor
+            error.append(error[worst])
+        error = [config.decay * value for value in error]  # 9
+    return np.array(nodes), {tuple(sorted(edge)) for edge in age}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gas_is_that_of_the_paper_written_out(seed):
+    samples = np.random.default_rng(10 + seed).normal(size=(700, 6))
+    config = GasConfig(max_nodes=25, insertion_period=25, max_edge_age=10**6)
+    gas = gas_of(samples, config, seed)
+    nodes, edges = plain_gas(samples.astype(np.float32), config, seed)
+    np.testing.assert_allclose(gas.nodes, nodes, atol=1e-4)
+    assert {tuple(edge) for edge in gas.edges.tolist()} == edges
+
+
 @pytest.fixture(scope="module")
 def descriptors():
     """SURF of a dozen neighbouring images."""

@@ -117,11 +117,11 @@ def test_words_are_found_once_the_horizon_has_passed_them():
     np.testing.assert_array_equal(words.spans(np.array([2, 0])), [[2, 6], [0, 4]])
 
 
-def test_several_descriptors_hit_a_word_once():
+def test_each_descriptor_hits_the_word_nearest_to_it():
     words = WordMap(ExactWordIndex())
     words.add(Words(np.eye(3, dtype=np.float32), np.zeros(3, np.int64), np.full(3, 2)))
     words.activate_until(2)
-    np.testing.assert_array_equal(words.lookup(np.float32([[0, 0, 1], [0.1, 0, 1], [1, 0, 0]])), [0, 2])
+    np.testing.assert_array_equal(words.lookup(np.float32([[0, 0, 1], [0.1, 0, 1], [1, 0, 0]])), [2, 2, 0])
 
 
 def test_the_words_that_cover_a_location_are_counted_as_they_come():
