@@ -54,7 +54,7 @@ def recall_at_100_precision(beliefs: list[Belief], is_true: Callable[[int, int],
 
 @cache
 def two_passes(root: Path, hard: int) -> tuple[list[Image], int]:
-    """Even frames of all clips, which are a drive without revisits, then odd ones through a camera that differs by so much; images of the first pass."""
+    """Even frames of all clips, a drive without revisits, then odd ones through another camera; length of the first."""
     frames = {name: kitti_images(root, name, range(count)) for name, count in CLIPS.items()}
     first = [image for images in frames.values() for image in images[::2]]
     second = [image for images in frames.values() for image in images[1::2]]
