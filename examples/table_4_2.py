@@ -5,14 +5,15 @@
 DATA holds what was unpacked: `kitti` (sequences 00 and 05), `malaga_6L`, `new_college`, `city_centre`;
 `data/README.md` says where to get them. TRUTH holds the matrices that the chapter's authors published:
 `groundTruthKITTI00.mat`, `groundTruthKITTI05.mat`, `groundTruthMalaga6L.mat`, `groundTruthNC.mat`,
-`groundTruthCityCentre.mat`. What is missing is named and left out. Each cell is kept in OUT and not computed again; all
-settings are the defaults, the same everywhere.
+`groundTruthCityCentre.mat`. What is missing is named and left out. Each cell is kept in OUT and not computed again.
+Three columns stand beside one another: the published value, and ours with the published preset and by default.
 """
 
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 from rich.console import Console
@@ -25,10 +26,11 @@ from slam.errors import DataError, RevisitError
 from slam.evaluation.revisit_truth_files import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
-from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
+from slam.report.recall_table import DATASETS, PRESETS, RecallTable, format_latex, format_text, plot_table
 from slam.report.trajectory_figure import save_png
 
-EXCLUDE_S = 40.0  # the papers' rule: an image less old is no revisit
+# The papers' rule: an image less old is no revisit. The published presets bring their own.
+EXCLUDE_S = {"default": 40.0, "published": None}
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name, recording in RECORDINGS.items():
         try:
             images, truth = opened(recording, given.data, given.truth)
-            for paradigm in given.paradigms:
-                options = PlacesOptions(given.data / recording.folder, paradigm, given.out / name / paradigm)
-                measured[paradigm, name] = 100 * cell(options, images, truth, messages)
+            for paradigm, preset in product(given.paradigms, PRESETS):
+                folder = given.out / name / (paradigm if preset == "default" else f"{paradigm}-{preset}")
+                options = PlacesOptions(given.data / recording.folder, paradigm, folder, preset=preset, overwrite=True)
+                measured[paradigm, preset, name] = 100 * cell(options, images, truth, messages)
         except RevisitError as error:
             problems.append(f"{name}: left out. {error}")
     write(RecallTable(tuple(given.paradigms), measured), given.out)
@@ -110,8 +113,8 @@ def cell(options: PlacesOptions, images: ImageSequence, truth: RevisitTruth, mes
     """Return R@P100 of one paradigm on one recording, read from an earlier run or computed now."""
     kept = options.out / "metrics.json"
     if not kept.is_file():
-        messages.print(f"{images.name}: {options.paradigm}")
-        options = PlacesOptions(options.source, options.paradigm, options.out, exclude=EXCLUDE_S, overwrite=True)
+        messages.print(f"{images.name}: {options.paradigm}, {options.preset}")
+        options = replace(options, exclude=EXCLUDE_S[options.preset])
         if recognize_images(options, images, truth, messages).metrics["interrupted"]:
             raise KeyboardInterrupt
     places = read_metrics(kept)["places"]

@@ -6,6 +6,7 @@ image -> features -> [paradigm: its map and its own score] -> proposals
 """
 
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -80,6 +81,7 @@ class StagedRecognizer:
         self._view = view
         self._verification = verification
         self._unverified: deque[Proposals] = deque()
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="verify")
 
     @property
     def word_count(self) -> int | None:
@@ -113,6 +115,7 @@ class StagedRecognizer:
                 proposals.locations,
                 proposals.last_matchable,
                 self._verification,
+                self._pool,
             )
             beliefs += self._decision.add(proposals, results)
         return [replace(belief, answered_at=self._latest_id) for belief in beliefs]

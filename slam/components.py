@@ -1,5 +1,6 @@
 """The components of the system, built from a configuration: the one place where names become classes."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +16,14 @@ from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.registry import EXTRACTORS
 from place_recognition.paradigms.registry import (
     PARADIGMS,
+    PRESETS,
     ParadigmsConfig,
+    exclusion_s,
     make_control,
     make_feature_extractor,
     make_recognizer,
+    with_exclusion,
+    with_preset,
 )
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
@@ -34,7 +39,7 @@ from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
 
 Image = NDArray[np.uint8]
 
-_PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor")
+_PLACE_RECOGNITION_SETTINGS = ("features", "vocabulary", "descriptor", "preset")
 _CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
 
 
@@ -50,14 +55,21 @@ def check_features(name: str) -> None:
         raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
 
 
+def check_preset(name: str) -> None:
+    """Raise ConfigError for an unknown preset of the paradigms; the message lists the known ones."""
+    if name not in PRESETS:
+        raise ConfigError(f"unknown preset '{name}': expected one of {', '.join(PRESETS)}")
+
+
 def check_names(config: RunConfig) -> RunConfig:
     """Pass on a configuration whose names all exist.
 
     Raises:
-        ConfigError: unknown paradigm, local features or back end; the message lists the known ones.
+        ConfigError: unknown paradigm, local features, preset or back end; the message lists the known ones.
     """
     check_paradigm(config.paradigm)
     check_features(config.place_recognition.features)
+    check_preset(config.place_recognition.preset)
     back_end(config.robust)
     return config
 
@@ -102,6 +114,32 @@ def _with_height(config: RunConfig, height: object) -> RunConfig:
     return replace(config, mono_odometry=replace(config.mono_odometry, odometry=odometry))
 
 
+def exclude_time(config: ParadigmsConfig, seconds: float, timestamps: NDArray[np.float64]) -> ParadigmsConfig:
+    """Settings by which no image is matched with those of the latest seconds of a recording.
+
+    Args:
+        config: settings of the paradigms.
+        seconds: the time; 0 changes nothing.
+        timestamps: (N,) times of the images, seconds; their median distance turns the time into a number of images.
+    """
+    if not seconds or len(timestamps) < 2:
+        return config
+    period_s = float(np.median(np.diff(timestamps)))
+    # 1e-9: a whole number of periods must not be rounded up to one more.
+    return with_exclusion(config, math.ceil(seconds / period_s - 1e-9))
+
+
+def exclude_by_preset(config: RunConfig, timestamps: NDArray[np.float64]) -> RunConfig:
+    """Configuration for a recording with times (N,), whose latest images are excluded as its preset says.
+
+    An exclusion that the configuration itself names stays.
+    """
+    places = config.place_recognition
+    if places.view.exclusion_frames:
+        return config
+    return replace(config, place_recognition=exclude_time(places, exclusion_s(config.paradigm, places), timestamps))
+
+
 def build_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
@@ -132,7 +170,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
     Raises:
         DataError: the mask, the vocabulary or the descriptor cannot be used.
     """
-    places = replace(config.place_recognition, seed=config.seed)
+    places = with_preset(config.paradigm, replace(config.place_recognition, seed=config.seed))
     features = FeatureCache(make_feature_extractor(places))
     mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)

@@ -107,6 +107,7 @@ def registered(option: str, tmp_path: Path) -> set[str]:
     [
         ("--paradigm", options.PARADIGM_NAMES),
         ("--features", options.FEATURE_NAMES),
+        ("--preset", options.PRESET_NAMES),
         ("--robust", options.BACK_END_NAMES),
         ("--format", options.FORMAT_NAMES),
     ],
@@ -118,7 +119,7 @@ def test_help_lists_the_names_that_a_run_accepts(tmp_path: Path, option: str, li
 def test_help_names_the_defaults_of_a_run():
     config = RunConfig()
     assert (config.paradigm, config.robust) == (options.DEFAULT_PARADIGM, options.DEFAULT_BACK_END)
-    assert config.seed == 0
+    assert (config.place_recognition.preset, config.seed) == (options.DEFAULT_PRESET, 0)
 
 
 def test_the_shell_can_be_taught_to_complete():

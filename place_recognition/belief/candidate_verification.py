@@ -7,6 +7,7 @@ of the formula: docs/math.md. Reasons of the settings, with figures: docs/decisi
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,8 @@ Floats = NDArray[np.float32]
 
 # Matches in a minimal sample: seven matches determine up to three fundamental matrices.
 MINIMAL_SAMPLE = 7
+
+_PARALLEL = 2  # candidates that are verified at a time
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ def verify_candidates(
     candidates: Sequence[int],
     last_matchable: int,
     config: CandidateVerificationConfig,
+    pool: Executor,
 ) -> tuple[VerificationResult, ...]:
     """Verify the candidates of a query in order, and the best image beside the best of them.
 
@@ -79,15 +83,17 @@ def verify_candidates(
         candidates: locations, best first; the first `max_candidates` are verified.
         last_matchable: latest location that may be matched.
         config: how candidates are verified.
+        pool: threads that verify two candidates at a time; the results do not depend on their number.
     """
     results: list[VerificationResult] = []
-    for location in candidates[: config.max_candidates]:
-        results.append(verify_pair(images, query, location, config))
-        if results[-1].evidence >= config.early_stop_evidence:
+    for first in range(0, min(len(candidates), config.max_candidates), _PARALLEL):
+        some = candidates[first : min(first + _PARALLEL, config.max_candidates)]
+        results += pool.map(lambda location: verify_pair(images, query, location, config), some)
+        if max(result.evidence for result in results) >= config.early_stop_evidence:
             break
     best = max(results, key=lambda result: result.evidence, default=None)
     if best is not None and best.evidence > 0:
-        refined = _most_matched_nearby(images, best, last_matchable, config)
+        refined = _find_best_nearby(images, best, last_matchable, config)
         if refined not in {result.location for result in results}:
             results.append(verify_pair(images, query, refined, config))
     return tuple(results)
@@ -110,7 +116,7 @@ def verify_pair(
     return VerificationResult(query, location, len(pixels), evidence, pixels)
 
 
-def _most_matched_nearby(
+def _find_best_nearby(
     images: FeatureStore, best: VerificationResult, last_matchable: int, config: CandidateVerificationConfig
 ) -> int:
     """Location with the most descriptor matches within the refine radius of the best result, itself included."""

@@ -26,8 +26,11 @@ Indices = NDArray[np.int64]
 # Steps by which the earlier pass advances for each step of this pass; negative where it is driven backwards.
 _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
-_MAX_LOG_RATIO_ELSEWHERE = 4.5  # seen from elsewhere a place never agrees as well as from its own viewpoint
+_MAX_LOG_RATIO_ELSEWHERE = 5.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
+_MOVES_ELSEWHERE = np.array(
+    [0.02, 0.05, 0.13, 0.6, 0.13, 0.05, 0.02]
+)  # from elsewhere any of the places ahead may match
 _MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
 _SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
@@ -52,7 +55,7 @@ class PlaceFilterConfig:
 
     begin_probability: float = 0.0003
     end_probability: float = 0.02
-    miss_probability: float = 0.16
+    miss_probability: float = 0.35
     location_sigma_frames: float = 2.5
     lag_frames: int = 15
     min_probability: float = 0.999
@@ -74,7 +77,7 @@ class Observation:
 
 
 @dataclass(frozen=True)
-class Posterior:
+class PlacePosterior:
     """Answer for one step.
 
     Attributes:
@@ -155,7 +158,7 @@ class PlaceFilter:
         log_ratios = np.where(_AT_PLACE, best[:, None], np.minimum(best, _MAX_LOG_RATIO_ELSEWHERE)[:, None])
         return np.maximum(10.0**log_ratios, self.config.miss_probability)
 
-    def posterior(self, steps_ago: int) -> Posterior:
+    def posterior(self, steps_ago: int) -> PlacePosterior:
         """Return the posterior of the step `steps_ago` steps before the latest one, given all steps so far."""
         position = len(self._window) - 1 - steps_ago
         later = list(self._window)[position:]
@@ -204,15 +207,15 @@ def _gather(places: Indices, after: Indices, weighted: Array, moves: Array) -> A
     return out
 
 
-def _summarize(places: Indices, mass: Array, new: float) -> Posterior:
+def _summarize(places: Indices, mass: Array, new: float) -> PlacePosterior:
     """The most likely place: the mean of those around the one of most mass, and how likely they are together."""
     if len(places) == 0 or mass.max() <= 0:
-        return Posterior(None, 0.0, _MIN_LOG_ODDS)
+        return PlacePosterior(None, 0.0, _MIN_LOG_ODDS)
     near = np.abs(places - places[int(mass.argmax())]) <= _MATCH_RADIUS
     inside, total = float(mass[near].sum()), float(mass.sum()) + new
     odds = inside / max(total - inside, 1e-300)
     log_odds = max(float(np.log10(max(odds, 1e-300))), _MIN_LOG_ODDS)
-    return Posterior(round(float(mass[near] @ places[near]) / inside), inside / total, log_odds)
+    return PlacePosterior(round(float(mass[near] @ places[near]) / inside), inside / total, log_odds)
 
 
 def _around(locations: Indices, radius: int) -> Indices:
@@ -231,6 +234,7 @@ def _move_probabilities() -> Array:
     noisy = exact.copy()
     noisy[:, 1:-1] = (1 - 2 * _MOVE_NOISE) * exact[:, 1:-1] + _MOVE_NOISE * (exact[:, :-2] + exact[:, 2:])
     moves: Array = noisy[:, 1:-1]
+    moves[~_AT_PLACE] = _MOVES_ELSEWHERE
     return moves / moves.sum(axis=1, keepdims=True)
 
 

@@ -127,29 +127,39 @@ class FixedWindow:
 
 
 class CameraSteps:
-    """Counts the steps of the camera: a standing or crawling camera takes many images of one step.
+    """Counts the steps of the camera, and the places that it saw: a standing camera takes many images of one step.
 
     Places are counted in steps, so that a stop, or a recording at another frame rate, does not change how fast a
-    revisit moves along the earlier pass.
+    revisit moves along the earlier pass. Each step shows a place of its own, until it is recognised as an earlier one.
     """
 
     def __init__(self, history: ImageHistory) -> None:
         self._history = history
         self._firsts: list[int] = []  # location of the first image of each step
         self._steps: GrowingArray[np.int64] = GrowingArray(np.int64)  # step of each image
+        self._places: GrowingArray[np.int64] = GrowingArray(np.int64)  # place of each step
 
     def add(self, location: int) -> bool:
         """Add the next image; return whether the camera has moved since the first image of its latest step."""
         moved = not self._firsts or self._has_moved(self._firsts[-1], location)
         if moved:
+            self._places.extend(np.array([len(self._firsts)]))
             self._firsts.append(location)
         self._steps.extend(np.array([len(self._firsts) - 1]))
         return moved
 
-    def of(self, locations: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the steps (K,) of the images at locations (K,)."""
-        steps: NDArray[np.int64] = self._steps.rows.reshape(-1)[locations]
-        return steps
+    def of(self, location: int) -> int:
+        """Return the step of the image at a location."""
+        return int(self._steps.rows.reshape(-1)[location])
+
+    def places(self, locations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the places (K,) that the images at locations (K,) show, as the steps that saw them first."""
+        places: NDArray[np.int64] = self._places.rows.reshape(-1)[self._steps.rows.reshape(-1)[locations]]
+        return places
+
+    def recognize(self, step: int, place: int) -> None:
+        """Let a step show an earlier place from now on."""
+        self._places.rows.reshape(-1)[step] = place
 
     def images(self, step: int) -> range:
         """Return the locations of the images of a step."""
@@ -170,9 +180,14 @@ class CameraSteps:
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"first_images": list(self._firsts), "steps": self._steps.state()}
+        return {
+            "first_images": list(self._firsts),
+            "steps": self._steps.state(),
+            "places": self._places.state(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._firsts = list(state["first_images"])
         self._steps.restore(state["steps"])
+        self._places.restore(state["places"])

@@ -17,7 +17,7 @@ from place_recognition.belief.candidate_verification import (
     verify_pair,
 )
 from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, sharpness
-from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, Posterior
+from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, PlacePosterior
 from place_recognition.belief.present_view import CameraSteps
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.proposals import Proposals
@@ -26,6 +26,7 @@ from place_recognition.recognizer import Belief, StageScores, no_pixels
 _MIN_FEATURES = 9  # an image with fewer shows no place, neither as a query nor as a match
 # The image next to the most likely one is the match if it agrees so strongly, and by this ratio better.
 _EXACT_EVIDENCE, _MUCH_BETTER = 100.0, 1.5
+_NEAR = 2  # steps within which a candidate shows the most likely place
 _LIKELY = 0.5  # only pairs more likely than not are worth a verification of their own
 
 Results = tuple[VerificationResult, ...]
@@ -62,12 +63,12 @@ class SmoothedDecision:
         evidence = np.array([result.evidence for result in results], np.float64)
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
-        places = self._steps.of(np.array([result.location for result in results], np.int64))
+        places = self._steps.places(np.array([result.location for result in results], np.int64))
         return Observation(places, log_ratios(np.array(nearest), evidence), sharpness(evidence))
 
     def _answer_oldest(self) -> Belief:
         proposals, results = self._waiting.popleft()
-        step = int(self._steps.of(np.array([proposals.query]))[0])
+        step = self._steps.of(proposals.query)
         posterior = self._filter.posterior(len(self._steps) - 1 - step)
         query, stages = int(self._history.ids[proposals.query]), stage_scores(self._history, proposals, results)
         location = self._match(proposals, results, posterior)
@@ -76,11 +77,14 @@ class SmoothedDecision:
         result = self._result(proposals.query, location, results, posterior.probability)
         location = location if result is None else result.location
         verified = result is not None and result.evidence >= min_evidence(proposals.query, self._verification)
+        accepted = verified and posterior.probability >= self._config.min_probability
+        if accepted and posterior.place is not None:
+            self._steps.recognize(step, posterior.place)
         return Belief(
             query=query,
             match=int(self._history.ids[location]),
             score=posterior.log_odds,
-            accepted=verified and posterior.probability >= self._config.min_probability,
+            accepted=accepted,
             inliers=None if result is None else result.inliers,
             verified=verified,
             pixels=no_pixels() if result is None else result.pixels,
@@ -88,21 +92,31 @@ class SmoothedDecision:
             stages=stages,
         )
 
-    def _match(self, proposals: Proposals, results: Results, posterior: Posterior) -> int | None:
+    def _match(self, proposals: Proposals, results: Results, posterior: PlacePosterior) -> int | None:
         """The image that stands for the most likely place, or for one beside it; None for a blank query.
 
-        Where a place has several images, the candidate of most evidence, else the middle one.
+        Where several passes or images show the place, it is sought in the pass of the candidate of most evidence, and
+        there the candidate of most evidence, else the middle image.
         """
         if posterior.place is None or not self._is_textured(proposals.query):
             return None
-        evidence = {result.location: result.evidence for result in results}
-        for place in (posterior.place + step for step in (0, -1, 1, -2, 2)):
-            images = self._steps.images(place) if 0 <= place < len(self._steps) else range(0)
+        step, evidence = self._find_step(results, posterior.place), {r.location: r.evidence for r in results}
+        for beside in (step + offset for offset in (0, -1, 1, -2, 2)):
+            images = self._steps.images(beside) if 0 <= beside < len(self._steps) else range(0)
             allowed = [k for k in images if k <= proposals.last_matchable and self._is_textured(k)]
             if allowed:
                 middle = allowed[len(allowed) // 2]
                 return max(allowed, key=lambda k: (evidence.get(k, 0.0), k == middle))
         return None
+
+    def _find_step(self, results: Results, place: int) -> int:
+        """The step that shows a place in the pass of the candidate near it that has most evidence."""
+        places = self._steps.places(np.array([result.location for result in results], np.int64))
+        near = [(result.evidence, k) for k, result in enumerate(results) if abs(int(places[k]) - place) <= _NEAR]
+        if not near:
+            return place
+        best = max(near)[1]
+        return self._steps.of(results[best].location) + place - int(places[best])
 
     def _result(self, query: int, location: int, results: Results, probability: float) -> VerificationResult | None:
         """The verification of the match, or of a candidate next to it that agrees much better."""

@@ -40,7 +40,7 @@ def mutual_matches(first: Floats, second: Floats, ratio: float = 0.8) -> NDArray
     return np.stack([keep, nearest[keep]], axis=1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M), always summed in the same order.
 
@@ -59,7 +59,7 @@ def add_products(vector: Floats, columns: Floats, out: Floats) -> None:
             out[j] += vector[k] * row[j]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _mutual_nearest(first: Floats, second_columns: Floats) -> tuple[NDArray[np.intp], Floats, Floats, NDArray[np.intp]]:
     """Nearest neighbours in both directions.
 
@@ -116,7 +116,7 @@ def match_pairs(query: Bytes, other: Bytes, ratio: float) -> NDArray[np.intp]:
     return np.stack([keep, matched[keep]], axis=1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _count_matches(columns: Bytes, count: int, others: Bytes, counts: Indices, ratio: float) -> Indices:
     found = np.zeros(len(others), np.int64)
     for k in range(len(others)):
@@ -124,7 +124,7 @@ def _count_matches(columns: Bytes, count: int, others: Bytes, counts: Indices, r
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
     """Index (count,) of the row that each of the first columns is matched with, -1 without match."""
     width = columns.shape[1]
@@ -146,7 +146,7 @@ def _match(columns: Bytes, count: int, rows: Bytes, ratio: float) -> Indices:
     return matched
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
     """Add to out (M,) the products of a vector (D,) with each column of (D, M).
 
@@ -170,7 +170,7 @@ def add_integer_products(vector: Bytes, columns: Bytes, out: Shorts) -> None:
             out[j] += a * first[j]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _first_largest(values: Shorts) -> int:
     """Index of the first largest value. Two passes that both become SIMD; one pass that keeps an index does not."""
     maximum = largest(values)
@@ -180,7 +180,7 @@ def _first_largest(values: Shorts) -> int:
     return 0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def largest(values: Shorts) -> int:
     """Return the largest of values (M,), M > 0."""
     maximum = values[0]
@@ -189,7 +189,7 @@ def largest(values: Shorts) -> int:
     return maximum
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _keep_nearest(similarity: Shorts, row: int, nearest: Shorts, best: Shorts, runner_up: Shorts) -> None:
     """Update the nearest row, its similarity and the second largest similarity, all (M,), with one more row.
 

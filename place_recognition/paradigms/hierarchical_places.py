@@ -52,7 +52,7 @@ class HierarchicalPlacesConfig:
     voting_features: int = 150
     max_places: int = 5
     neighbor_places: int = 1
-    image_stride: int = 3
+    image_stride: int = 2
     ranking_features: int = 150
     ranking_ratio: float = 0.8
     max_candidates: int = MAX_STAGE_CANDIDATES

@@ -96,3 +96,6 @@ DECISIONS: dict[str, PublishedDecisionConfig] = {
     "pixel-sequences": PublishedDecisionConfig(1.1, min_inliers=0),
     "global-descriptor": PublishedDecisionConfig(0.93, min_inliers=0),
 }
+
+# Of random images, which have no score: geometry and the temporal gate of most methods.
+CONTROL = PublishedDecisionConfig(min_consistent_frames=2)

@@ -160,6 +160,11 @@ def with_preset(name: str, config: ParadigmsConfig) -> ParadigmsConfig:
     )
 
 
+def exclusion_s(name: str, config: ParadigmsConfig) -> float:
+    """Return the age below which the preset of a paradigm matches no image, seconds; 0 where it has no such rule."""
+    return published.DECISIONS[name].min_exclusion_s if config.preset == "published" else 0.0
+
+
 def make_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
@@ -192,11 +197,11 @@ def _stages(
     name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
 ) -> PlaceRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
-    if config.preset == "published" and name in published.DECISIONS:
+    if config.preset == "published":
         epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
         exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)
         window = FixedWindow(history, config.view.exclusion_frames)
-        decision: Decision = PublishedDecision(history, published.DECISIONS[name])
+        decision: Decision = PublishedDecision(history, published.DECISIONS.get(name, published.CONTROL))
         return StagedRecognizer(features, history, window, proposer, decision, exact)
     decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
     return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from odometry.camera import StereoCamera
 from place_recognition.image_processing.local_features import FeatureExtractor
-from place_recognition.paradigms.registry import make_feature_extractor
+from place_recognition.paradigms.registry import make_feature_extractor, with_preset
 from slam.config import RunConfig, from_values
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.image_sequence import IMAGE_SUFFIXES, ImageSequence
@@ -166,7 +166,7 @@ def _extractor(database: MapDatabase) -> FeatureExtractor:
     """Return the extractor of the features that the map is made of."""
     try:
         config = from_values(RunConfig, tomllib.loads(database.sessions()[0].config), "settings")
-        return make_feature_extractor(config.place_recognition)
+        return make_feature_extractor(with_preset(config.paradigm, config.place_recognition))
     except (ConfigError, ValueError) as error:
         raise DataError(
             f"{database.path}: expected settings that this version reads, found others ({error}); make the map again"

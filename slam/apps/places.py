@@ -1,6 +1,5 @@
 """`revisit places`: recognise places in a recording, and write matches, precision-recall curves and matrices."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from place_recognition.paradigms.registry import ParadigmsConfig, with_exclusion
+from place_recognition.paradigms.registry import ParadigmsConfig, exclusion_s, with_preset
 from place_recognition.recognizer import Belief
-from slam.components import check_features, check_paradigm, read_mask
+from slam.components import check_features, check_paradigm, check_preset, exclude_time, read_mask
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
@@ -55,13 +54,14 @@ class PlacesOptions:
         features: name of the local features.
         vocabulary: vocabulary file; None for the general vocabulary.
         descriptor: descriptor of `global-descriptor`.
-        exclude: minimum age of a match, seconds; None to leave it to the recogniser.
+        exclude: minimum age of a match, seconds; None to leave it to the preset.
         fps: images per second, where the source has no timestamps.
         seed: seed of every random generator.
         overwrite: whether to replace earlier results.
         format: format of the source; None to detect it.
         topics: topics of the left camera in a bag; empty to detect them.
         mask: image of the camera's size, black where features are left out; None for none.
+        preset: "default", or "published" for the methods as the papers state them.
     """
 
     source: Path
@@ -79,6 +79,7 @@ class PlacesOptions:
     format: str | None = None
     topics: tuple[str, ...] = ()
     mask: Path | None = None
+    preset: str = "default"
 
     @property
     def recording(self) -> DatasetSpec:
@@ -90,6 +91,7 @@ def check_options(options: PlacesOptions) -> None:
     """Raise ConfigError for an unknown name or a number out of range."""
     check_paradigm(options.paradigm)
     check_features(options.features)
+    check_preset(options.preset)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
     if options.mask is not None and options.paradigm in WHOLE_IMAGE_PARADIGMS:
@@ -132,7 +134,7 @@ def recognize_images(
     config = _config(options, images)
     with RunFolder.create(options.out, options.overwrite) as folder:
         run = _run(options, config, images, truth, messages)
-        origin = provenance(options.source, images.name) | _settings(options)
+        origin = provenance(options.source, images.name) | _settings(options, config)
         record = make_record(run, truth, _drive_data(images, truth), origin)
         write_results(folder.path, record)
         folder.commit()
@@ -198,36 +200,43 @@ def _run(
         run = run_recognizer(images, factory, progress, lambda: stop.requested)
     if run.interrupted:
         messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
-    control = None if run.control is None else drop_recent_matches(run.control, images, options.exclude)
-    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, options.exclude), control=control)
+    exclude = _exclude_s(options)
+    control = None if run.control is None else drop_recent_matches(run.control, images, exclude)
+    return replace(run, beliefs=drop_recent_matches(run.beliefs, images, exclude), control=control)
 
 
 def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
-    """Return the settings of the paradigm: the defaults, changed by the options.
+    """Return the settings of the paradigm: those of the preset, changed by the options.
 
     Raises:
-        ConfigError: `--exclude` is given for images without timestamps.
+        ConfigError: images are excluded by time and have no timestamps.
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
-    config = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor)
-    config = replace(config, seed=options.seed)
-    if not options.exclude or len(images) < 2:
+    chosen = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor, seed=options.seed)
+    config, exclude = with_preset(options.paradigm, replace(chosen, preset=options.preset)), _exclude_s(options)
+    if not exclude or len(images) < 2:
         return config
     if images.timestamps is None:
-        raise ConfigError(
-            f"--exclude {options.exclude:g}: expected times.txt beside the images, found none; give --fps"
-        )
-    period_s = float(np.median(np.diff(images.timestamps)))
-    # 1e-9: a whole number of periods must not be rounded up to one more.
-    return with_exclusion(config, math.ceil(options.exclude / period_s - 1e-9))
+        rule = f"--preset {options.preset}, which excludes {exclude:g} s"
+        rule = rule if options.exclude is None else f"--exclude {exclude:g}"
+        raise ConfigError(f"{rule}: expected times.txt beside the images, found none; give --fps")
+    return exclude_time(config, exclude, images.timestamps)
 
 
-def _settings(options: PlacesOptions) -> dict[str, object]:
+def _exclude_s(options: PlacesOptions) -> float | None:
+    """Return the minimum age of a match, seconds: that of the option, else of the preset; None to have no such rule."""
+    if options.exclude is not None:
+        return options.exclude
+    return exclusion_s(options.paradigm, ParadigmsConfig(preset=options.preset)) or None
+
+
+def _settings(options: PlacesOptions, config: ParadigmsConfig) -> dict[str, object]:
     return {
         "paradigm": options.paradigm,
-        "features": options.features,
+        "preset": options.preset,
+        "features": config.features,
         "seed": options.seed,
-        "exclude_seconds": options.exclude,
+        "exclude_seconds": _exclude_s(options),
     }
 
 

@@ -30,6 +30,7 @@ class Job:
         folder: folder for the results, absolute.
         settings_file: TOML file with the settings of all runs; None for the defaults.
         paradigm, robust, seed, record: settings as in `RunConfig`; a map is saved if a recording is.
+        preset: preset of the paradigm; None for that of the settings.
     """
 
     source_name: str
@@ -40,6 +41,7 @@ class Job:
     robust: str
     seed: int
     record: bool
+    preset: str | None = None
 
     @property
     def name(self) -> str:
@@ -61,7 +63,8 @@ class Job:
     @property
     def settings(self) -> dict[str, object]:
         """Settings that the benchmark changes, by their names in `RunConfig`."""
-        return {
+        preset = {} if self.preset is None else {"preset": self.preset}
+        return preset | {
             "paradigm": self.paradigm,
             "robust": self.robust,
             "seed": self.seed,
@@ -74,7 +77,7 @@ class Job:
         """Complete configuration of the run.
 
         Raises:
-            ConfigError: the settings file, a paradigm or a back end cannot be used.
+            ConfigError: the settings file, a paradigm, a preset or a back end cannot be used.
         """
         return resolve_config(self.run_options(self.folder), self.settings)
 
@@ -85,6 +88,7 @@ class Job:
             "--sequence": self.source.sequence,
             "--format": self.source.format,
             "--paradigm": self.paradigm,
+            "--preset": self.preset,
             "--robust": self.robust,
             "--seed": self.seed,
             "--config": self.settings_file,

@@ -100,14 +100,17 @@ def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
         Job(
             source.name,
             source.source if isinstance(source, RecordedSource) else DatasetSpec(_rendered_folder(source, out)),
-            out / "jobs" / f"{source.name}.{paradigm}.{robust}.{seed}",
+            out / "jobs" / ".".join(part for part in (source.name, paradigm, preset, robust, str(seed)) if part),
             sweep.config,
             paradigm,
             robust,
             seed,
             sweep.record,
+            preset,
         )
-        for source, paradigm, robust, seed in product(sweep.sources, sweep.paradigms, sweep.robust, sweep.seeds)
+        for source, paradigm, preset, robust, seed in product(
+            sweep.sources, sweep.paradigms, sweep.presets, sweep.robust, sweep.seeds
+        )
     ]
 
 

@@ -3,6 +3,7 @@
 Every combination of them is a run. Paths are relative to the file:
 
     paradigms = ["tracked-words", "dynamic-sequences"]
+    preset = ["default", "published"]
     robust = ["pcm+gnc"]
     seeds = [0, 1]
     config = "settings.toml"
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slam.components import check_preset
 from slam.config import RunConfig, from_values, read_toml
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import ConfigError
@@ -61,6 +63,7 @@ class Sweep:
     Attributes:
         sources: sources with different names.
         paradigms: names of place-recognition paradigms.
+        presets: names of their presets; None for that of the settings.
         robust: names of robust back ends.
         seeds: seeds of every random generator of a run.
         config: TOML file with the settings of all runs; None for the defaults.
@@ -69,6 +72,7 @@ class Sweep:
 
     sources: tuple[RecordedSource | SimulatedSource, ...]
     paradigms: tuple[str, ...]
+    presets: tuple[str | None, ...]
     robust: tuple[str, ...]
     seeds: tuple[int, ...]
     config: Path | None
@@ -81,6 +85,7 @@ class _SweepFile:
 
     sources: tuple[Any, ...] = ()
     paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
+    preset: Any = None  # a name, or a list of names
     robust: tuple[Any, ...] = (RunConfig.robust,)
     seeds: tuple[Any, ...] = (RunConfig.seed,)
     config: str = ""
@@ -113,10 +118,26 @@ def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
     sources = [_source(entry, f"{path}: source {n}", path.parent) for n, entry in enumerate(written.sources, start=1)]
     _check_list(tuple(source.name for source in sources), str, f"{path}: sources (give each a name = ... of its own)")
     _check_list(written.paradigms, str, f"{path}: paradigms")
+    presets = _presets(written.preset, f"{path}: preset")
     _check_list(written.robust, str, f"{path}: robust")
     _check_list(written.seeds, int, f"{path}: seeds")
     config = _path(written.config, path.parent, f"{path}: config") if written.config else None
-    return Sweep(tuple(sources), written.paradigms, written.robust, written.seeds, config, written.record)
+    axes = (written.paradigms, presets, written.robust, written.seeds)
+    return Sweep(tuple(sources), *axes, config, written.record)
+
+
+def _presets(written: object, where: str) -> tuple[str | None, ...]:
+    """Return the names of a name or of a list of names; (None,) where there is none."""
+    if written is None:
+        return (None,)
+    names = written if isinstance(written, tuple) else (written,)
+    _check_list(names, str, where)
+    for name in names:
+        try:
+            check_preset(name)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from None
+    return names
 
 
 def _check_list(values: tuple[Any, ...], kind: type, where: str) -> None:

@@ -74,10 +74,10 @@ def recall_over_error_figure(rows: Sequence[ResultRow]) -> Figure | None:
         return None
     figure = new_figure(5.6, 3.4)
     ax = figure.subplots()
-    for n, paradigm in enumerate(dict.fromkeys(row.paradigm for row in complete)):
-        points = [(row.ate_m, row.recall_at_100_precision) for row in complete if row.paradigm == paradigm]
+    for n, method in enumerate(dict.fromkeys(row.method for row in complete)):
+        points = [(row.ate_m, row.recall_at_100_precision) for row in complete if row.method == method]
         mark, colour = _MARKS[n % len(_MARKS)]
-        ax.plot(*zip(*points, strict=True), mark, color=colour, ms=7, label=paradigm)
+        ax.plot(*zip(*points, strict=True), mark, color=colour, ms=7, label=method)
     ax.set(xlabel="ATE, corrected [m]", ylabel="R@P100", ylim=(0.0, 1.05))
     ax.set_xlim(0.0, 1.08 * max(ax.dataLim.x1, _MIN_AXIS_M))
     style_axes(ax)

@@ -23,7 +23,8 @@ class ResultRow:
 
     Attributes:
         run: name of the run and of its folder below `jobs`.
-        source, paradigm, robust, seed: the combination that was run.
+        source, paradigm, robust, seed, preset: the combination that was run; the preset of a run that failed is known
+            where the benchmark names it.
         frames: number of frames.
         path_length_m: path length by ground truth, metres.
         odometry_ate_m, ate_m: ATE of the odometry and of the corrected trajectory, metres.
@@ -40,6 +41,7 @@ class ResultRow:
     paradigm: str
     robust: str
     seed: int
+    preset: str = ""
     frames: object = None
     path_length_m: object = None
     odometry_ate_m: object = None
@@ -54,6 +56,11 @@ class ResultRow:
     wall_seconds: object = None
     peak_memory_mb: object = None
     error: str = ""
+
+    @property
+    def method(self) -> str:
+        """Name of the paradigm, with its preset if that is not the default."""
+        return f"{self.paradigm}, {self.preset}" if self.preset not in ("", "default") else self.paradigm
 
 
 # Dotted keys of the values in metrics.json.
@@ -98,7 +105,9 @@ _LATEX_ESCAPES = {
 def make_row(job: Job, result: JobResult) -> ResultRow:
     """Make the row of a job from its metrics."""
     values = {name: metric_value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
-    return ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, error=result.error, **values)
+    preset = job.preset or str(result.metrics.get("preset", ""))
+    row = ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, preset, error=result.error)
+    return replace(row, **values)  # type: ignore[arg-type]
 
 
 def format_row(row: ResultRow) -> str:
@@ -135,10 +144,10 @@ def median_rows(rows: Sequence[ResultRow]) -> list[tuple[ResultRow, int]]:
 
     Failed runs have no numbers and are left out.
     """
-    groups: dict[tuple[str, str, str], list[ResultRow]] = {}
+    groups: dict[tuple[str, ...], list[ResultRow]] = {}
     for row in rows:
         if not row.error:
-            groups.setdefault((row.source, row.paradigm, row.robust), []).append(row)
+            groups.setdefault((row.source, row.paradigm, row.preset, row.robust), []).append(row)
     return [(_median(group), len(group)) for group in groups.values()]
 
 
@@ -189,7 +198,7 @@ def latex_table(rows: Sequence[ResultRow]) -> str:
         _line(headings),
         "\\midrule",
         *(
-            _line((row.source, row.paradigm, row.robust, str(runs), *format_values(row)))
+            _line((row.source, row.method, row.robust, str(runs), *format_values(row)))
             for row, runs in median_rows(rows)
         ),
         "\\bottomrule",

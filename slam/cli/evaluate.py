@@ -36,7 +36,7 @@ def optimize(
 
 def benchmark(
     config: Annotated[
-        Path, typer.Argument(help="TOML file that lists sources, paradigms, robust back ends and seeds.")
+        Path, typer.Argument(help="TOML file that lists sources, paradigms, presets, robust back ends and seeds.")
     ],
     out: Out,
     workers: Annotated[
@@ -54,7 +54,7 @@ def benchmark(
         ),
     ] = None,
 ) -> None:
-    """Run every source with every paradigm, back end and seed, and compare the results side by side.
+    """Run every source with every paradigm, preset, back end and seed, and compare the results side by side.
 
     Finished runs in the output folder are kept, so the same command continues where it stopped.
     Several processes need: pip install 'revisit-slam[cluster]'

@@ -17,6 +17,7 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 PARADIGM_NAMES = (
     "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
 )
+PRESET_NAMES = "default, published"
 FEATURE_NAMES = "surf, surf-oriented, sift, orb, brief"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
 FORMAT_NAMES = "kitti, euroc, tum-rgbd, own-camera, bag, malaga, new-college, city-centre, images"
@@ -28,6 +29,7 @@ _RULE = "Rule of a revisit, for ground truth given as poses"
 
 # The defaults of RunConfig, for help: without an option its value comes from --config, and without that from here.
 DEFAULT_PARADIGM, DEFAULT_FEATURES, DEFAULT_BACK_END = "tracked-words", "surf", "pcm+gnc"
+DEFAULT_PRESET = "default"
 
 # Options of several commands.
 
@@ -89,6 +91,8 @@ Vocabulary = Annotated[
         help="Vocabulary file of visual words.", show_default="a general vocabulary", rich_help_panel=RECOGNITION
     ),
 ]
+
+_PRESET_HELP = f"Settings of the paradigm by name, as the papers state them or ours: {PRESET_NAMES}."
 
 # simulate
 
@@ -166,6 +170,9 @@ RunParadigm = Annotated[
         rich_help_panel=RECOGNITION,
     ),
 ]
+RunPreset = Annotated[
+    str | None, typer.Option(help=_PRESET_HELP, show_default=DEFAULT_PRESET, rich_help_panel=RECOGNITION)
+]
 RunFeatures = Annotated[
     str | None,
     typer.Option(help=f"Local features: {FEATURE_NAMES}.", show_default=DEFAULT_FEATURES, rich_help_panel=RECOGNITION),
@@ -213,6 +220,7 @@ MapToReprocess = Annotated[
 NewParadigm = Annotated[
     str | None, typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", show_default=_FROM_MAP)
 ]
+NewPreset = Annotated[str | None, typer.Option(help=_PRESET_HELP, show_default=_FROM_MAP)]
 NewRobust = Annotated[str | None, typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=_FROM_MAP)]
 NewSettings = Annotated[
     Path | None,
@@ -235,6 +243,7 @@ PlacesTruth = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
+PlacesPreset = Annotated[str, typer.Option(help=_PRESET_HELP, rich_help_panel=RECOGNITION)]
 PlacesFeatures = Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)]
 PlacesDescriptor = Annotated[
     str,
@@ -246,7 +255,7 @@ Exclude = Annotated[
     float | None,
     typer.Option(
         help="Minimum age of a match, seconds.",
-        show_default="the exclusion window of the paradigm alone",
+        show_default="that of the preset",
         rich_help_panel=RECOGNITION,
     ),
 ]

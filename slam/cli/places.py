@@ -20,6 +20,7 @@ def places(
     image_topic: option.ImageTopic = None,
     mask: option.Mask = None,
     ground_truth: option.PlacesTruth = None,
+    preset: option.PlacesPreset = "default",
     features: option.PlacesFeatures = "surf",
     vocabulary: option.Vocabulary = None,
     descriptor: option.PlacesDescriptor = "hog",
@@ -50,6 +51,7 @@ def places(
         format=dataset_format,
         topics=tuple(image_topic or ()),
         mask=mask,
+        preset=preset,
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)

@@ -80,6 +80,7 @@ def run(
     map_file: option.EarlierMap = None,
     resume: option.Resume = False,
     paradigm: option.RunParadigm = None,
+    preset: option.RunPreset = None,
     features: option.RunFeatures = None,
     vocabulary: option.Vocabulary = None,
     descriptor: option.RunDescriptor = None,
@@ -104,7 +105,8 @@ def run(
     topics = tuple(image_topic or ())
     recording = RunOptions(source=source, sequence=sequence, out=out, format=dataset_format, fps=fps, topics=topics)
     options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
-    settings: dict[str, object] = {"paradigm": paradigm, "features": features, "descriptor": descriptor}
+    settings: dict[str, object] = {"paradigm": paradigm, "preset": preset}
+    settings |= {"features": features, "descriptor": descriptor}
     settings |= {"vocabulary": None if vocabulary is None else str(vocabulary), "robust": robust, "seed": seed}
     settings |= {"mask": None if mask is None else str(mask)}
     settings |= {"mono": mono or None, "camera_height": camera_height}
@@ -122,6 +124,7 @@ def reprocess(
     map_: option.MapToReprocess,
     out: option.Out,
     paradigm: option.NewParadigm = None,
+    preset: option.NewPreset = None,
     robust: option.NewRobust = None,
     config: option.NewSettings = None,
     source: option.MovedSource = None,
@@ -150,7 +153,7 @@ def reprocess(
         fps=found.fps,
         topics=found.topics,
     )
-    settings = _given({"paradigm": paradigm, "robust": robust, "save_recording": not no_record})
+    settings = _given({"paradigm": paradigm, "preset": preset, "robust": robust, "save_recording": not no_record})
     interrupted = run_pipeline(options, settings, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
 

@@ -14,7 +14,7 @@ from uuid import uuid4
 from rich.console import Console
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
-from slam.components import build_components, override_config, read_checked_config
+from slam.components import build_components, exclude_by_preset, override_config, read_checked_config
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.registry import open_for_odometry
@@ -247,10 +247,11 @@ def process_dataset(
     """Process the frames one by one, from where the recorder's session stopped to the end or an interruption."""
     import cv2
 
-    warm_up(dataset, config, build)
+    settings = exclude_by_preset(config, dataset.timestamps)
+    warm_up(dataset, settings, build)
     cv2.setRNGSeed(config.seed)
     recorder, matrix, run_log = recorder or NullSessionRecorder(), MatrixRecorder(_MAX_MATRIX_ROWS), RunLog()
-    components = build(dataset.camera, config, matrix)
+    components = build(dataset.camera, settings, matrix)
     slam = Slam(recorder.components_in_session(components))
     visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()
     num_restored = recorder.restore(slam, matrix, run_log)

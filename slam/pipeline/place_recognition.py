@@ -14,7 +14,7 @@ from place_recognition.evaluation.similarity_matrix import MatrixRecorder, Simil
 from place_recognition.image_processing.image_masks import ImageMasks, MaskedExtractor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.static_regions import StaticRegionConfig
-from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor
+from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_control, build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
@@ -139,7 +139,7 @@ class RecognizerFactory:
         """
         self.clock = StageTimer()
         self.masks = ImageMasks()
-        self._paradigm, self._config, self._control_seed = paradigm, config, control_seed
+        self._paradigm, self._config, self._control_seed = paradigm, with_preset(paradigm, config), control_seed
         self._static_regions, self._mask = static_regions, mask
 
     def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:

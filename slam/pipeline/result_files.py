@@ -210,6 +210,7 @@ def _measure(record: RunRecord, result: PipelineResult, places: PlaceMetrics) ->
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
+        "preset": result.config.place_recognition.preset,
         "seed": result.config.seed,
         "frames": len(record.timestamps),
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),

@@ -3,9 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from slam.components import override_config
+from odometry.camera import StereoCamera
+from place_recognition.paradigms.registry import with_exclusion
+from slam.components import build_components, exclude_by_preset, override_config, read_checked_config
 from slam.config import RunConfig, read_config, to_toml
 from slam.errors import ConfigError
 
@@ -67,6 +70,46 @@ def test_a_setting_of_place_recognition_overrides_that_alone():
     )
 
 
+def test_a_preset_is_read_back_and_the_settings_of_the_methods_stay_in_the_file(tmp_path: Path):
+    config = override_config(RunConfig(), {"preset": "published"})
+    assert config.place_recognition == replace(RunConfig().place_recognition, preset="published")
+    assert read_config(written(tmp_path, to_toml(config))) == config
+
+
+def test_an_unknown_preset_of_a_file_is_named_with_it(tmp_path: Path):
+    with pytest.raises(
+        ConfigError, match=r"settings\.toml: unknown preset 'chapter': expected one of default, published"
+    ):
+        read_checked_config(written(tmp_path, "[place_recognition]\npreset = 'chapter'\n"))
+
+
+@pytest.mark.parametrize(
+    ("paradigm", "preset", "frames"),
+    [
+        ("sequence-histograms", "published", 80),
+        ("tracked-words", "published", 0),
+        ("sequence-histograms", "default", 0),
+    ],
+)
+def test_a_preset_excludes_its_time_by_the_times_of_the_recording(paradigm: str, preset: str, frames: int):
+    config = override_config(RunConfig(), {"paradigm": paradigm, "preset": preset})
+    changed = exclude_by_preset(config, 0.5 * np.arange(200))
+    assert changed.place_recognition == with_exclusion(config.place_recognition, frames)
+    own = replace(config, place_recognition=with_exclusion(config.place_recognition, 7))
+    assert exclude_by_preset(own, 0.5 * np.arange(200)) == own
+
+
+def test_the_components_of_a_preset_have_its_features():
+    camera = StereoCamera(300.0, 300.0, 160.0, 60.0, 0.5, 320, 120)
+    kinds = {
+        paradigm: build_components(
+            camera, override_config(RunConfig(), {"paradigm": paradigm, "preset": "published"})
+        ).features.kind
+        for paradigm in ("dynamic-sequences", "tracked-words")
+    }
+    assert kinds == {"dynamic-sequences": "brief-256", "tracked-words": "surf-upright-64"}
+
+
 def test_no_setting_leaves_a_configuration_as_it_is():
     assert override_config(RunConfig(mono=True), {}) == RunConfig(mono=True)
 
@@ -76,6 +119,7 @@ def test_no_setting_leaves_a_configuration_as_it_is():
     [
         ({"paradigm": "none"}, "unknown paradigm 'none'"),
         ({"features": "none"}, "unknown local features 'none'"),
+        ({"preset": "none"}, "unknown preset 'none': expected one of default, published"),
         ({"camera_height": 1.65}, "--camera-height: .*add --mono"),
         ({"mono": True, "camera_height": -1.0}, "--camera-height: "),
     ],

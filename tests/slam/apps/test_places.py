@@ -270,6 +270,44 @@ def test_excluded_images_are_not_matched(two_laps: Path, truth: Path, tmp_path: 
     assert all(belief.match is None or belief.query - belief.match >= 40 for belief in beliefs)
 
 
+@pytest.mark.parametrize("paradigm", ["sequence-histograms", "dynamic-sequences", "hierarchical-places"])
+def test_the_published_preset_excludes_40_s_by_the_times(
+    two_laps: Path, truth: Path, tmp_path: Path, paradigm: str
+) -> None:
+    chosen = ("--preset", "published", "--ground-truth", truth, "--fps")
+    assert places(two_laps, tmp_path / "out", *chosen, 1.6, paradigm=paradigm) == 0
+    found = metrics(tmp_path / "out")
+    assert (found["preset"], found["exclude_seconds"]) == ("published", 40.0)
+    assert found["features"] == ("surf" if paradigm == "hierarchical-places" else "brief")
+    assert matched(tmp_path / "out") == []
+    assert places(two_laps, tmp_path / "more", *chosen, 0.7, paradigm=paradigm) == 0
+    ages = [query - match for query, match in matched(tmp_path / "more")]
+    assert len(ages) > 10
+    assert min(ages) >= 28
+
+
+def test_tracked_words_as_published_exclude_by_their_tracks_and_ask_for_no_times(
+    two_laps: Path, truth: Path, tmp_path: Path
+) -> None:
+    assert places(two_laps, tmp_path / "out", "--preset", "published", "--ground-truth", truth) == 0
+    found = metrics(tmp_path / "out")
+    assert (found["preset"], found["exclude_seconds"]) == ("published", None)
+    assert found["places"]["tolerance_10"]["true_positives"] > 10
+
+
+def test_the_option_overrides_the_exclusion_of_the_preset(two_laps: Path, tmp_path: Path) -> None:
+    chosen = ("--preset", "published", "--exclude")
+    assert places(two_laps, tmp_path / "none", *chosen, 0, paradigm="hierarchical-places") == 0
+    assert metrics(tmp_path / "none")["exclude_seconds"] == 0
+    assert matched(tmp_path / "none")
+    assert places(two_laps, tmp_path / "all", *chosen, 60, "--fps", 1, paradigm="hierarchical-places") == 0
+    assert matched(tmp_path / "all") == []
+
+
+def matched(out: Path) -> list[tuple[int, int]]:
+    return [(belief.query, belief.match) for belief in read_matches(out / "matches.csv") if belief.match is not None]
+
+
 @pytest.mark.parametrize("images", [1, 2])
 def test_very_short_drives_match_nothing(tmp_path: Path, images: int) -> None:
     assert places(write(tmp_path / "short", views(1)[:images]), tmp_path / "out") == 0
@@ -330,6 +368,11 @@ FAULTS: dict[str, tuple[Callable[[Path], list[object]], int, str]] = {
     "missing truth": (lambda t: ["--ground-truth", t / "none.mat"], 1, "none.mat: expected a truth file, found none"),
     "unknown paradigm": (lambda t: ["--paradigm", "guess"], 2, "unknown paradigm 'guess': expected one of"),
     "unknown features": (lambda t: ["--features", "brisk"], 2, "unknown local features 'brisk': expected one of surf"),
+    "unknown preset": (lambda t: ["--preset", "chapter"], 2, "unknown preset 'chapter': expected one of default, pub"),
+    "no times for the exclusion of a preset": (
+        lambda t: ["--paradigm", "dynamic-sequences", "--preset", "published"], 2,
+        "--preset published, which excludes 40 s: expected times.txt beside the images, found none; give --fps",
+    ),
     "features without words": (
         lambda t: ["--paradigm", "dynamic-sequences", "--features", "sift"], 1, "revisit vocabulary train"
     ),

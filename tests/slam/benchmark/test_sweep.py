@@ -35,6 +35,28 @@ def test_every_combination_is_a_job_of_its_own_name(tmp_path: Path):
     assert (last.config.paradigm, last.config.robust, last.config.seed) == ("pixel-sequences", "pcm+gnc", 7)
 
 
+def test_presets_are_an_axis_of_the_sweep(tmp_path: Path):
+    jobs = make_jobs(read_sweep(written(tmp_path, 'preset = ["default", "published"]\n' + SOURCE)), tmp_path)
+    assert [job.name for job in jobs] == [
+        f"drive.tracked-words.{preset}.pcm+gnc.0" for preset in ("default", "published")
+    ]
+    assert [job.config.place_recognition.preset for job in jobs] == ["default", "published"]
+    words = list(jobs[1].command)
+    assert words[words.index("--preset") + 1] == "published"
+    (job,) = make_jobs(read_sweep(written(tmp_path, 'preset = "published"\n' + SOURCE)), tmp_path)
+    assert job == jobs[1]
+
+
+def test_without_a_preset_that_of_the_settings_holds_and_names_are_as_ever(tmp_path: Path):
+    (tmp_path / "own.toml").write_text("[place_recognition]\npreset = 'published'\n")
+    (job,) = make_jobs(read_sweep(written(tmp_path, 'config = "own.toml"\n' + SOURCE)), tmp_path)
+    assert job.config.place_recognition.preset == "published"
+    assert job.name == "drive.tracked-words.pcm+gnc.0"
+    assert "--preset" not in job.command
+    (job,) = make_jobs(read_sweep(written(tmp_path, 'config = "own.toml"\npreset = "default"\n' + SOURCE)), tmp_path)
+    assert job.config.place_recognition.preset == "default"
+
+
 def test_what_is_not_named_is_as_in_a_single_run(tmp_path: Path):
     (job,) = make_jobs(read_sweep(written(tmp_path, SOURCE)), tmp_path)
     assert job.config == RunConfig(save_recording=False, save_map=False)
@@ -91,6 +113,10 @@ def test_a_hostile_name_stays_inside_its_folder(tmp_path: Path):
         ('seeds = ["0"]\n' + SOURCE, "found '0'"),
         ("seeds = [true]\n" + SOURCE, "found True"),
         ("seeds = [-1]\n" + SOURCE, "found -1"),
+        ('preset = "chapter"\n' + SOURCE, "preset: unknown preset 'chapter': expected one of default, published"),
+        ("preset = []\n" + SOURCE, "preset: expected one or more"),
+        ("preset = 3\n" + SOURCE, "found 3"),
+        ('preset = ["default", "default"]\n' + SOURCE, "found 'default' twice"),
         ("speed = 3\n" + SOURCE, "unknown setting 'speed'"),
         ("seeds = [", "expected a TOML file"),
         ("seeds = " + 9999 * "[", "expected a TOML file"),
@@ -127,6 +153,7 @@ sweeps = st.fixed_dictionaries(
         "seeds": st.lists(st.integers(0), min_size=1, max_size=2, unique=True) | things,
         "config": words,
         "record": st.booleans(),
+        "preset": st.lists(st.sampled_from(["default", "published"]), max_size=3) | things,
     },
 )
 

@@ -47,6 +47,14 @@ def test_runs_that_differ_in_their_seed_alone_are_one_line_of_medians():
     assert "pixel-sequences" not in found
 
 
+def test_runs_of_different_presets_are_different_lines():
+    rows = [row("a", preset="default", ate_m=1.0), row("b", preset="published", ate_m=3.0)]
+    assert [(one.ate_m, runs) for one, runs in median_rows(rows)] == [(1.0, 1), (3.0, 1)]
+    assert [one.method for one in rows] == ["tracked-words", "tracked-words, published"]
+    assert "tracked-words, published & gnc" in latex_table(rows)
+    assert "<td>tracked-words, published</td>" in render_page("x", rows)
+
+
 def test_csv_and_json_hold_every_digit_and_leave_empty_what_is_not_known(tmp_path: Path):
     rows = [row(ate_m=0.1 + 0.2, path_length_m=float("nan")), *ROWS]
     write_csv(tmp_path, rows)
@@ -112,11 +120,13 @@ def test_the_page_sorts_by_its_headings_and_loads_nothing(tmp_path: Path):
 
 def test_a_row_takes_its_numbers_from_the_metrics(tmp_path: Path):
     class Named:
-        name, source_name, paradigm, robust, seed = "one", "street", "p", "gnc", 3
+        name, source_name, paradigm, robust, seed, preset = "one", "street", "p", "gnc", 3, None
 
     class Done:
         error = ""
         metrics = {"frames": 9, "odometry": {"ate_m": 2.0}, "corrected": {"ate_m": 1.0}, "loops": {"false": 0}}  # noqa: RUF012
 
+    Done.metrics["preset"] = "published"
     made = make_row(Named, Done)  # type: ignore[arg-type]
+    assert made.preset == "published"
     assert (made.frames, made.odometry_ate_m, made.ate_m, made.loops_false, made.loops_kept) == (9, 2.0, 1.0, 0, None)

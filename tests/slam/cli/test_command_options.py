@@ -108,6 +108,7 @@ def test_options_of_a_run_arrive(calls: Callable[..., list[Call]], tmp_path: Pat
     settings = {
         "--paradigm": "pixel-sequences",
         "--features": "orb",
+        "--preset": "published",
         "--robust": "gnc",
         "--seed": 4,
         "--descriptor": "hog",
@@ -141,9 +142,11 @@ def test_options_of_places_arrive(calls: Callable[..., list[Call]], tmp_path: Pa
     made = calls(slam.apps.places, "recognize_places", False)
     words = ("places", tmp_path, "--paradigm", "pixel-sequences", "--out", tmp_path / "out")
     run(*words)
-    run(*words, "--exclude", 40, "--fps", 10, "--seed", 3, "--features", "orb", "--format", "images", "--json")
+    run(*words, "--exclude", 40, "--fps", 10, "--seed", 3, "--features", "orb", "--format", "images", "--json",
+        "--preset", "published")  # fmt: skip
     (plain, *_), (full, *_, json) = (arguments for arguments, _ in made)
     changed = {"exclude": 40.0, "fps": 10.0, "seed": 3, "features": "orb", "format": "images"}
+    changed["preset"] = "published"
     assert full == replace(plain, **changed)
     assert json
 

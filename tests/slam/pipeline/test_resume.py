@@ -7,17 +7,21 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from slam.config import read_config
 from slam.errors import ConfigError, DataError, OutputError
 from slam.io.run_folder import unfinished
 from slam.map_database.database import MapDatabase
 from slam.map_database.replay import source_of
 from slam.map_database.resume import find_resumable_run
 from slam.pipeline.pipeline import RunOptions, run_pipeline
+from slam.pipeline.visualization import RunVisualizer
+from slam.system import FrameResult
 
 QUIET = Console(quiet=True)
 TIMED = {"frames.csv", "report.html", "run.log", "map.db", "metrics.json"}
@@ -134,26 +138,52 @@ def test_a_run_whose_source_disappeared_can_be_resumed_once_it_is_back(drive: Pa
     assert_as_undisturbed(out, undisturbed)
 
 
-def test_an_interrupted_run_can_be_resumed(
-    drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    out, show = tmp_path / "out", "slam.pipeline.visualization.RunVisualizer.show"
-    from slam.pipeline.visualization import RunVisualizer
-
+def interrupting(index: int) -> Callable[[RunVisualizer, FrameResult], object]:
+    """RunVisualizer.show, with an interruption from the keyboard at a frame."""
     original = RunVisualizer.show
 
-    def interrupt(self: RunVisualizer, processed: object) -> object:
-        if processed.frame.index == 60:
+    def interrupt(self: RunVisualizer, processed: FrameResult) -> object:
+        if processed.frame.index == index:
             signal.raise_signal(signal.SIGINT)
         return original(self, processed)
 
+    return interrupt
+
+
+def test_an_interrupted_run_can_be_resumed(
+    drive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "out"
     with monkeypatch.context() as patched:
-        patched.setattr(show, interrupt)
+        patched.setattr("slam.pipeline.visualization.RunVisualizer.show", interrupting(60))
         assert run(drive, out)
     assert json.loads((out / "metrics.json").read_text())["interrupted"]
     assert json.loads((out / "metrics.json").read_text())["frames"] == 61
     assert not run(drive, out, resume=True)
     assert_as_undisturbed(out, undisturbed)
+
+
+def test_a_run_with_the_published_preset_can_be_resumed(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    slow = tmp_path / "slow"  # 0.55 s between frames: the loop of 80 frames is older than the 40 s of the preset
+    shutil.copytree(drive, slow, symlinks=True)
+    times = slow / "sequences" / "00" / "times.txt"
+    times.write_text("".join(f"{0.55 * index:e}\n" for index in range(FRAMES)))
+    chosen = {"paradigm": "dynamic-sequences", "preset": "published"}
+    run(slow, tmp_path / "whole", **chosen)
+    metrics = json.loads((tmp_path / "whole" / "metrics.json").read_text())
+    assert metrics["preset"] == "published"
+    assert read_config(tmp_path / "whole" / "config.toml").place_recognition.preset == "published"
+    pairs = [line.split(",")[:2] for line in (tmp_path / "whole" / "loops.csv").read_text().splitlines()[1:]]
+    ages = [int(query) - int(match) for query, match in pairs if match]
+    assert len(ages) > 5
+    assert min(ages) >= 73
+    with monkeypatch.context() as patched:
+        patched.setattr("slam.pipeline.visualization.RunVisualizer.show", interrupting(115))
+        assert run(slow, tmp_path / "out", **chosen)
+    with pytest.raises(ConfigError, match="other settings"):
+        run(slow, tmp_path / "out", resume=True, preset="default")
+    assert not run(slow, tmp_path / "out", resume=True)
+    assert_as_undisturbed(tmp_path / "out", tmp_path / "whole")
 
 
 def test_a_complete_run_has_nothing_to_resume(drive: Path, undisturbed: Path):

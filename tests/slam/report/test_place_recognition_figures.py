@@ -75,23 +75,28 @@ def test_without_truth_there_is_no_curve_but_a_picture() -> None:
     assert "no ground truth" in plot_precision_recall({}, "x").axes[0].texts[0].get_text()
 
 
-TABLE = RecallTable(("sequence-histograms", "pixel-sequences"), {("sequence-histograms", "KITTI 00"): 93.25})
+MEASURED = {
+    ("sequence-histograms", "default", "KITTI 00"): 93.25,
+    ("sequence-histograms", "published", "KITTI 00"): 80.0,
+}
+TABLE = RecallTable(("sequence-histograms", "pixel-sequences"), MEASURED)
 
 
-def test_the_table_has_ours_beside_the_published_and_marks_the_disputed_value() -> None:
+def test_the_table_has_both_presets_beside_the_published_value_and_marks_the_disputed_one() -> None:
     lines = format_text(TABLE).splitlines()
     assert lines[2].split("  ")[0] == "sequence-histograms"
-    assert "93.2 (81.5)" in lines[2]
-    assert "- (81.5*)" in lines[2]
-    assert lines[3].count("- (-)") == len(DATASETS)
+    assert "81.5 / 80.0 / 93.2" in lines[2]
+    assert "81.5* / - / -" in lines[2]
+    assert lines[3].count("- / - / -") == len(DATASETS)
     assert lines[-1].startswith("* 76.8")
 
 
-def test_the_latex_has_a_column_for_each_data_set_and_nothing_unescaped() -> None:
+def test_the_latex_has_three_columns_for_each_data_set_and_nothing_unescaped() -> None:
     latex = format_latex(TABLE)
     body = [line for line in latex.splitlines() if line.endswith(r"\\")]
-    assert len(body) == 3
-    assert all(line.count("&") == len(DATASETS) for line in body)
+    assert len(body) == 4
+    assert all(line.count("&") == 3 * len(DATASETS) for line in body[1:])
+    assert body[0].count(r"\multicolumn{3}") == len(DATASETS)
     assert "%" not in latex.replace(r"\%", "").replace("% * 76.8", "")
 
 
