@@ -21,13 +21,13 @@ from place_benchmarks import Stopwatch, image_files
 
 from place_recognition import staged_recognizer
 from place_recognition.belief.place_filter import PlaceFilter
-from place_recognition.belief.present_view import CameraSteps, PresentView
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.place_map import PlaceSegmentation
 from place_recognition.paradigms import hierarchical_places
 from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from place_recognition.verification.present_view import CameraSteps, PresentView
 from place_recognition.vocabulary import word_tracking as tracking
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 

@@ -16,7 +16,7 @@ from place_recognition.evaluation.stages import stage_answers
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.registry import PARADIGMS, make_control, make_recognizer
-from place_recognition.proposals import propose_best
+from place_recognition.recognizer import propose_best
 from slam.datasets.formats.registry import open_dataset
 from slam.report.place_recognition_figures import plot_precision_recall
 from slam.report.trajectory_figure import save_png

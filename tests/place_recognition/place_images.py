@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.proposals import ObservedImage, Proposals, Proposer
+from place_recognition.recognizer import ObservedImage, Proposals, Proposer
 
 Image = NDArray[np.uint8]
 
@@ -117,3 +117,33 @@ def make_observed(location: int, descriptors: NDArray[np.float32], last_matchabl
 def propose_all(proposer: Proposer, images: list[ObservedImage]) -> list[Proposals]:
     """The proposals for all images of a recording."""
     return [one for image in images for one in proposer.observe(image)] + proposer.finish()
+
+
+class SecondCamera:
+    """A camera that sees images as a later pass would: its place, exposure and noise differ, and cars stand in it."""
+
+    def __init__(self, hard: int, images: int, seed: int = 0) -> None:
+        """A camera for a pass of so many images; hard from 0, no difference, to 5."""
+        self._hard, self._rng = hard, np.random.default_rng(seed)
+        knots = np.arange(0, images + 30, 30)  # in between everything changes slowly
+        drawn = self._rng.uniform(-1, 1, (10, len(knots)))
+        self._course = np.array([np.interp(np.arange(images), knots, row) for row in drawn]).T
+
+    def view(self, k: int, image: Image) -> Image:
+        """An image (H, W) as image k of the pass."""
+        height, width = image.shape
+        change, rng = self._course[k], self._rng
+        corners = np.float32([[0, 0], [width, 0], [width, height], [0, height]])
+        shift = 0.02 * self._hard * change[:8].reshape(4, 2) * [width, height]
+        warp = cv2.getPerspectiveTransform(corners, corners + shift.astype(np.float32))
+        moved = cv2.warpPerspective(image, warp, (width, height), borderMode=cv2.BORDER_REFLECT)
+        bright = 255 * (moved / 255) ** (1 + 0.15 * self._hard * change[8]) * (1 + 0.1 * self._hard * change[9])
+        seen = np.clip(bright + rng.normal(0, 2 * self._hard, image.shape), 0, 255).astype(np.uint8)
+        if self._hard >= 2:
+            car_width, car_height = (
+                int(width * rng.uniform(0.1, 0.08 * self._hard)),
+                int(height * rng.uniform(0.3, 0.7)),
+            )
+            left, top = rng.integers(width - car_width), rng.integers(height - car_height)
+            seen[top : top + car_height, left : left + car_width] = rng.integers(20, 200)
+        return seen
