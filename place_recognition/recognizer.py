@@ -1,4 +1,8 @@
-"""The interface of every place recogniser, and the belief that it returns for each image."""
+"""The interfaces of place recognition: recognisers with their beliefs, and paradigms with their proposals.
+
+A paradigm is a proposer: a map of its own, and a score of its own. What follows is the same for all paradigms
+(`place_recognition.staged_recognizer`): geometric verification, and a decision over the images around.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,6 +1,6 @@
-"""The decision of this project: what the paradigm and geometry say of each candidate, smoothed over the images around.
+"""From verified candidates to beliefs: the smoothed decision of this project, and those of the published methods.
 
-The answer for an image is the most likely place and its probability (`place_recognition.belief.place_filter`). The pair
+What the paradigm and geometry say of each candidate is smoothed over the images around: the answer for an image is the most likely place and its probability (`place_recognition.belief.place_filter`). The pair
 is then verified by geometry once more if it was not among the candidates; without geometric agreement no match is
 accepted, however likely the place.
 """

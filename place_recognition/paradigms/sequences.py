@@ -1,4 +1,4 @@
-"""Proposer of both paradigms of sequences: word vectors of sequences, a filtered matrix, then single images.
+"""Both paradigms of sequences: word vectors of sequences, a filtered matrix, then single images.
 
 Bampis, Amanatiadis, Gasteratos, IROS 2016 and IJRR 37(1) 2018; sections 4.4.1 and 4.4.2 of the chapter. Deviations of
 the default from the papers (reasons and figures: docs/decisions/sequence_paradigms.md):

@@ -1,4 +1,8 @@
-"""Naive baseline SeqSLAM: thumbnails compared pixel by pixel, and straight lines sought in the difference matrix.
+"""Two naive baselines without local features: global descriptors, and SeqSLAM on thumbnails.
+
+The first proposes the images whose global descriptors, a histogram of oriented gradients or any network, have the
+largest cosine with that of the query (eq. 4.3). SeqSLAM compares thumbnails pixel by pixel and seeks straight lines in
+the difference matrix:
 
 Milford, Wyeth, 'SeqSLAM: Visual Route-Based Navigation for Sunny Summer Days and Stormy Winter Nights', ICRA 2012.
 Deviations from the paper:

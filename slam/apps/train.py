@@ -13,7 +13,7 @@ from place_recognition.evaluation.ground_truth_files import array_names, read_ar
 from place_recognition.evaluation.revisit_ground_truth import load_truth
 from place_recognition.image_processing.local_features import FeatureExtractor
 from place_recognition.image_processing.registry import make_extractor
-from place_recognition.vocabulary.matrix_filter_training import (
+from place_recognition.paradigms.matrix_filter_training import (
     TrainingSamples,
     collect_samples,
     reduce_to_sequences,

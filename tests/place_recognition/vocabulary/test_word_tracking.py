@@ -4,10 +4,18 @@ import numpy as np
 from place_images import sliding_view, textured_world
 
 from place_recognition.growing_array import GrowingArray
-from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
 from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.vocabulary.word_tracking import FeatureTracks, TrackConfig, WordMap, Words, count_spans
+from place_recognition.vocabulary.word_tracking import (
+    FeatureTracks,
+    GuidedTrackingConfig,
+    TrackConfig,
+    WordMap,
+    Words,
+    count_spans,
+    optical_flow,
+    select_guided,
+)
 from place_recognition.vocabulary.word_tree import ExactWordIndex
 
 GUIDED = GuidedTrackingConfig()
