@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from place_recognition.belief import place_filter
-from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, Posterior
+from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, PlacePosterior
 
 MOVES = place_filter._MOVES.tolist()
 NEW = None  # the state "a new place"; every other state is (place, index of the speed)
@@ -23,7 +23,7 @@ def observe(*candidates: tuple[int, float], sharpness: float = 1.0) -> Observati
     return Observation(np.array(places, np.int64), np.array(ratios, float), np.full(len(places), sharpness))
 
 
-def run(observations, **settings_of_filter) -> list[Posterior]:
+def run(observations, **settings_of_filter) -> list[PlacePosterior]:
     """The posterior of each step, `lag_frames` later or where the recording ends."""
     config = PlaceFilterConfig(**settings_of_filter)
     one, answers = PlaceFilter(config), []
@@ -35,7 +35,7 @@ def run(observations, **settings_of_filter) -> list[Posterior]:
     return answers + [one.posterior(k) for k in reversed(range(waiting))]
 
 
-def accepted(answers: list[Posterior]) -> np.ndarray:
+def accepted(answers: list[PlacePosterior]) -> np.ndarray:
     return np.array([answer.probability >= PlaceFilterConfig().min_probability for answer in answers])
 
 
@@ -202,7 +202,7 @@ def test_probabilities_lie_between_zero_and_one_and_order_like_their_odds(candid
 @settings(max_examples=30)
 @given(st.integers(0, 19), st.floats(0, 3), st.lists(st.floats(-1, 2), min_size=20, max_size=20))
 def test_more_evidence_never_lowers_the_odds_of_a_place(index, more, ratios):
-    def odds(extra: float) -> Posterior:
+    def odds(extra: float) -> PlacePosterior:
         given_ratios = [ratio + (extra if k == index else 0.0) for k, ratio in enumerate(ratios)]
         return run([observe((50 + k, ratio)) for k, ratio in enumerate(given_ratios)])[index]
 
