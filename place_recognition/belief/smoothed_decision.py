@@ -25,7 +25,7 @@ from place_recognition.recognizer import Belief, StageScores, no_pixels
 
 _MIN_FEATURES = 9  # an image with fewer shows no place, neither as a query nor as a match
 # The image next to the most likely one is the match if it agrees so strongly, and by this ratio better.
-_EXACT_EVIDENCE, _MUCH_BETTER = 100.0, 1.5
+_EXACT_EVIDENCE, _MUCH_BETTER = 60.0, 2.0
 _NEAR = 2  # steps within which a candidate shows the most likely place
 _LIKELY = 0.5  # only pairs more likely than not are worth a verification of their own
 
