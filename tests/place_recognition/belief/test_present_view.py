@@ -86,6 +86,11 @@ def test_blank_images_do_not_end_the_view(images):
     assert most_shared(views, matchable) <= MAX_SHARED
 
 
+def test_a_standing_camera_that_is_covered_for_long_still_sees_the_present():
+    views, matchable = drive(stop_of(100), blank=range(95, 150))
+    assert most_shared(views, matchable) <= MAX_SHARED
+
+
 @pytest.mark.parametrize("is_noisy", [False, True])
 def test_of_equal_images_none_is_matchable(is_noisy):
     one = STREET.view(50.0).features
