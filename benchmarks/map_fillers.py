@@ -5,16 +5,15 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from place_recognition.paradigms.sequence_recognizer import SequenceRecognizer
 
+from place_recognition.belief.place_filter import PlaceFilter
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces
-from place_recognition.paradigms.sequence_paradigms import make_dynamic_sequences, make_sequence_histograms
-from place_recognition.paradigms.tracked_words import TrackedWords
+from place_recognition.map.place_map import PlaceMap
+from place_recognition.paradigms.registry import make_recognizer
 from place_recognition.vocabulary.tf_idf import word_vector
 from place_recognition.vocabulary.vocabulary import default_vocabulary
-from place_recognition.vocabulary.word_tracking import Words
+from place_recognition.vocabulary.word_tracking import WordMap, Words
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
 Floats = NDArray[np.float32]
@@ -96,14 +95,18 @@ class AuditedIndex(HybridWordIndex):
         return float(np.mean(self.nearest(self._queries) == self._nearest))
 
 
-def fill_history(history: ImageHistory, material: Material, size: int) -> int:
-    """Add real images up to a size, without looking where their views begin; return the size before."""
-    before = len(history)
-    follow, history._follow_view = history._follow_view, lambda: None  # type: ignore[method-assign]
-    for location in range(len(history), size):
+def fill_history(recognizer: Any, material: Material, size: int) -> int:
+    """Add real images up to a size, each a step of the camera and none of them looked at; return the size before."""
+    recognizer.finish()
+    history, decision = recognizer._history, recognizer._decision
+    before, steps = len(history), decision._steps
+    for location in range(before, size):
         history.add(location, material.features[location % len(material.features)], float(location))
-    history._follow_view = follow  # type: ignore[method-assign]
-    history._view_begin = size - 1
+        steps._steps.extend(np.array([len(steps._firsts)]))
+        steps._places.extend(np.array([len(steps._firsts)]))
+        steps._firsts.append(location)
+    recognizer._view.restore({"view_begin": size - 1, "reach_frames": 0, "whole_view": [size - 1, size - 1]})
+    decision._filter = PlaceFilter(decision._config)
     return before
 
 
@@ -132,19 +135,21 @@ class TrackedWordsFiller:
 
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
-        self.recognizer = TrackedWords(FeatureCache(features), index=lambda: self._index)
+        self.recognizer: Any = make_recognizer("tracked-words", FeatureCache(features))
+        self.recognizer._proposer._words = WordMap(self._index)
         self.history = self.recognizer._history
 
     def fill(self, size: int) -> None:
         """Add the words of tracks that end at each image up to a size."""
-        words = self.recognizer._words
+        proposer = self.recognizer._proposer
+        words = proposer._words
         words.activate_until(size)
-        for begin in range(fill_history(self.history, self._material, size), size, BLOCK):
+        for begin in range(fill_history(self.recognizer, self._material, size), size, BLOCK):
             last = np.repeat(np.arange(begin, min(begin + BLOCK, size)), TRACKED_WORDS)
             first = np.maximum(last - self._material.rng.integers(4, 2 * TRACK_LENGTH - 4, len(last)), 0)
             words.add(Words(self._material.descriptors(len(last)), first, last))
             words.activate_until(int(last[-1]))
-        self.recognizer._tracks._location = size - 1
+        proposer._tracks._location = size - 1
 
     def recall(self) -> float:
         """Share of nearest words found."""
@@ -156,14 +161,13 @@ class PlacesFiller:
 
     def __init__(self, features: RecalledFeatures, material: Material) -> None:
         self._material, self._index = material, AuditedIndex(material.queries(AUDITED))
-        self.recognizer = HierarchicalPlaces(FeatureCache(features), index=lambda: self._index)
+        self.recognizer: Any = make_recognizer("hierarchical-places", FeatureCache(features))
+        self.recognizer._proposer._places = PlaceMap(self._index)
         self.history = self.recognizer._history
 
     def fill(self, size: int) -> None:
-        """Add places up to a size; the open place is dropped."""
-        places = self.recognizer._places
-        self.recognizer._open.flush()
-        before = fill_history(self.history, self._material, size)
+        """Add places up to a size; the open place is ended."""
+        before, places = fill_history(self.recognizer, self._material, size), self.recognizer._proposer._places
         for last in range(before + PLACE_LENGTH - 1, size, PLACE_LENGTH):
             places.add(self._material.descriptors(PLACE_WORDS), last)
             places.activate_until(last)
@@ -176,23 +180,17 @@ class PlacesFiller:
 class SequencesFiller:
     """Fills the map of a paradigm of sequences (a Filler)."""
 
-    def __init__(
-        self,
-        make: Callable[..., SequenceRecognizer],
-        features: RecalledFeatures,
-        material: Material,
-    ) -> None:
+    def __init__(self, name: str, features: RecalledFeatures, material: Material) -> None:
         self._vocabulary, self._material = default_vocabulary(), material
-        self.recognizer = make(FeatureCache(features), self._vocabulary)
+        self.recognizer: Any = make_recognizer(name, FeatureCache(features))
         self.history = self.recognizer._history
-        shown = self.recognizer.config.word_features
+        shown = self.recognizer._proposer.config.word_features
         self._images = [self._vocabulary.assign(image.descriptors[:shown]) for image in material.features]
 
     def fill(self, size: int) -> None:
-        """Add sequences up to a size; the open ones are dropped."""
-        matching = self.recognizer
-        matching.finish()
-        fill_history(self.history, self._material, size)
+        """Add sequences up to a size; the open ones are ended."""
+        fill_history(self.recognizer, self._material, size)
+        matching = self.recognizer._proposer
         while len(matching._words) < size:
             begin = len(matching._words)
             words = [self._mixed() for _ in range(min(SEQUENCE_LENGTH, size - begin))]
@@ -212,8 +210,8 @@ class SequencesFiller:
 
 
 FILLERS: dict[str, Callable[[RecalledFeatures, Material], Filler]] = {
-    "sequence-histograms": lambda *parts: SequencesFiller(make_sequence_histograms, *parts),
-    "dynamic-sequences": lambda *parts: SequencesFiller(make_dynamic_sequences, *parts),
+    "sequence-histograms": lambda *parts: SequencesFiller("sequence-histograms", *parts),
+    "dynamic-sequences": lambda *parts: SequencesFiller("dynamic-sequences", *parts),
     "hierarchical-places": PlacesFiller,
     "tracked-words": TrackedWordsFiller,
 }

@@ -26,7 +26,7 @@ from place_benchmarks import image_files
 
 from place_recognition.image_processing.surf import Surf
 
-WARM = 15  # images before the measured ones: tracks and sequences must have begun
+WARM = 40  # images before the measured ones: tracks and sequences must have begun, and answers wait for 15 images
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
-from place_recognition.belief.candidate_selection import CandidateVerifier
 
+from place_recognition import staged_recognizer
+from place_recognition.belief.place_filter import PlaceFilter
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.map.image_history import ImageHistory
 from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.map.place_map import PlaceSegmentation
 from place_recognition.paradigms import hierarchical_places
 from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
+from place_recognition.verification.present_view import CameraSteps, PresentView
 from place_recognition.vocabulary import word_tracking as tracking
 from place_recognition.vocabulary.word_tree import HybridWordIndex
 
@@ -37,7 +38,8 @@ STEP = 1.0  # metres from image to image
 # stage: where its function is looked up when the recogniser runs
 STAGES: dict[str, tuple[Any, str]] = {
     "features": (FeatureCache, "get"),
-    "route and present view": (ImageHistory, "add"),
+    "present view": (PresentView, "advance"),
+    "steps of the camera": (CameraSteps, "add"),
     "optical flow": (tracking, "optical_flow"),
     "guided selection": (tracking, "select_guided"),
     "nearest words": (HybridWordIndex, "nearest"),
@@ -45,7 +47,9 @@ STAGES: dict[str, tuple[Any, str]] = {
     "place formation": (PlaceSegmentation, "add"),
     "words of a place": (hierarchical_places, "grow_gas"),
     "inverted index": (InvertedIndex, "cosines"),
-    "candidate verification": (CandidateVerifier, "verify"),
+    "candidate verification": (staged_recognizer, "verify_candidates"),
+    "forward step": (PlaceFilter, "add"),
+    "backward steps": (PlaceFilter, "posterior"),
 }
 
 

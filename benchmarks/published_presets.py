@@ -31,8 +31,7 @@ from place_recognition.paradigms.registry import (
     with_exclusion,
     with_preset,
 )
-from place_recognition.proposals import ObservedImage, Proposals, Proposer
-from place_recognition.recognizer import Belief
+from place_recognition.recognizer import Belief, ObservedImage, Proposals, Proposer
 from place_recognition.vocabulary import vocabulary
 
 SEQUENCES = ("sequence-histograms", "dynamic-sequences")

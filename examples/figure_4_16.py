@@ -22,8 +22,7 @@ from place_recognition.paradigms.registry import PARADIGMS
 from slam.apps.places import PlacesOptions, recognize_images, resolve_ground_truth
 from slam.datasets.formats.registry import open_images
 from slam.errors import RevisitError
-from slam.report.place_recognition_figures import draw_precision_recall
-from slam.report.place_stage_figures import CONTROL_NAME
+from slam.report.place_recognition_figures import CONTROL_NAME, draw_precision_recall
 from slam.report.trajectory_figure import INK, new_figure, save_png
 
 PANELS = {"own": "from the score of each paradigm", "temporal": "after geometry and temporal model"}

@@ -13,15 +13,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.candidate_verification import (
+from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.map.image_history import ImageHistory
+from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink, ObservedImage, Proposals, Proposer
+from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
     VerificationResult,
     verify_candidates,
 )
-from place_recognition.image_processing.local_features import FeatureCache, check_gray
-from place_recognition.map.image_history import ImageHistory
-from place_recognition.proposals import ObservedImage, Proposals, Proposer
-from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink
 
 # Proposals that are verified while one image is observed. The paradigms of sequences answer for many images at once;
 # their verification is spread over the images that follow.

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall
-from place_recognition.evaluation.reliability import Reliability
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
-from place_recognition.evaluation.stages import StageResults
+from place_recognition.evaluation.stages import Reliability, StageResults
 
 Array = NDArray[np.float64]
 

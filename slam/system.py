@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from odometry.stereo.stereo_self_calibration import Calibration
-from place_recognition.image_processing.image_masks import ImageMasks
 from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.recognizer import Belief, PlaceRecognizer
 from slam.datasets.dataset import Frame
 from slam.frame_record import FrameRecord, LoopRecord

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
-from place_recognition.image_processing.local_features import LocalFeatures, check_gray
+from place_recognition.image_processing.local_features import LocalFeatures, SpreadConfig, check_gray, select_strongest
 
 Floats = NDArray[np.float32]
 

@@ -12,8 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
-from place_recognition.image_processing.local_features import LocalFeatures, check_gray, is_unmasked
+from place_recognition.image_processing.local_features import (
+    LocalFeatures,
+    SpreadConfig,
+    check_gray,
+    is_unmasked,
+    select_strongest,
+)
 from place_recognition.image_processing.surf_descriptor_kernels import cell_weights, describe_oriented, describe_upright
 from place_recognition.image_processing.surf_detector_kernels import deinterleave, find_blobs
 

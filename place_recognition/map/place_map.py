@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.matching import mutual_matches
-from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.vocabulary.word_tree import WordIndex
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

@@ -19,11 +19,16 @@ from place_recognition.belief.voting import PlaceVotes, vote_for_places
 from place_recognition.image_processing.matching import count_matches
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.map.place_map import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
-from place_recognition.proposals import ObservedImage, Proposals, select_apart
-from place_recognition.recognizer import MAX_STAGE_CANDIDATES, MatrixSink, NullMatrixSink
+from place_recognition.recognizer import (
+    MAX_STAGE_CANDIDATES,
+    MatrixSink,
+    NullMatrixSink,
+    ObservedImage,
+    Proposals,
+    select_apart,
+)
 from place_recognition.vocabulary.growing_neural_gas import GasConfig, grow_gas
-from place_recognition.vocabulary.word_index import WordIndex
-from place_recognition.vocabulary.word_tree import HybridWordIndex
+from place_recognition.vocabulary.word_tree import HybridWordIndex, WordIndex
 
 Floats = NDArray[np.float32]
 

@@ -5,15 +5,18 @@ What the papers leave open, and how it is filled here: docs/decisions/published_
 
 import math
 
+from place_recognition.belief.decisions import PublishedDecisionConfig
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
-from place_recognition.belief.published_decision import PublishedDecisionConfig
 from place_recognition.map.place_map import PlaceSegmentationConfig
 from place_recognition.map.sequence_map import FixedDistanceConfig, WordVarianceConfig
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlacesConfig
-from place_recognition.paradigms.pixel_sequences import PixelSequencesConfig
-from place_recognition.paradigms.sequence_paradigms import DynamicSequencesConfig, SequenceHistogramsConfig
-from place_recognition.paradigms.sequence_proposer import SequenceMatchingConfig
+from place_recognition.paradigms.sequences import (
+    DynamicSequencesConfig,
+    SequenceHistogramsConfig,
+    SequenceMatchingConfig,
+)
 from place_recognition.paradigms.tracked_words import TrackedWordsConfig
+from place_recognition.paradigms.whole_images import PixelSequencesConfig
 from place_recognition.vocabulary.growing_neural_gas import GasConfig
 from place_recognition.vocabulary.word_tracking import TrackConfig
 

@@ -6,32 +6,33 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.belief.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
+from place_recognition.belief.decisions import PublishedDecision, SmoothedDecision
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
-from place_recognition.belief.present_view import FixedWindow, PresentView, PresentViewConfig
-from place_recognition.belief.published_decision import PublishedDecision
-from place_recognition.belief.smoothed_decision import SmoothedDecision
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms import published
-from place_recognition.paradigms.global_descriptor import GlobalDescriptorConfig, GlobalDescriptorMatching
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
-from place_recognition.paradigms.pixel_sequences import PixelSequences, PixelSequencesConfig
-from place_recognition.paradigms.random_images import RandomImages
-from place_recognition.paradigms.sequence_paradigms import (
+from place_recognition.paradigms.sequences import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,
     make_dynamic_sequences,
     make_sequence_histograms,
 )
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
-from place_recognition.proposals import Proposer
-from place_recognition.recognizer import MatrixSink, PlaceRecognizer
+from place_recognition.paradigms.whole_images import (
+    GlobalDescriptorConfig,
+    GlobalDescriptorMatching,
+    PixelSequences,
+    PixelSequencesConfig,
+)
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer, Proposer, RandomImages
 from place_recognition.staged_recognizer import Decision, RowsById, StagedRecognizer
+from place_recognition.verification.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
+from place_recognition.verification.present_view import FixedWindow, PresentView, PresentViewConfig
 from place_recognition.vocabulary.vocabulary import (
     Vocabulary,
     default_vocabulary,

@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 
 from place_recognition.belief.voting import Votes, count_votes
-from place_recognition.proposals import ObservedImage, Proposals, select_apart
-from place_recognition.recognizer import MAX_STAGE_CANDIDATES, MatrixSink, NullMatrixSink
-from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.recognizer import (
+    MAX_STAGE_CANDIDATES,
+    MatrixSink,
+    NullMatrixSink,
+    ObservedImage,
+    Proposals,
+    select_apart,
+)
 from place_recognition.vocabulary.word_tracking import FeatureTracks, TrackConfig, WordMap
-from place_recognition.vocabulary.word_tree import HybridWordIndex
+from place_recognition.vocabulary.word_tree import HybridWordIndex, WordIndex
 
 
 @dataclass(frozen=True)

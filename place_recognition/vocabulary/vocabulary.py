@@ -23,7 +23,7 @@ from place_recognition.vocabulary.vocabulary_file import (
     write_contents,
 )
 from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
-from place_recognition.vocabulary.word_index import nearest_words
+from place_recognition.vocabulary.word_tree import nearest_words
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

@@ -18,7 +18,7 @@ from place_recognition.image_processing.guided_tracking import (
     select_guided,
 )
 from place_recognition.image_processing.local_features import LocalFeatures
-from place_recognition.vocabulary.word_index import WordIndex
+from place_recognition.vocabulary.word_tree import WordIndex
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]

@@ -15,7 +15,7 @@ from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError
-from slam.evaluation.place_stages import DriveData
+from slam.evaluation.place_metrics import DriveData
 from slam.evaluation.revisit_truth_files import (
     RevisitTruth,
     check_truth_size,

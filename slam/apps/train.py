@@ -9,16 +9,16 @@ import tomli_w
 from numpy.typing import NDArray
 
 from place_recognition.belief.matrix_filter import FilterConfig
-from place_recognition.belief.matrix_filter_training import (
+from place_recognition.evaluation.ground_truth_files import array_names, read_array
+from place_recognition.evaluation.revisit_ground_truth import load_truth
+from place_recognition.image_processing.local_features import FeatureExtractor
+from place_recognition.image_processing.registry import make_extractor
+from place_recognition.vocabulary.matrix_filter_training import (
     TrainingSamples,
     collect_samples,
     reduce_to_sequences,
     train_filter,
 )
-from place_recognition.evaluation.ground_truth_files import array_names, read_array
-from place_recognition.evaluation.revisit_ground_truth import load_truth
-from place_recognition.image_processing.local_features import FeatureExtractor
-from place_recognition.image_processing.registry import make_extractor
 from place_recognition.vocabulary.vocabulary import Vocabulary, save_vocabulary
 from place_recognition.vocabulary.vocabulary_training import (
     DescriptorSample,

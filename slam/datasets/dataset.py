@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from place_recognition.image_processing.image_masks import ImageMask, ImageMasks
 from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
+from place_recognition.image_processing.static_regions import ImageMask, ImageMasks
 from slam.errors import ConfigError, DataError
 
 # Frames per second that a recording can have: from one image in eleven days to beyond any camera.

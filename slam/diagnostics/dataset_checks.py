@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.image_masks import ImageMasks
+from place_recognition.image_processing.static_regions import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format

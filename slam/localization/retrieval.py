@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from place_recognition.vocabulary.vocabulary_training import DescriptorSample
-from place_recognition.vocabulary.word_index import WordIndex
-from place_recognition.vocabulary.word_tree import WordTree
+from place_recognition.vocabulary.word_tree import WordIndex, WordTree
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
-from place_recognition.image_processing.image_masks import ImageMasks, MaskedExtractor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
-from place_recognition.image_processing.static_regions import StaticRegionConfig
+from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
 from slam.components import build_control, build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
-from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
-from slam.evaluation.place_stages import DriveData
+from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
 from slam.io.metrics import write_metrics
@@ -347,8 +345,7 @@ def write_results(folder: Path, record: PlacesRecord) -> None:
     Raises:
         OutputError: a file cannot be written.
     """
-    from slam.report.place_recognition_figures import plot_places, plot_precision_recall
-    from slam.report.place_stage_figures import plot_stages
+    from slam.report.place_recognition_figures import plot_places, plot_precision_recall, plot_stages
     from slam.report.trajectory_figure import save_png
 
     write_metrics(folder / "metrics.json", record.metrics)

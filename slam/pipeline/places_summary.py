@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from slam.evaluation.place_stages import INTERVALS, STAGE_NAMES
+from slam.evaluation.place_metrics import INTERVALS, STAGE_NAMES
 from slam.pipeline.place_recognition import PlacesRecord
 from slam.report.formatting import describe_static_ratio
 

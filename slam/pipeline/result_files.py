@@ -14,8 +14,7 @@ from slam.config import RunConfig, to_toml
 from slam.datasets.dataset import Dataset
 from slam.errors import DataError
 from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
-from slam.evaluation.place_metrics import PlaceMetrics, evaluate_places
-from slam.evaluation.place_stages import DriveData
+from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.trajectory_errors import (
     Alignment,
     TrajectoryErrors,

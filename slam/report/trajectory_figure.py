@@ -21,7 +21,7 @@ from odometry.se3 import inverse
 from slam.errors import OutputError
 from slam.evaluation.trajectory_errors import Similarity, distances_along, umeyama
 from slam.report import colours
-from slam.report.fonts import set_font_fallbacks
+from slam.report.colours import set_font_fallbacks
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected
 from slam.run_result import LoopRow, PointCloud, RunRecord
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.proposals import ObservedImage, Proposals, Proposer
+from place_recognition.recognizer import ObservedImage, Proposals, Proposer
 
 Image = NDArray[np.uint8]
 

@@ -10,17 +10,16 @@ from landmark_street import LandmarkStreet
 from place_images import CachingSurf, two_laps
 
 from place_recognition import staged_recognizer
-from place_recognition.belief.candidate_verification import CandidateVerificationConfig
+from place_recognition.belief.decisions import SmoothedDecision
 from place_recognition.belief.likelihood_ratios import RatioTable
 from place_recognition.belief.place_filter import PlaceFilterConfig
-from place_recognition.belief.present_view import PresentView
-from place_recognition.belief.smoothed_decision import SmoothedDecision
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.paradigms.random_images import RandomImages
 from place_recognition.paradigms.registry import ParadigmsConfig, make_control
-from place_recognition.proposals import ObservedImage, Proposals, propose_best, select_apart
+from place_recognition.recognizer import ObservedImage, Proposals, RandomImages, propose_best, select_apart
 from place_recognition.staged_recognizer import RowsById, StagedRecognizer
+from place_recognition.verification.candidate_verification import CandidateVerificationConfig
+from place_recognition.verification.present_view import PresentView
 
 LAG = 4
 POSITIONS_M = np.concatenate([np.arange(0, 120, 4.0), np.arange(0, 120, 4.0)])

@@ -11,14 +11,16 @@ from landmark_street import HEIGHT_PX, WIDTH_PX, LandmarkStreet, history_of, unr
 from scipy.special import gammaln
 
 from place_recognition.belief import candidate_verification
-from place_recognition.belief.candidate_verification import (
+from place_recognition.belief.decisions import min_evidence
+from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
+    EpipolarConfig,
     a_contrario_evidence,
+    epipolar_inliers,
+    keeps_orientation,
     verify_candidates,
     verify_pair,
 )
-from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers, keeps_orientation
-from place_recognition.belief.smoothed_decision import min_evidence
 
 CONFIG = CandidateVerificationConfig()
 POOL = ThreadPoolExecutor(2)

@@ -15,7 +15,7 @@ from place_recognition.belief.matrix_filter import (
     filter_matrix,
     normalize_row,
 )
-from place_recognition.belief.matrix_filter_training import (
+from place_recognition.vocabulary.matrix_filter_training import (
     FilterTrainingConfig,
     TrainingSamples,
     collect_samples,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from landmark_street import NAN, LandmarkStreet, View, history_of, no_features, unrelated_features
 
-from place_recognition.belief.present_view import CameraSteps, PresentView, PresentViewConfig
 from place_recognition.map.image_history import ImageHistory
+from place_recognition.verification.present_view import CameraSteps, PresentView, PresentViewConfig
 
 SPEED_M_PER_S = 10.0
 VIEW_M = 28.0  # no landmark of the street is seen from further away

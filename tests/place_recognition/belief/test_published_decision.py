@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from landmark_street import history_of, make_features
 
-from place_recognition.belief.candidate_verification import VerificationResult
-from place_recognition.belief.published_decision import PublishedDecision, PublishedDecisionConfig
-from place_recognition.proposals import Proposals
+from place_recognition.belief.decisions import PublishedDecision, PublishedDecisionConfig
+from place_recognition.recognizer import Proposals
+from place_recognition.verification.candidate_verification import VerificationResult
 
 HISTORY = history_of([make_features(np.zeros((9, 2)), np.ones((9, 4), np.float32) / 2)] * 200)
 OPEN = {"min_score": 0.0, "min_inliers": 0, "min_consistent_frames": 1, "max_gap_frames": 10}

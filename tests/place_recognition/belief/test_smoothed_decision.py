@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from landmark_street import LandmarkStreet, View, history_of, no_features
 
-from place_recognition.belief.candidate_verification import (
+from place_recognition.belief.decisions import SmoothedDecision, min_evidence, stage_scores
+from place_recognition.belief.likelihood_ratios import RatioTable
+from place_recognition.belief.place_filter import PlaceFilterConfig
+from place_recognition.recognizer import Proposals, select_apart
+from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
     VerificationResult,
     verify_candidates,
 )
-from place_recognition.belief.likelihood_ratios import RatioTable
-from place_recognition.belief.place_filter import PlaceFilterConfig
-from place_recognition.belief.smoothed_decision import SmoothedDecision, min_evidence, stage_scores
-from place_recognition.proposals import Proposals, select_apart
 
 NO_SCORE = RatioTable((0.0,), (0.0,))
 STREET, OTHER_STREET = LandmarkStreet(seed=1), LandmarkStreet(seed=2)

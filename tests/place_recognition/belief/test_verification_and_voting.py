@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.belief.voting import count_votes, expand_spans, log_binomial
 from place_recognition.image_processing.matching import count_matches, match_pairs, mutual_matches
-from place_recognition.vocabulary.word_index import ExactWordIndex, nearest_words
+from place_recognition.verification.candidate_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.vocabulary.word_tracking import WordMap, Words
+from place_recognition.vocabulary.word_tree import ExactWordIndex, nearest_words
 
 
 def unit(rng, n, d=64):

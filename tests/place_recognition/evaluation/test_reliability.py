@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.reliability import BIN_EDGES, measure_reliability
+from place_recognition.evaluation.stages import BIN_EDGES, measure_reliability
 from place_recognition.recognizer import Belief
 
 IMAGES = 4000

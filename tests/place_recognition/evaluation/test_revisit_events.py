@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from place_recognition.evaluation.revisit_events import MAX_GAP_IMAGES, RevisitEvent, answer_delays, find_revisit_events
-from place_recognition.evaluation.revisit_ground_truth import load_truth
+from place_recognition.evaluation.revisit_ground_truth import (
+    MAX_GAP_IMAGES,
+    RevisitEvent,
+    answer_delays,
+    find_revisit_events,
+    load_truth,
+)
 from place_recognition.recognizer import Belief
 
 

@@ -8,7 +8,7 @@ import pytest
 from place_images import gaussian_blob, textured_world
 
 from place_recognition.image_processing.fast_and_brief import PATTERN, Brief, BriefConfig
-from place_recognition.image_processing.keypoint_selection import SpreadConfig, select_strongest
+from place_recognition.image_processing.local_features import SpreadConfig, select_strongest
 from place_recognition.image_processing.orb_and_sift import unpack_bits
 from place_recognition.image_processing.registry import EXTRACTORS, make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig

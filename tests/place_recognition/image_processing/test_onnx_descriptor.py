@@ -6,7 +6,7 @@ from place_images import textured_world
 
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.onnx_descriptor import OnnxConfig, OnnxDescriptor
-from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
+from place_recognition.paradigms.whole_images import GlobalDescriptorMatching
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from place_recognition.map.image_timeline import ImageTimeline
+from place_recognition.map.image_history import ImageTimeline
 
 NAN = float("nan")
 STEPS = st.lists(st.floats(0, 5).map(lambda step: round(step, 2)), min_size=1, max_size=30)

@@ -10,7 +10,7 @@ from scipy.stats import binom
 from place_recognition.belief.voting import vote_for_places
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.place_map import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
-from place_recognition.vocabulary.word_index import ExactWordIndex
+from place_recognition.vocabulary.word_tree import ExactWordIndex
 
 EMPTY = np.empty((0, 64), np.float32)
 

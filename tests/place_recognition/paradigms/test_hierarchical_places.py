@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
-from place_recognition.vocabulary.word_index import ExactWordIndex
+from place_recognition.vocabulary.word_tree import ExactWordIndex
 
 
 class Rows(dict):

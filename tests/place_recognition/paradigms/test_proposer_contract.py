@@ -8,10 +8,15 @@ from place_images import LAP_IMAGES, observe_image, observed_images, propose_all
 
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.paradigms.random_images import RandomImages
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
-from place_recognition.proposals import ObservedImage, Proposals, Proposer
-from place_recognition.recognizer import MAX_STAGE_CANDIDATES, NullMatrixSink
+from place_recognition.recognizer import (
+    MAX_STAGE_CANDIDATES,
+    NullMatrixSink,
+    ObservedImage,
+    Proposals,
+    Proposer,
+    RandomImages,
+)
 from place_recognition.staged_recognizer import RowsById
 
 MIN_SEPARATION = 4  # of all paradigms

@@ -17,8 +17,12 @@ from place_images import (
 
 from place_recognition.image_processing.global_descriptors import Hog
 from place_recognition.map.descriptor_database import DescriptorDatabase, absolute_differences, dot_products
-from place_recognition.paradigms.global_descriptor import GlobalDescriptorMatching
-from place_recognition.paradigms.pixel_sequences import PixelSequences, best_lines, local_contrast
+from place_recognition.paradigms.whole_images import (
+    GlobalDescriptorMatching,
+    PixelSequences,
+    best_lines,
+    local_contrast,
+)
 
 
 class Collected:

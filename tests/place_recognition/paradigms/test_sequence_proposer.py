@@ -10,8 +10,12 @@ from place_images import make_observed, observed_images, propose_all
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig, filter_matrix
 from place_recognition.image_processing.surf import Surf
 from place_recognition.map.sequence_map import FixedDistanceConfig, FixedDistanceSegmentation
-from place_recognition.paradigms.sequence_paradigms import make_dynamic_sequences, make_sequence_histograms
-from place_recognition.paradigms.sequence_proposer import SequenceMatchingConfig, SequenceProposer
+from place_recognition.paradigms.sequences import (
+    SequenceMatchingConfig,
+    SequenceProposer,
+    make_dynamic_sequences,
+    make_sequence_histograms,
+)
 from place_recognition.vocabulary.vocabulary import FlatVocabulary, default_vocabulary
 
 PARADIGMS = pytest.mark.parametrize("make", [make_sequence_histograms, make_dynamic_sequences])

@@ -16,8 +16,7 @@ from place_recognition.map.inverted_index import InvertedIndex
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_control, make_recognizer
 from place_recognition.recognizer import Belief
 from place_recognition.vocabulary.tf_idf import WordVector
-from place_recognition.vocabulary.word_index import ExactWordIndex
-from place_recognition.vocabulary.word_tree import HybridWordIndex, WordTree
+from place_recognition.vocabulary.word_tree import ExactWordIndex, HybridWordIndex, WordTree
 
 STEP_M = 2.0  # metres from image to image
 

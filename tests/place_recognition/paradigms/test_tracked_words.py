@@ -6,7 +6,7 @@ from place_images import MIN_AGE, changed, kitti_images, observed_images, propos
 from scipy.stats import binom
 
 from place_recognition.paradigms.tracked_words import TrackedWords, TrackedWordsConfig
-from place_recognition.proposals import select_apart
+from place_recognition.recognizer import select_apart
 
 
 class Rows(dict):

@@ -7,8 +7,8 @@ from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.guided_tracking import GuidedTrackingConfig, optical_flow, select_guided
 from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.surf import Surf
-from place_recognition.vocabulary.word_index import ExactWordIndex
 from place_recognition.vocabulary.word_tracking import FeatureTracks, TrackConfig, WordMap, Words, count_spans
+from place_recognition.vocabulary.word_tree import ExactWordIndex
 
 GUIDED = GuidedTrackingConfig()
 

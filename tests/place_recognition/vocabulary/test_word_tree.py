@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from place_images import textured_world
 
-from place_recognition.image_processing.keypoint_selection import SpreadConfig
+from place_recognition.image_processing.local_features import SpreadConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
-from place_recognition.vocabulary.word_index import ExactWordIndex
-from place_recognition.vocabulary.word_tree import HybridWordIndex, WordTree, beam_width
+from place_recognition.vocabulary.word_tree import ExactWordIndex, HybridWordIndex, WordTree, beam_width
 from place_recognition.vocabulary.word_tree_kernels import CAPACITY, MIN_FILL
 
 

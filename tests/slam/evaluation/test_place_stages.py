@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from place_recognition.recognizer import Belief, StageScores
-from slam.evaluation.place_metrics import NO_CONTROL, PlaceMetrics, evaluate_places
-from slam.evaluation.place_stages import INTERVALS, STAGE_NAMES, DriveData, compare_with_control
+from slam.evaluation.place_metrics import (
+    INTERVALS,
+    NO_CONTROL,
+    STAGE_NAMES,
+    DriveData,
+    PlaceMetrics,
+    compare_with_control,
+    evaluate_places,
+)
 from slam.io.metrics import metrics_text
 
 LAP = 200

@@ -9,9 +9,8 @@ import numpy as np
 
 from odometry import se3
 from place_recognition.evaluation.precision_recall import precision_recall
-from place_recognition.evaluation.reliability import measure_reliability
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
-from place_recognition.evaluation.stages import measure_stages
+from place_recognition.evaluation.stages import measure_reliability, measure_stages
 from place_recognition.recognizer import Belief, StageScores
 from slam.mapping.birds_eye_view import BirdsEyeView, PlaneWindow, render_birds_eye_view
 from slam.mapping.occupancy_grid import OccupancyGrid

@@ -8,7 +8,7 @@ the default from the papers (reasons and figures: docs/decisions/sequence_paradi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,23 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
 
 from place_recognition.belief.distances import l2_score_of_cosine, scaled_l2_score_of_cosine
-from place_recognition.belief.matrix_filter import FilterConfig, OnlineMatrixFilter, normalize_row
-from place_recognition.map.sequence_map import Segmentation, SequenceMap
-from place_recognition.proposals import ObservedImage, Proposals, select_apart
-from place_recognition.recognizer import MAX_STAGE_CANDIDATES, MatrixSink, NullMatrixSink
+from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig, OnlineMatrixFilter, normalize_row
+from place_recognition.map.sequence_map import (
+    FixedDistanceConfig,
+    FixedDistanceSegmentation,
+    Segmentation,
+    SequenceMap,
+    WordVariance,
+    WordVarianceConfig,
+)
+from place_recognition.recognizer import (
+    MAX_STAGE_CANDIDATES,
+    MatrixSink,
+    NullMatrixSink,
+    ObservedImage,
+    Proposals,
+    select_apart,
+)
 from place_recognition.vocabulary.tf_idf import ImageWords, WordVector, word_vector
 from place_recognition.vocabulary.vocabulary import Vocabulary
 from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
@@ -118,7 +131,7 @@ class _EndedSequence:
 class SequenceProposer:
     """Proposes images by sequences of images (a Proposer); answers when the next sequence has ended.
 
-    Each paradigm of `place_recognition.paradigms.sequence_paradigms` is this with its own segmentation and filter.
+    Each paradigm of `place_recognition.paradigms.sequences` is this with its own segmentation and filter.
     """
 
     def __init__(
@@ -274,3 +287,59 @@ def _best_of_row(row: Floats, max_count: int) -> Indices:
     # Their order does not matter, so a partition is enough: O(S) instead of O(S log S).
     best = np.argpartition(-row, max_count)[:max_count] if len(row) > max_count else np.arange(len(row))
     return best[row[best] > 0].astype(np.int64)
+
+
+@dataclass(frozen=True)
+class SequenceHistogramsConfig:
+    """Settings of the paradigm of sequences of a fixed distance.
+
+    Attributes:
+        sequences: length of a sequence.
+        filter: kernel of equation 4.8 and the threshold of its response.
+        matching: how sequences, and then images, are matched.
+    """
+
+    sequences: FixedDistanceConfig = field(default_factory=FixedDistanceConfig)
+    filter: FilterConfig = field(default_factory=lambda: FilterConfig(DIAGONAL, 0.32))
+    matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
+
+
+@dataclass(frozen=True)
+class DynamicSequencesConfig:
+    """Settings of the paradigm of sequences that end where the view changes.
+
+    Attributes:
+        sequences: when a sequence ends.
+        filter: kernel of equation 4.12 and the threshold of its response. The paper's threshold is 3.5; damped term
+            frequencies (`SequenceMatchingConfig.tf_power`) make all responses smaller, and in simulated blocks those of
+            other places stayed below 2.2.
+        matching: how sequences, and then images, are matched.
+    """
+
+    sequences: WordVarianceConfig = field(default_factory=WordVarianceConfig)
+    filter: FilterConfig = field(default_factory=lambda: FilterConfig(LEARNED, 2.2))
+    matching: SequenceMatchingConfig = field(default_factory=SequenceMatchingConfig)
+
+
+def make_sequence_histograms(
+    kind: str,
+    vocabulary: Vocabulary,
+    config: SequenceHistogramsConfig | None = None,
+    rows: MatrixSink | None = None,
+) -> SequenceProposer:
+    """Make a proposer of sequences of a fixed distance that has seen nothing."""
+    config = config or SequenceHistogramsConfig()
+    segmentation = FixedDistanceSegmentation(config.sequences)
+    return SequenceProposer(kind, vocabulary, segmentation, config.matching, config.filter, rows)
+
+
+def make_dynamic_sequences(
+    kind: str,
+    vocabulary: Vocabulary,
+    config: DynamicSequencesConfig | None = None,
+    rows: MatrixSink | None = None,
+) -> SequenceProposer:
+    """Make a proposer of sequences that end where the view changes; it has seen nothing."""
+    config = config or DynamicSequencesConfig()
+    segmentation = WordVariance(len(vocabulary), config.sequences)
+    return SequenceProposer(kind, vocabulary, segmentation, config.matching, config.filter, rows)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.geometric_verification import EpipolarConfig, epipolar_inliers
 from place_recognition.growing_array import GrowingArray
 from place_recognition.image_processing.matching import match_pairs
 from place_recognition.map.image_history import ImageHistory
+from place_recognition.verification.candidate_verification import EpipolarConfig, epipolar_inliers
 
 # Images by which the beginning of the view advances at most for each new image: bounds the time of an image.
 _MAX_STEPS = 4

@@ -1,0 +1,1 @@
+"""Geometric verification: which earlier images belong to the present view, and which candidates agree."""
