@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from landmark_street import HEIGHT_PX, WIDTH_PX, LandmarkStreet, history_of, unrelated_features
 from scipy.special import gammaln
 
-from place_recognition.belief import candidate_verification
 from place_recognition.belief.decisions import min_evidence
+from place_recognition.verification import candidate_verification
 from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
     EpipolarConfig,
