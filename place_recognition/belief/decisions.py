@@ -1,8 +1,9 @@
 """From verified candidates to beliefs: the smoothed decision of this project, and those of the published methods.
 
-What the paradigm and geometry say of each candidate is smoothed over the images around: the answer for an image is the most likely place and its probability (`place_recognition.belief.place_filter`). The pair
-is then verified by geometry once more if it was not among the candidates; without geometric agreement no match is
-accepted, however likely the place.
+What the paradigm and geometry say of each candidate is smoothed over the images around: the answer for an image is the
+most likely place and its probability (`place_recognition.belief.place_filter`). The pair is then verified by geometry
+once more if it was not among the candidates; without geometric agreement no match is accepted, however likely the
+place. A published method has thresholds instead, and shares nothing between images but a temporal gate.
 """
 
 import math

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import cv2
@@ -152,7 +153,7 @@ def verify_candidates(
     candidates: Sequence[int],
     last_matchable: int,
     config: CandidateVerificationConfig,
-    pool: Executor,
+    pool: Executor | None = None,
 ) -> tuple[VerificationResult, ...]:
     """Verify the candidates of a query in order, and the best image beside the best of them.
 
@@ -162,12 +163,13 @@ def verify_candidates(
         candidates: locations, best first; the first `max_candidates` are verified.
         last_matchable: latest location that may be matched.
         config: how candidates are verified.
-        pool: threads that verify two candidates at a time; the results do not depend on their number.
+        pool: threads that verify two candidates at a time, for speed alone; None for none.
     """
     results: list[VerificationResult] = []
     for first in range(0, min(len(candidates), config.max_candidates), _PARALLEL):
         some = candidates[first : min(first + _PARALLEL, config.max_candidates)]
-        results += pool.map(lambda location: verify_pair(images, query, location, config), some)
+        verify = partial(verify_pair, images, query, config=config)
+        results += map(verify, some) if pool is None else pool.map(verify, some)
         if max(result.evidence for result in results) >= config.early_stop_evidence:
             break
     best = max(results, key=lambda result: result.evidence, default=None)

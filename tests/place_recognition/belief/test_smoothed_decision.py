@@ -1,6 +1,7 @@
 """From verified candidates to beliefs: a street of landmarks, driven twice, with stops and from other sides."""
 
 import copy
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from place_recognition.verification.candidate_verification import (
 NO_SCORE = RatioTable((0.0,), (0.0,))
 STREET, OTHER_STREET = LandmarkStreet(seed=1), LandmarkStreet(seed=2)
 CONFIG = CandidateVerificationConfig()
+POOL = ThreadPoolExecutor(2)
 
 
 class Drive:
@@ -63,7 +65,7 @@ class Drive:
                 decision = restored
             proposals = self.proposals(query)
             results = verify_candidates(
-                self.history.images, query, proposals.locations, proposals.last_matchable, CONFIG
+                self.history.images, query, proposals.locations, proposals.last_matchable, CONFIG, POOL
             )
             beliefs += decision.add(proposals, results)
             counts.append(len(beliefs))

@@ -1,6 +1,7 @@
 """Geometric verification: oriented, scored against chance, the same for the same seed."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from hypothesis import strategies as st
 from landmark_street import HEIGHT_PX, WIDTH_PX, LandmarkStreet, history_of, unrelated_features
 from scipy.special import gammaln
 
-from place_recognition.belief import candidate_verification
 from place_recognition.belief.decisions import min_evidence
+from place_recognition.verification import candidate_verification
 from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
     EpipolarConfig,
@@ -22,6 +23,7 @@ from place_recognition.verification.candidate_verification import (
 )
 
 CONFIG = CandidateVerificationConfig()
+POOL = ThreadPoolExecutor(2)
 
 
 @pytest.fixture(scope="module")
@@ -149,23 +151,34 @@ def test_the_seed_reaches_the_samples_and_the_same_seed_gives_the_same_inliers()
 
 
 def test_candidates_are_verified_in_order_until_one_has_enough_evidence(images):
-    results = verify_candidates(images, 60, [3, 20, 7], 40, CONFIG)
+    results = verify_candidates(images, 60, [3, 20, 7], 40, CONFIG, POOL)
     assert [result.location for result in results][:2] == [3, 20]
     assert 7 not in [result.location for result in results]
     impatient = CandidateVerificationConfig(early_stop_evidence=1e9, max_candidates=2, refine_radius=0)
-    assert [result.location for result in verify_candidates(images, 60, [3, 20, 7], 40, impatient)] == [3, 20]
+    assert [result.location for result in verify_candidates(images, 60, [3, 20, 7], 40, impatient, POOL)] == [3, 20]
 
 
 def test_the_image_beside_the_best_candidate_that_matches_best_is_verified_too(images):
-    results = verify_candidates(images, 60, [22], 40, CONFIG)
+    results = verify_candidates(images, 60, [22], 40, CONFIG, POOL)
     assert [result.location for result in results] == [22, 20]
     assert results[1].evidence > results[0].evidence
 
 
 def test_no_image_later_than_the_last_matchable_is_verified(images):
-    results = verify_candidates(images, 60, [18], 18, CONFIG)
+    results = verify_candidates(images, 60, [18], 18, CONFIG, POOL)
     assert max(result.location for result in results) <= 18
 
 
 def test_without_candidates_there_is_no_result(images):
-    assert verify_candidates(images, 60, [], 40, CONFIG) == ()
+    assert verify_candidates(images, 60, [], 40, CONFIG, POOL) == ()
+
+
+def test_the_number_of_threads_changes_no_result(images):
+    config = CandidateVerificationConfig(early_stop_evidence=1e9)
+    for query in (45, 60, 75):
+        one, three = (
+            verify_candidates(images, query, [3, query - 40, 7, 30, 12], 40, config, ThreadPoolExecutor(count))
+            for count in (1, 3)
+        )
+        assert one == three
+        assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(one, three, strict=True))
