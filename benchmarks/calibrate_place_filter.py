@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from place_benchmarks import image_files
+from scipy.ndimage import maximum_filter1d
+from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.revisit_ground_truth import load_truth, truth_from_poses
 from place_recognition.image_processing.local_features import FeatureCache
@@ -28,10 +30,12 @@ from place_recognition.recognizer import Belief
 from place_recognition.verification.candidate_verification import CandidateVerificationConfig
 
 Truth = NDArray[np.bool_]
-# Each candidate: its evidence, its own score, and how many images it lies from a true one.
+# Each candidate: its evidence, its own score, whether it is true, within two images of a true one, and false.
 Candidates = NDArray[np.float64]
 
-MIN_FALSE_DISTANCE = 20  # images; what lies between true and false counts for neither
+# Distance of a false candidate, in metres where there are poses and else in images from a true one. A street straight
+# ahead agrees by geometry over 30 m. What lies between true and false counts for neither.
+MIN_FALSE_DISTANCE_M, MIN_FALSE_DISTANCE_IMAGES = 40.0, 60
 MAX_OWN_DISTANCE = 2  # images by which a true candidate of the paradigm may miss: it proposes one of a neighbourhood
 EVIDENCE_BINS = (0.0, 1e-9, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 100.0, math.inf)
 OWN_QUANTILES = (0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 95, 98, 100)
@@ -56,33 +60,39 @@ class CandidateRecorder:
         return []
 
 
-def read_truth(path: Path) -> Truth:
-    """Read a truth matrix (N, N), or make one from poses."""
+def read_truth(path: Path) -> tuple[Truth, Truth]:
+    """Return which earlier images (N, N) are true, and which are false candidates of each image."""
     if path.suffix != ".txt":
-        return load_truth(path).astype(bool)
+        truth = load_truth(path).astype(bool)
+        return truth, ~_widened(truth, MIN_FALSE_DISTANCE_IMAGES)
     poses = np.tile(np.eye(4), (sum(1 for _ in path.open()), 1, 1))
     poses[:, :3] = np.loadtxt(path).reshape(-1, 3, 4)
-    return truth_from_poses(poses).astype(bool)
+    positions = poses[:, :3, 3]
+    return truth_from_poses(poses).astype(bool), cdist(positions, positions) > MIN_FALSE_DISTANCE_M
 
 
-def candidates(name: str, images: Path, truth: Truth) -> Candidates:
-    """Return the verified candidates (K, 3) of a drive."""
+def _widened(truth: Truth, images: int) -> Truth:
+    return maximum_filter1d(truth.astype(np.uint8), 2 * images + 1, axis=1, mode="constant").astype(bool)
+
+
+def candidates(name: str, images: Path, truth: tuple[Truth, Truth]) -> Candidates:
+    """Return the verified candidates (K, 5) of a drive."""
     features = FeatureCache(Surf())
     recognizer: Any = make_recognizer(name, features, CONFIG) if name in PARADIGMS else make_control(features, CONFIG)
     recognizer._decision = recorder = CandidateRecorder()
     for k, file in enumerate(image_files(images)):
         recognizer.observe(k, cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), math.nan)
     recognizer.finish()
-    rows = [row for proposals, results in recorder.recorded for row in _rows(proposals, results, truth)]
-    return np.array(rows, np.float64).reshape(-1, 3)
+    kinds = truth[0], _widened(truth[0], MAX_OWN_DISTANCE), truth[1]
+    rows = [row for proposals, results in recorder.recorded for row in _rows(proposals, results, kinds)]
+    return np.array(rows, np.float64).reshape(-1, 5)
 
 
-def _rows(proposals: Any, results: tuple[Any, ...], truth: Truth) -> Iterator[tuple[float, float, float]]:
+def _rows(proposals: Any, results: tuple[Any, ...], kinds: tuple[Truth, ...]) -> Iterator[tuple[float, ...]]:
     own = dict(zip(proposals.locations, proposals.scores, strict=True))
-    revisited = np.flatnonzero(truth[proposals.query])
     for result in results:
-        distance = np.abs(revisited - result.location).min(initial=len(truth))
-        yield result.evidence, own.get(result.location, math.nan), float(distance)
+        where = proposals.query, result.location
+        yield result.evidence, own.get(result.location, math.nan), *(float(kind[where]) for kind in kinds)
 
 
 def show_ratios(what: str, scores: NDArray[np.float64], is_true: Truth, edges: NDArray[np.float64]) -> None:
@@ -97,19 +107,20 @@ def show_ratios(what: str, scores: NDArray[np.float64], is_true: Truth, edges: N
 
 def show(name: str, found: Candidates) -> None:
     """Print the ratios of one paradigm."""
-    evidence, own, distance = found.T
+    evidence, own = found[:, :2].T
+    is_true, is_near, is_false = found[:, 2:].T.astype(bool)
     print(f"\n{name}: {len(found)} candidates")
-    clear = (distance == 0) | (distance > MIN_FALSE_DISTANCE)
-    is_true = distance[clear] == 0
-    show_ratios("geometry", evidence[clear], is_true, np.array(EVIDENCE_BINS))
+    clear = is_true | is_false
+    show_ratios("geometry", evidence[clear], is_true[clear], np.array(EVIDENCE_BINS))
     for limit in EXCEEDED:
-        above = evidence[clear] > limit
-        shares = [100 * float(above[kind].mean()) if kind.any() else math.nan for kind in (is_true, ~is_true)]
+        shares = [
+            100 * float((evidence[kind] > limit).mean()) if kind.any() else math.nan for kind in (is_true, is_false)
+        ]
         print(f"    evidence above {limit}: {shares[0]:.2f} % of the true, {shares[1]:.2f} % of the false")
-    clear = ((distance <= MAX_OWN_DISTANCE) | (distance > MIN_FALSE_DISTANCE)) & np.isfinite(own)
+    clear = (is_near | is_false) & np.isfinite(own)
     edges = np.unique(np.percentile(own[clear], OWN_QUANTILES))
     if len(edges) > 1:
-        show_ratios("own score", own[clear], distance[clear] <= MAX_OWN_DISTANCE, edges)
+        show_ratios("own score", own[clear], is_near[clear], edges)
 
 
 def main() -> None:
