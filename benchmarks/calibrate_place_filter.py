@@ -3,9 +3,9 @@
     python benchmarks/calibrate_place_filter.py SOURCE TRUTH [SOURCE TRUTH ...] [--paradigms NAME ...]
 
 SOURCE is a KITTI root or a folder of images; TRUTH a .mat, a .npz with `truth`, or poses. For each paradigm the
-proposed candidates of every image are verified. One within the truth counts as true, one more than 20 images off as false, the
-rest not at all. Printed are, for bins of the evidence of geometry and of the paradigm's own score, the numbers of both
-and log10 of the ratio of their shares. Use drives that judge nothing.
+proposed candidates of every image are verified. One within the truth counts as true, one more than 20 images off as
+false, the rest not at all. Printed are, for bins of the evidence of geometry and of the paradigm's own score, the
+numbers of both and log10 of the ratio of their shares. Use drives that judge nothing.
 """
 
 import argparse
