@@ -105,7 +105,8 @@ def fill_history(recognizer: Any, material: Material, size: int) -> int:
         steps._steps.extend(np.array([len(steps._firsts)]))
         steps._places.extend(np.array([len(steps._firsts)]))
         steps._firsts.append(location)
-    recognizer._view.restore({"view_begin": size - 1, "reach_frames": 0, "whole_view": [size - 1, size - 1]})
+    view = {"view_begin": size - 1, "reach_frames": 0, "whole_view": [size - 1] * 2, "least_agreeing": np.inf}
+    recognizer._view.restore({**recognizer._view.state(), **view, "returns": False})
     decision._filter = PlaceFilter(decision._config)
     return before
 

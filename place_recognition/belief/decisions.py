@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, sharpness
+from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, log_ratios_elsewhere, sharpness
 from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, PlacePosterior
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import Belief, Proposals, StageScores, no_pixels
@@ -66,7 +66,8 @@ class SmoothedDecision:
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
         places = self._steps.places(np.array([result.location for result in results], np.int64))
-        return Observation(places, log_ratios(np.array(nearest), evidence), sharpness(evidence))
+        ratios = log_ratios(np.array(nearest), evidence)
+        return Observation(places, ratios, log_ratios_elsewhere(ratios, evidence), sharpness(evidence))
 
     def _answer_oldest(self) -> Belief:
         proposals, results = self._waiting.popleft()

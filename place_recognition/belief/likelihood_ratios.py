@@ -55,8 +55,11 @@ _GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.8, 0.5
 # power of ten for this evidence.
 _EVIDENCE_PER_POWER = 40.0
 
+# A place that is seen from elsewhere does not agree better than this: log10 of the ratio, and evidence.
+_MAX_RATIO_ELSEWHERE, _MAX_EVIDENCE_ELSEWHERE = 5.0, 150.0
+
 # Evidence from which a candidate's place is known better than usual.
-_SHARP_EVIDENCE = 90.0
+_SHARP_EVIDENCE, _MAX_SHARPNESS = 90.0, 16.0
 
 
 def log_ratios(own: Array, evidence: Array) -> Array:
@@ -70,9 +73,15 @@ def log_ratios(own: Array, evidence: Array) -> Array:
     return _GEOMETRY_WEIGHT * GEOMETRY(evidence) + _OWN_WEIGHT * own - behind
 
 
+def log_ratios_elsewhere(ratios: Array, evidence: Array) -> Array:
+    """Return the ratios (K,) of candidates that are seen from elsewhere, from those at the place: never as good."""
+    too_good = np.maximum(evidence - _MAX_EVIDENCE_ELSEWHERE, 0.0) / _EVIDENCE_PER_POWER
+    return np.minimum(ratios, _MAX_RATIO_ELSEWHERE) - too_good
+
+
 def sharpness(evidence: Array) -> Array:
     """Return by how much (K,) the places of candidates are known better than usual, as inverse variances.
 
     Two images agree that strongly only where the cameras stood within a fraction of the usual distance.
     """
-    return 1.0 + (evidence / _SHARP_EVIDENCE) ** 3
+    return np.minimum(1.0 + (evidence / _SHARP_EVIDENCE) ** 3, _MAX_SHARPNESS)

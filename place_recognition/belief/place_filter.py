@@ -26,12 +26,12 @@ Indices = NDArray[np.int64]
 # Steps by which the earlier pass advances for each step of this pass; negative where it is driven backwards.
 _SPEEDS = np.array([-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0])
 _AT_PLACE = _SPEEDS != 0  # at speed 0 the place is seen from elsewhere
-_MAX_LOG_RATIO_ELSEWHERE = 5.0  # seen from elsewhere a place never agrees as well as from its own viewpoint
 _MOVES = np.arange(-3, 4)  # steps by which the place may move
 _MOVES_ELSEWHERE = np.array(
     [0.02, 0.05, 0.13, 0.6, 0.13, 0.05, 0.02]
 )  # from elsewhere any of the places ahead may match
 _MOVE_NOISE = 0.05  # probability of moving one step less, or one more, than the speed says
+_SLOW_SHARE = 0.5  # of the changes of the slowest speeds, that lead to a view from elsewhere: slow is not that yet
 _SPEED_CHANGE = 0.02  # probability of another speed at the next step, mostly a neighbouring one
 _ANY_SPEED = 0.02  # share of these changes that lead to any speed
 _BIRTH_RADIUS = 2  # a revisit may begin this many steps beside a candidate
@@ -68,11 +68,13 @@ class Observation:
     Attributes:
         places: (K,) the places of the candidates, as steps of the camera when it saw them.
         log_ratios: (K,) log10 of their likelihood ratios against a new place.
+        elsewhere: (K,) log10 of those of their places seen from elsewhere.
         sharpness: (K,) factor, at least 1, by which a place is known better than usual (inverse variance).
     """
 
     places: Indices
     log_ratios: Array
+    elsewhere: Array
     sharpness: Array
 
 
@@ -151,11 +153,12 @@ class PlaceFilter:
 
     def _likelihood(self, observation: Observation, places: Indices) -> Array:
         """Likelihood ratio (N, S) of each place and speed: of the candidate that explains it best, or of a miss."""
-        best = np.full(len(places), -np.inf)
+        best = np.full((2, len(places)), -np.inf)
         if len(observation.places):
             distance = (places[:, None] - observation.places) / self.config.location_sigma_frames
-            best = (observation.log_ratios - distance**2 * observation.sharpness / (2 * np.log(10))).max(axis=1)
-        log_ratios = np.where(_AT_PLACE, best[:, None], np.minimum(best, _MAX_LOG_RATIO_ELSEWHERE)[:, None])
+            off = distance**2 * observation.sharpness / (2 * np.log(10))
+            best = np.array([(ratios - off).max(axis=1) for ratios in (observation.log_ratios, observation.elsewhere)])
+        log_ratios = np.where(_AT_PLACE, best[0][:, None], best[1][:, None])
         return np.maximum(10.0**log_ratios, self.config.miss_probability)
 
     def posterior(self, steps_ago: int) -> PlacePosterior:
@@ -242,6 +245,7 @@ def _speed_changes() -> Array:
     """Probability (S, S) of each speed at the next image, row = speed now."""
     count = len(_SPEEDS)
     neighbors = np.eye(count, k=1) + np.eye(count, k=-1)
+    neighbors[:, ~_AT_PLACE] *= _SLOW_SHARE
     change = (1 - _ANY_SPEED) * neighbors / 2 + _ANY_SPEED / count
     changes: Array = (1 - _SPEED_CHANGE) * np.eye(count) + _SPEED_CHANGE * change
     return changes / changes.sum(axis=1, keepdims=True)

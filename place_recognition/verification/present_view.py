@@ -1,8 +1,9 @@
 """The present view: which of the latest images still show what the newest one shows, and are therefore no past.
 
 An image may be matched only with images older than twice the present view, which reaches back to the oldest image that
-still agrees with the newest one by geometry. This holds at any speed, standing or driving, whether or not a distance is
-measured. Reasons and figures: docs/decisions/exclusion.md.
+still agrees with the newest one by geometry; older than the view alone where the camera comes back to its beginning.
+This holds at any speed, standing or driving, whether or not a distance is measured. Reasons and figures:
+docs/decisions/exclusion.md.
 """
 
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ _MAX_STEPS = 4
 
 # Images for which something may hide the whole view, as a lorry does, and the view goes on afterwards.
 _MAX_HIDDEN = 30
+
+_RETURN_RATIO = 3.0  # growth of the agreement with the beginning of the view by which the camera comes back to it
 
 _MAX_RATIO = 0.8  # of nearest to second nearest descriptor distance, as in the verification of candidates
 _STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
@@ -60,6 +63,8 @@ class PresentView:
         self._history = history
         self._begin = 0  # location of the oldest image that agrees with the newest one
         self._reach = 0  # number of images of the view, and of those before that are excluded besides
+        self._least = np.inf  # smallest number of matches of a newest image with the beginning of the view
+        self._returns = False  # whether the camera comes back to the beginning of the view
         self._whole = (0, 0)  # the latest image before the view began to shrink, and where the view began then
 
     def advance(self) -> int:
@@ -78,34 +83,48 @@ class PresentView:
         self._reach = max(newest - self._begin, self._reach - 1)
         by_count = newest - max(self.config.min_gap_frames, self.config.exclusion_frames)
         by_distance = self._history.last_behind(self.config.min_distance_m)
-        return max(min(self._begin - self._reach, by_count, by_distance), -1)
+        before_view = self._begin - (0 if self._returns else self._reach)
+        return max(min(before_view, by_count, by_distance), -1)
 
     def _resume(self, newest: int) -> None:
         """Go on with the view as it was if the newest image shows again what was seen before something hid it."""
         latest, begin = self._whole
-        if latest <= self._begin and newest - latest <= _MAX_HIDDEN and self._agree(newest, latest):
+        is_hidden = latest <= self._begin and newest - latest <= _MAX_HIDDEN
+        if is_hidden and self._count_agreeing(newest, latest) >= self.config.min_inliers:
             self._begin = begin
 
     def _follow(self, newest: int) -> None:
         for _ in range(_MAX_STEPS):
-            if self._begin >= newest or self._agree(newest, self._begin):
+            agreeing = self._count_agreeing(newest, self._begin) if self._begin < newest else np.inf
+            if agreeing >= self.config.min_inliers:
+                self._least = min(self._least, agreeing)
+                # Driving on, the beginning of the view is seen less and less.
+                self._returns = bool(np.isfinite(agreeing)) and agreeing >= _RETURN_RATIO * self._least
                 return
-            self._begin += 1
+            self._begin, self._least, self._returns = self._begin + 1, np.inf, False
 
-    def _agree(self, newest: int, location: int) -> bool:
+    def _count_agreeing(self, newest: int, location: int) -> int:
+        """Count the matches of two images that agree with one fundamental matrix."""
         now, then = (self._history.images[k].strongest(self.config.compared_features) for k in (newest, location))
         pairs = match_pairs(now.quantized, then.quantized, _MAX_RATIO)
         mask = epipolar_inliers(now.pixels[pairs[:, 0]], then.pixels[pairs[:, 1]], self.config.epipolar)
-        return mask is not None and int(mask.sum()) >= self.config.min_inliers
+        return 0 if mask is None else int(mask.sum())
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
-        return {"view_begin": self._begin, "reach_frames": self._reach, "whole_view": list(self._whole)}
+        return {
+            "view_begin": self._begin,
+            "reach_frames": self._reach,
+            "whole_view": list(self._whole),
+            "least_agreeing": float(self._least),
+            "returns": self._returns,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state."""
         self._begin, self._reach = state["view_begin"], state["reach_frames"]
         self._whole = state["whole_view"][0], state["whole_view"][1]
+        self._least, self._returns = state["least_agreeing"], state["returns"]
 
 
 class FixedWindow:
