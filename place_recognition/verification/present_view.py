@@ -63,7 +63,7 @@ class PresentView:
         self._history = history
         self._begin = 0  # location of the oldest image that agrees with the newest one
         self._reach = 0  # number of images of the view, and of those before that are excluded besides
-        self._least = np.inf  # smallest number of matches of a newest image with the beginning of the view
+        self._min_agreeing = np.inf  # smallest number of matches of a newest image with the beginning of the view
         self._returns = False  # whether the camera comes back to the beginning of the view
         self._whole = (0, 0)  # the latest image before the view began to shrink, and where the view began then
 
@@ -97,11 +97,11 @@ class PresentView:
         for _ in range(_MAX_STEPS):
             agreeing = self._count_agreeing(newest, self._begin) if self._begin < newest else np.inf
             if agreeing >= self.config.min_inliers:
-                self._least = min(self._least, agreeing)
+                self._min_agreeing = min(self._min_agreeing, agreeing)
                 # Driving on, the beginning of the view is seen less and less.
-                self._returns = bool(np.isfinite(agreeing)) and agreeing >= _RETURN_RATIO * self._least
+                self._returns = bool(np.isfinite(agreeing)) and agreeing >= _RETURN_RATIO * self._min_agreeing
                 return
-            self._begin, self._least, self._returns = self._begin + 1, np.inf, False
+            self._begin, self._min_agreeing, self._returns = self._begin + 1, np.inf, False
 
     def _count_agreeing(self, newest: int, location: int) -> int:
         """Count the matches of two images that agree with one fundamental matrix."""
@@ -116,7 +116,7 @@ class PresentView:
             "view_begin": self._begin,
             "reach_frames": self._reach,
             "whole_view": list(self._whole),
-            "least_agreeing": float(self._least),
+            "min_agreeing": float(self._min_agreeing),
             "returns": self._returns,
         }
 
@@ -124,7 +124,7 @@ class PresentView:
         """Continue from a state."""
         self._begin, self._reach = state["view_begin"], state["reach_frames"]
         self._whole = state["whole_view"][0], state["whole_view"][1]
-        self._least, self._returns = state["least_agreeing"], state["returns"]
+        self._min_agreeing, self._returns = state["min_agreeing"], state["returns"]
 
 
 class FixedWindow:
