@@ -61,6 +61,10 @@ def epipolar_inliers(first: Floats, second: Floats, config: EpipolarConfig) -> M
     if len(first) < max(config.min_inliers, _MIN_MATCHES):
         return None
     pixels = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    # From one viewpoint every fundamental matrix agrees with what has not moved, and the search ends with any.
+    still = np.linalg.norm(pixels[0] - pixels[1], axis=1) <= config.max_distance_px
+    if 2 * np.count_nonzero(still) >= len(still):
+        return still if np.count_nonzero(still) >= config.min_inliers else None
     try:
         _, mask = cv2.findFundamentalMat(*pixels, _usac_parameters(config))
     except cv2.error:  # degenerate matches leave OpenCV without a model, and some versions raise an error then

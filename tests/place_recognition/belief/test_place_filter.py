@@ -13,14 +13,17 @@ from place_recognition.belief.place_filter import Observation, PlaceFilter, Plac
 
 MOVES = place_filter._MOVES.tolist()
 NEW = None  # the state "a new place"; every other state is (place, index of the speed)
-NOTHING = Observation(np.empty(0, np.int64), np.empty(0), np.empty(0))
+MAX_ELSEWHERE = 5.0  # log10 of the ratio of a place seen from elsewhere
+NOTHING = Observation(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
 CANDIDATES = st.lists(st.tuples(st.integers(0, 6), st.floats(-1.5, 4)), max_size=2)
 
 
 def observe(*candidates: tuple[int, float], sharpness: float = 1.0) -> Observation:
     """Candidates (place, log10 of the likelihood ratio)."""
     places, ratios = zip(*candidates, strict=True) if candidates else ((), ())
-    return Observation(np.array(places, np.int64), np.array(ratios, float), np.full(len(places), sharpness))
+    place_ratios = np.array(ratios, float)
+    elsewhere = np.minimum(place_ratios, MAX_ELSEWHERE)
+    return Observation(np.array(places, np.int64), place_ratios, elsewhere, np.full(len(places), sharpness))
 
 
 def run(observations, **settings_of_filter) -> list[PlacePosterior]:
@@ -52,7 +55,7 @@ def likelihood(state, observation: Observation, config: PlaceFilterConfig) -> fl
     ]
     best = max(ratios, default=-np.inf)
     if place_filter._SPEEDS[speed] == 0:
-        best = min(best, place_filter._MAX_LOG_RATIO_ELSEWHERE)
+        best = min(best, MAX_ELSEWHERE)
     return max(10.0**best, config.miss_probability)
 
 

@@ -5,8 +5,10 @@ import pytest
 from place_images import textured_world
 
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
+from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.onnx_descriptor import OnnxConfig, OnnxDescriptor
 from place_recognition.paradigms.whole_images import GlobalDescriptorMatching
+from place_recognition.recognizer import ObservedImage
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -74,9 +76,11 @@ def test_the_kind_tells_networks_apart(network):
 def test_a_network_recognises_a_lap_driven_twice(network):
     world = textured_world(1600, seed=8)
     lap = [np.ascontiguousarray(world[:, s : s + 320]) for s in range(0, 1240, 31)]
-    recognizer = GlobalDescriptorMatching(make_global_descriptor(f"onnx:{network([1, 3, 32, 32], POOLED)}"))
-    beliefs = [b for i, image in enumerate(lap + lap) for b in recognizer.observe(i, image, 2.0 * i)]
-    assert all(b.match == b.query - 40 and b.score == pytest.approx(1) for b in beliefs[40:])
+    proposer = GlobalDescriptorMatching(make_global_descriptor(f"onnx:{network([1, 3, 32, 32], POOLED)}"))
+    nothing = LocalFeatures(*(np.empty(shape, np.float32) for shape in ((0, 2), 0, 0, (0, 8))))
+    observed = [ObservedImage(i, image, nothing, 2.0 * i, max(i - 20, -1)) for i, image in enumerate(lap + lap)]
+    proposals = [p for image in observed for p in proposer.observe(image)]
+    assert all(p.locations[0] == p.query - 40 and p.scores[0] == pytest.approx(1) for p in proposals[40:])
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):

@@ -70,7 +70,7 @@ def test_an_unknown_preset_lists_the_known_ones():
 def test_the_seed_reaches_the_samples_of_geometry(name, monkeypatch):
     seeds = []
 
-    def record(images, query, candidates, last_matchable, config):
+    def record(images, query, candidates, last_matchable, config, pool):
         seeds.append(config.epipolar.seed)
         return ()
 

@@ -175,7 +175,7 @@ def test_the_time_of_the_control_is_not_that_of_the_paradigm(monkeypatch: pytest
     start = time.perf_counter()
     run = places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)
     assert time.perf_counter() - start > run.wall_seconds + LAP * 0.05 + 0.5
-    assert {name for spent in run.stage_ms for name in spent} == {"read", "place recognition"}
+    assert {name for spent in run.stage_ms for name in spent} == {"read", "features", "place recognition"}
 
 
 class CountingExtractor:
@@ -186,7 +186,7 @@ class CountingExtractor:
     def __init__(self) -> None:
         self.count = 0
 
-    def extract(self, image: np.ndarray) -> LocalFeatures:
+    def extract(self, image: np.ndarray, mask: np.ndarray | None = None) -> LocalFeatures:
         self.count += 1
         return LocalFeatures(*(np.empty(shape, np.float32) for shape in ((0, 2), 0, 0, (0, 8))))
 
