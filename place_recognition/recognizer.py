@@ -62,7 +62,7 @@ class Belief:
             0 without a match.
         accepted: whether the score passes the paradigm's threshold and the match its geometric verification.
         inliers: number of matches that agree with one epipolar geometry; None where none was fitted.
-        verified: False where a geometric verification was tried and failed; such a match is never a detection.
+        verified: False where a geometric verification was tried and failed, or was not worth a trial.
         pixels: (inliers, 4) float32, x and y of these matches in the query image, then in the matched image; empty
             where they are not known.
         probability: probability that the match shows the same place; None where the recogniser computes none.
@@ -80,6 +80,14 @@ class Belief:
     probability: float | None = None
     stages: StageScores = StageScores()
     answered_at: int | None = None
+
+    @property
+    def is_detection(self) -> bool:
+        """Whether the match counts in a precision-recall curve: where it is verified, or has a probability.
+
+        A probability holds what the images around say too; geometry of the image alone may fail.
+        """
+        return self.match is not None and (self.verified or self.probability is not None)
 
 
 class MatrixSink(Protocol):

@@ -1,8 +1,8 @@
 """Precision and recall of recognised places over all thresholds of the score.
 
-Precision = TP / (TP + FP), recall = TP / (queries that have a true match). A query has one detection at most:
-its belief's match, if it was verified. A detection for a query without a true match is false; a query with neither
-counts for nothing.
+Precision = TP / (TP + FP), recall = TP / (queries that have a true match). A query has one detection at most: its
+belief's match, if it was verified or has a probability. A detection for a query without a true match is false; a query
+with neither counts for nothing.
 """
 
 from collections.abc import Sequence
@@ -86,12 +86,12 @@ def precision_recall(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0
     """Compute the curve over all thresholds of the score.
 
     Args:
-        beliefs: one for each query; beliefs without a match, or whose verification failed, are never detections.
+        beliefs: one for each query; which of them are detections: `Belief.is_detection`.
         truth: (N, N) truth matrix, row = query, column = earlier image; queries without a belief count as missed.
         tolerance: see `is_correct`.
     """
     right = is_correct(beliefs, truth, tolerance)
-    detected = np.array([b.match is not None and b.verified for b in beliefs], np.bool_)
+    detected = np.array([b.is_detection for b in beliefs], np.bool_)
     scores = np.array([b.score for b in beliefs], np.float64)[detected]
     right = right[detected]
     # No threshold separates equal scores, so they are counted together.

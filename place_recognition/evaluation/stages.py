@@ -135,7 +135,7 @@ def curve_intervals(answers: Sequence[Belief], truth: Truth, weights: Counts) ->
         truth: (N, N) truth matrix.
         weights: (S, N) how often each query occurs in each sample.
     """
-    detected = [answer for answer in answers if answer.match is not None and answer.verified]
+    detected = [answer for answer in answers if answer.is_detection]
     scores = np.array([answer.score for answer in detected], np.float64)
     order = np.argsort(-scores, kind="stable")
     right = is_correct(detected, truth)[order]

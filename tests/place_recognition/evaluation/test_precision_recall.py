@@ -219,3 +219,9 @@ def test_the_curve_agrees_with_a_plain_count_at_each_threshold(seed):
     curve = precision_recall(beliefs, truth)
     assert curve.average_precision == pytest.approx(average)
     assert curve.recall_at_full_precision == pytest.approx(best)
+
+
+def test_a_match_with_a_probability_counts_without_geometry_of_its_own():
+    truth = np.eye(4, k=-2) > 0
+    failed = Belief(2, 0, 5.0, accepted=False, verified=False, probability=0.9)
+    assert precision_recall([failed], truth).recall_at_full_precision == 0.5
