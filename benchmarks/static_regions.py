@@ -103,7 +103,7 @@ class PaintedImages:
 
 def measure(images: PaintedImages, paradigm: str, enabled: bool, truth: NDArray[np.bool_]) -> str:
     """Run one paradigm and return its figures as text."""
-    factory = RecognizerFactory(paradigm, ParadigmsConfig(), StaticRegionConfig(enabled=enabled))
+    factory = RecognizerFactory(paradigm, ParadigmsConfig(), static_regions=StaticRegionConfig(enabled=enabled))
     run = run_recognizer(images, factory, lambda done, count: None, lambda: False)
     places = evaluate_places(paradigm, sorted(run.beliefs, key=lambda belief: belief.query), truth, None).section
     tolerant = places["tolerance_10"]
