@@ -58,8 +58,8 @@ class Belief:
     Attributes:
         query: id of the query image; a recogniser may answer late, for example a whole sequence or place at once.
         match: id of the best earlier image, never one inside the recogniser's own exclusion window; None without match.
-        score: confidence on the paradigm's own scale, larger is surer; precision-recall curves vary a threshold on it;
-            0 without a match.
+        score: confidence on the paradigm's own scale, larger is surer; precision-recall curves vary a threshold on it.
+            Has no meaning without a match.
         accepted: whether the score passes the paradigm's threshold and the match its geometric verification.
         inliers: number of matches that agree with one epipolar geometry; None where none was fitted.
         verified: False where a geometric verification was tried and failed, or was not worth a trial.

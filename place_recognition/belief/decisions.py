@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, log_ratios_elsewhere, sharpness
 from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, PlacePosterior
@@ -65,9 +66,8 @@ class SmoothedDecision:
         evidence = np.array([result.evidence for result in results], np.float64)
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
-        places = self._steps.places(np.array([result.location for result in results], np.int64))
         ratios = log_ratios(np.array(nearest), evidence)
-        return Observation(places, ratios, log_ratios_elsewhere(ratios, evidence), sharpness(evidence))
+        return Observation(self._places(results), ratios, log_ratios_elsewhere(ratios, evidence), sharpness(evidence))
 
     def _answer_oldest(self) -> Belief:
         proposals, results = self._waiting.popleft()
@@ -114,12 +114,16 @@ class SmoothedDecision:
 
     def _find_step(self, results: Results, place: int) -> int:
         """The step that shows a place in the pass of the candidate near it that has most evidence."""
-        places = self._steps.places(np.array([result.location for result in results], np.int64))
+        places = self._places(results)
         near = [(result.evidence, k) for k, result in enumerate(results) if abs(int(places[k]) - place) <= _NEAR]
         if not near:
             return place
         best = max(near)[1]
         return self._steps.of(results[best].location) + place - int(places[best])
+
+    def _places(self, results: Results) -> NDArray[np.int64]:
+        """The places (K,) that the candidates show."""
+        return self._steps.places(np.array([result.location for result in results], np.int64))
 
     def _result(self, query: int, location: int, results: Results, probability: float) -> VerificationResult | None:
         """The verification of the match, or of a candidate next to it that agrees much better."""

@@ -23,8 +23,11 @@ from place_recognition.recognizer import no_pixels
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+# Matches in a minimal sample: seven matches determine up to three fundamental matrices, so that they always agree.
+MINIMAL_SAMPLE = 7
+
 _TRIANGLE_STEPS = 5  # as many triangles for each match
-_MIN_MATCHES = 8  # below, any matches agree with a fundamental matrix: it has 7 degrees of freedom
+_PARALLEL = 2  # candidates that are verified at a time
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def epipolar_inliers(first: Floats, second: Floats, config: EpipolarConfig) -> M
     Returns:
         Mask (N,) of the inliers, or None where fewer than `min_inliers` agree. The same for the same input.
     """
-    if len(first) < max(config.min_inliers, _MIN_MATCHES):
+    if len(first) < max(config.min_inliers, MINIMAL_SAMPLE + 1):
         return None
     pixels = np.asarray(first, np.float64), np.asarray(second, np.float64)
     # From one viewpoint every fundamental matrix agrees with what has not moved, and the search ends with any.
@@ -102,12 +105,6 @@ def _usac_parameters(config: EpipolarConfig) -> Any:
     parameters.randomGeneratorState = config.seed  # with isParallel off: the same inliers in every run
     parameters.isParallel = False
     return parameters
-
-
-# Matches in a minimal sample: seven matches determine up to three fundamental matrices.
-MINIMAL_SAMPLE = 7
-
-_PARALLEL = 2  # candidates that are verified at a time
 
 
 @dataclass(frozen=True)
