@@ -22,9 +22,9 @@ from place_recognition.verification.candidate_verification import (
     verify_candidates,
 )
 
-# Proposals that are verified while one image is observed. The paradigms of sequences answer for many images at once;
-# their verification is spread over the images that follow.
-_MAX_VERIFIED_AT_ONCE = 2
+# The paradigms of sequences propose for many images at once. Their verification is spread over the images that follow:
+# one for each, so that all images take the same time, and two while more than these wait.
+_MAX_WAITING = 6
 
 
 class ExclusionWindow(Protocol):
@@ -95,7 +95,7 @@ class StagedRecognizer:
         location = self._history.add(image_id, features, distance_travelled_m)
         observed = ObservedImage(location, image, features, distance_travelled_m, self._view.advance())
         self._unverified.extend(self._proposer.observe(observed))
-        return self._decide(_MAX_VERIFIED_AT_ONCE)
+        return self._decide(_count_now(len(self._unverified)))
 
     def finish(self) -> list[Belief]:
         """Return the beliefs about the images that are still unanswered when the recording ends."""
@@ -103,10 +103,10 @@ class StagedRecognizer:
         beliefs = self._decide(len(self._unverified)) + self._decision.finish()
         return [replace(belief, answered_at=self._latest_id) for belief in beliefs]
 
-    def _decide(self, max_count: int) -> list[Belief]:
+    def _decide(self, count: int) -> list[Belief]:
         """Verify the next proposals and return the beliefs that follow."""
         beliefs: list[Belief] = []
-        for _ in range(min(max_count, len(self._unverified))):
+        for _ in range(count):
             proposals = self._unverified.popleft()
             results = verify_candidates(
                 self._history.images,
@@ -140,6 +140,11 @@ class StagedRecognizer:
         self._proposer.restore(state["proposer"])
         self._unverified.extend(Proposals(**proposals) for proposals in state["unverified"])
         self._decision.restore(state["decision"])
+
+
+def _count_now(waiting: int) -> int:
+    """Return how many of the waiting proposals are verified with the present image."""
+    return min(waiting, 1 if waiting <= _MAX_WAITING else 2)
 
 
 class RowsById:

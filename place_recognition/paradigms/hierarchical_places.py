@@ -9,6 +9,7 @@ of the chapter. Deviations of the default from the paper (reasons and figures: d
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -95,6 +96,7 @@ class HierarchicalPlaces:
         self._places = PlaceMap(index())
         self._latest = -1
         self._rows = NullMatrixSink() if rows is None else rows
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="rank")
 
     @property
     def word_count(self) -> int:
@@ -139,10 +141,14 @@ class HierarchicalPlaces:
     def _count_matches(self, query: int, locations: list[int]) -> tuple[list[int], NDArray[np.int64]]:
         if not locations:
             return [], np.empty(0, np.int64)
-        features = self.config.ranking_features
-        strongest = self._images[query].strongest(features).quantized
-        matches = count_matches(strongest, *self._images.strongest(locations, features), self.config.ranking_ratio)
-        return locations, matches
+        strongest = self._images[query].strongest(self.config.ranking_features).quantized
+        half = len(locations) // 2
+        other = self._pool.submit(self._rank, strongest, locations[half:])  # the second half in a second thread
+        return locations, np.concatenate([self._rank(strongest, locations[:half]), other.result()])
+
+    def _rank(self, strongest: NDArray[np.int8], locations: list[int]) -> NDArray[np.int64]:
+        others = self._images.strongest(locations, self.config.ranking_features)
+        return count_matches(strongest, *others, self.config.ranking_ratio)
 
     def _sample_images(self, votes: PlaceVotes, count: int) -> list[int]:
         """Every `image_stride`-th location of the likeliest places and of the places beside the best one."""

@@ -6,6 +6,7 @@ long: at most one cell a level is split. A search is a beam search: it follows t
 path alone. docs/decisions/word_index.md compares it with the indices of FAISS.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -122,6 +123,7 @@ class WordTree:
     def __init__(self) -> None:
         self._nodes: Nodes | None = None
         self._words: GrowingArray[np.int16] = GrowingArray(np.int16)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="words")
 
     def __len__(self) -> int:
         return len(self._words)
@@ -136,9 +138,11 @@ class WordTree:
             self._words.extend(batch)
 
     def nearest(self, query: Floats) -> Indices:
-        """Find the nearest word (N,) of each query descriptor (N, D) among those that the beam reaches."""
+        """Find the nearest word (N,) of each query (N, D) that the beam reaches, one half in a second thread."""
         assert self._nodes is not None  # the contract: at least one word
-        return search_words(self._nodes, self._words.rows, quantize(query), beam_width(len(self)))
+        words, beam, half = self._words.rows, beam_width(len(self)), len(query) // 2
+        other = self._pool.submit(search_words, self._nodes, words, quantize(query[half:]), beam)
+        return np.concatenate([search_words(self._nodes, words, quantize(query[:half]), beam), other.result()])
 
     def state(self) -> Any:
         """All nodes and words, for a checkpoint."""

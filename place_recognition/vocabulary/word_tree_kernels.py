@@ -59,7 +59,7 @@ def insert_words(nodes: Nodes, words: Shorts, first: int) -> None:
         _split_overfull(nodes, path, slots)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def search_words(nodes: Nodes, words: Shorts, queries: Shorts, beam: int) -> Indices:
     """Find the nearest word (N,) of each query (N, D) among the leaves that the beam reaches.
 
