@@ -160,6 +160,24 @@ def test_an_accepted_match_is_probable_and_verified_by_geometry(decided):
             assert belief.inliers == len(belief.pixels) > 0
 
 
+def test_a_probable_match_whose_own_geometry_is_weak_is_not_accepted(steady):
+    """One query in the middle of the second pass: the images around it make the place certain, its own pair does not."""
+    weak, decision, beliefs = steady.second + 40, steady.make(), []
+    for query in range(len(steady.views)):
+        inliers, evidence = (14, 0.5) if query == weak else (60, 50.0)
+        location = query - steady.second
+        results = (VerificationResult(query, location, inliers, evidence),) if location >= 0 else ()
+        proposed = tuple(result.location for result in results)
+        beliefs += decision.add(Proposals(query, query - 50, proposed, (0.0,) * len(proposed)), results)
+    beliefs += decision.finish()
+    assert beliefs[weak].match == 40
+    assert beliefs[weak].probability >= PlaceFilterConfig().min_probability
+    assert not beliefs[weak].verified
+    assert not beliefs[weak].accepted
+    assert beliefs[weak - 1].accepted
+    assert beliefs[weak + 1].accepted
+
+
 def test_a_larger_smallest_probability_accepts_no_more(steady, decided):
     strict, _ = steady.decide(PlaceFilterConfig(min_probability=0.99999))
     accepted = {b.query for b in decided[0] if b.accepted}
