@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+# Between these gains and up to this difference of the means two images are as good as equally bright: the views of well
+# exposed pairs differ by up to a gain of 1.05 and 9 grey levels (KITTI, a hand-held pair), and the trackers bear it.
+_MIN_GAIN, _MAX_GAIN = 0.85, 1 / 0.85
+_MAX_MEAN_DIFFERENCE = 12.0
+_MAX_LEVEL_GAIN = 5.0  # an image that needs more, or less than its inverse, is covered or blank, and is left as it is
+
 _HALF = 2  # corners are detected in the image at half its size: a quarter of the time, and less noise
 
 
@@ -113,9 +119,30 @@ def is_unmasked(pixels: Array, mask: Image | None) -> NDArray[np.bool_]:
 
 def match_brightness(reference: Image, image: Image) -> Image:
     """Change an image (H, W) uint8 to the mean and the contrast of a reference image."""
+    gain, difference = brightness_difference(reference, image)
+    mean = cv2.mean(image)[0]
+    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=mean + difference - gain * mean))
+
+
+def level_pair(left: Image, right: Image) -> Image:
+    """Return the right image (H, W) uint8 as bright as the left one; unchanged where they are as good as equal.
+
+    The two cameras of a pair may have exposures of their own. The trackers and matchers compare grey levels.
+    """
+    gain, difference = brightness_difference(left, right)
+    is_blank = not 1 / _MAX_LEVEL_GAIN <= gain <= _MAX_LEVEL_GAIN
+    return right if is_level(gain, difference) or is_blank else match_brightness(left, right)
+
+
+def is_level(gain: float, difference: float) -> bool:
+    """Whether two images with this `brightness_difference` are as good as equally bright."""
+    return _MIN_GAIN <= gain <= _MAX_GAIN and abs(difference) <= _MAX_MEAN_DIFFERENCE
+
+
+def brightness_difference(reference: Image, image: Image) -> tuple[float, float]:
+    """Compare a reference image with an image (H, W) uint8: ratio of the contrasts, difference of the means."""
     (mean, deviation), (mean_reference, deviation_reference) = (cv2.meanStdDev(each) for each in (image, reference))
-    gain = float(deviation_reference[0, 0] / max(deviation[0, 0], 1.0))
-    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=float(mean_reference[0, 0] - gain * mean[0, 0])))
+    return float(deviation_reference[0, 0] / max(deviation[0, 0], 1.0)), float(mean_reference[0, 0] - mean[0, 0])
 
 
 def _corner_strength(image: Image) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.klt_tracking import TrackingConfig
+from odometry.klt_tracking import TrackingConfig, level_pair
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.reference_frame import Reference
@@ -94,7 +94,7 @@ class StereoOdometry:
 
         Args:
             left: (H, W) uint8 of the camera's size.
-            right: of the same size, taken at the same time.
+            right: of the same size, taken at the same time; its exposure may be another one.
             timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
             mask: (H, W) uint8, 0 where the left image does not show the scene; None if it shows it everywhere.
 
@@ -102,23 +102,24 @@ class StereoOdometry:
             ValueError: images of another size or type.
         """
         self._check(left, right)
+        pair = left, level_pair(left, right)
         self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         self._unmeasured += steps
         if self._reference is None:
-            return self._begin((left, right))
+            return self._begin(pair)
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference.age(steps)
         is_lost_recent = self._lost is not None and self._lost.age_frames < self._config.max_lost_frames
         self._lost = self._lost.age(steps) if self._lost and is_lost_recent else None
-        return self._measure((left, right), motion)
+        return self._measure(pair, motion)
 
     def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
 
         NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
         """
-        matched = match_disparity(left, right, pixels, self._config.matching)
+        matched = match_disparity(left, level_pair(left, right), pixels, self._config.matching)
         return self.calibration.correct_disparity(pixels, matched)
 
     def _check(self, left: Image, right: Image) -> None:

@@ -24,6 +24,7 @@ from slam.diagnostics.sensor_checks import (
     ImageStatistics,
     check_camera,
     check_images,
+    check_pair_brightness,
     check_rectification,
     check_static_area,
     check_timestamps,
@@ -111,7 +112,7 @@ def _check_dataset(dataset: Dataset, progress: Progress) -> list[Finding]:
     findings = [_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"), *_check_samples(seen)]
     findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
     if dataset.has_right:
-        findings.append(check_rectification(seen.pairs))
+        findings += [check_rectification(seen.pairs), check_pair_brightness(seen.pairs)]
     else:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
     findings.append(_check_ground_truth(dataset))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
+from odometry.klt_tracking import brightness_difference, is_level
 from place_recognition.image_processing.matching import mutual_matches
 from slam.diagnostics.findings import ALL_USES, SLAM_USES, Finding, Use, report_fault, report_ok, report_warning
 
@@ -121,6 +122,20 @@ def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
     if off > _MAX_GOOD_ROWS_PX:
         return report_warning("rows", f"{text}; a new calibration would help", **figures)
     return report_ok("rows", text, **figures)
+
+
+def check_pair_brightness(pairs: Sequence[tuple[Image, Image]]) -> Finding:
+    """Check in pairs of images that both cameras are equally bright."""
+    if not pairs:
+        return report_ok("brightness", "no pair of images to compare")
+    measured = np.array([brightness_difference(left, right) for left, right in pairs])
+    gain, difference = (float(value) for value in np.median(measured, axis=0))
+    contrast, brighter = 1 / max(gain, 1e-3), -difference
+    text = f"the right image has {contrast:.2f} of the left one's contrast and is {brighter:+.0f} grey levels brighter"
+    if is_level(gain, difference):
+        return report_ok("brightness", text, contrast_ratio=contrast, mean_difference=brighter)
+    text += ": it is levelled; give both cameras one exposure"
+    return report_warning("brightness", text, contrast_ratio=contrast, mean_difference=brighter)
 
 
 def match_displacements(left: Image, right: Image) -> Array:

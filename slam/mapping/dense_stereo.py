@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
+from odometry.klt_tracking import level_pair
 from odometry.stereo.stereo_self_calibration import Calibration
 
 Image = NDArray[np.uint8]
@@ -66,7 +67,7 @@ class DenseStereo:
 
     def compute_depth(self, left: Image, right: Image) -> DepthImage:
         """Return the depth of a pair of images, (H, W) uint8, of the calibrated size."""
-        left, right = self._rectify(left, self._left), self._rectify(right, self._right)
+        left, right = self._rectify(left, self._left), self._rectify(level_pair(left, right), self._right)
         disparity = self._matcher.compute(left, right).astype(np.float32) / np.float32(_DISPARITY_SCALE)
         min_disparity = self.camera.fx * self.camera.baseline / self._max_depth
         known = (disparity >= min_disparity) & self._inside

@@ -1,10 +1,19 @@
 """Corners spread, tracks follow, and what cannot be followed is said to be lost."""
 
+import cv2
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as shifted
 
-from odometry.klt_tracking import TrackingConfig, detect_corners, is_inside, match_brightness, track_points
+from odometry.klt_tracking import (
+    TrackingConfig,
+    detect_corners,
+    is_inside,
+    level_pair,
+    match_brightness,
+    track_points,
+)
 
 CONFIG = TrackingConfig(max_corners=200)
 NONE = np.zeros((0, 2))
@@ -104,3 +113,23 @@ def test_an_even_image_has_its_brightness_matched_without_amplifying_noise():
     matched = match_brightness(bright, dark)
     assert matched.std() == 0
     assert abs(float(matched.mean()) - float(bright.mean())) < 1
+
+
+def test_a_pair_as_good_as_equally_bright_is_left_as_it_is():
+    left = as_image(texture(7))
+    right = cv2.convertScaleAbs(left, alpha=0.95, beta=4)
+    assert level_pair(left, right) is right
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.6, 0), (1.0, 25), (0.6, 25), (0.5, 60)])
+def test_another_exposure_is_taken_back(gain, offset):
+    left = cv2.convertScaleAbs(as_image(texture(7)), alpha=0.7, beta=20)  # no pixel becomes black or white
+    right = cv2.convertScaleAbs(left, alpha=gain, beta=offset)
+    levelled = level_pair(left, right)
+    assert np.abs(levelled.astype(int) - left).max() <= 2
+
+
+@pytest.mark.parametrize("value", [0, 128])
+def test_a_covered_camera_is_not_made_bright(value):
+    blank = np.full((60, 80), value, np.uint8)
+    assert level_pair(as_image(texture(7))[:60, :80], blank) is blank

@@ -161,7 +161,7 @@ def test_an_accepted_match_is_probable_and_verified_by_geometry(decided):
 
 
 def test_a_probable_match_whose_own_geometry_is_weak_is_not_accepted(steady):
-    """One query in the middle of the second pass: the images around it make the place certain, its own pair does not."""
+    """The images around one query of the second pass make its place certain; its own pair does not."""
     weak, decision, beliefs = steady.second + 40, steady.make(), []
     for query in range(len(steady.views)):
         inliers, evidence = (14, 0.5) if query == weak else (60, 50.0)

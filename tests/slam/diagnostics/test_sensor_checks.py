@@ -1,5 +1,6 @@
 """Each check reports what it measures, and its bounds are where they are said to be."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +12,7 @@ from slam.diagnostics.sensor_checks import (
     ImageStatistics,
     check_camera,
     check_images,
+    check_pair_brightness,
     check_rectification,
     check_static_area,
     check_timestamps,
@@ -136,6 +138,17 @@ def test_blank_images_have_no_matches_and_that_is_a_warning() -> None:
     assert match_displacements(blank, blank).shape == (0, 2)
     found = check_rectification([(blank, blank)])
     assert (found.status, found.figures["matches"]) == (Status.WARNING, 0)
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "status"),
+    [(1.0, 0, Status.OK), (0.93, 5, Status.OK), (0.6, 0, Status.WARNING), (1.0, 25, Status.WARNING)],
+)
+def test_a_pair_of_two_exposures_is_a_warning(gain: float, offset: float, status: Status) -> None:
+    left, right = Walls().pair(IDEAL, np.eye(4))
+    found = check_pair_brightness([(left, cv2.convertScaleAbs(right, alpha=gain, beta=offset))])
+    assert found.status is status
+    assert found.figures["contrast_ratio"] == pytest.approx(gain, abs=0.1)
 
 
 def test_the_same_images_give_the_same_finding() -> None:
