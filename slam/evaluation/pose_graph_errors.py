@@ -89,7 +89,8 @@ def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
     file = path.with_name(path.stem + LABELS)
     if not file.is_file():
         return None
-    listed = {(int(min(pair)), int(max(pair))) for pair in read_numbers(file, 2)}
+    # An empty list is an answer too: none of the loops is true.
+    listed = {(int(min(pair)), int(max(pair))) for pair in read_numbers(file, 2, min_rows=0)}
     ends = zip(graph.first[~trusted].tolist(), graph.second[~trusted].tolist(), strict=True)
     return np.array([(min(pair), max(pair)) in listed for pair in ends], dtype=bool)
 
