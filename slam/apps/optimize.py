@@ -161,6 +161,7 @@ def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
     residual[trusted] = np.sqrt(problem.trusted.chi2(result.poses))
     residual[~trusted] = np.sqrt(problem.loops.chi2(result.poses))
     reason[~trusted] = result.reasons
+    reason[done.edges.connecting] = "trusted, as no odometry joins its poses"
     if done.truth.loops is not None:
         truth[~trusted] = done.truth.loops
     role = np.where(trusted, "odometry", "loop")

@@ -38,12 +38,14 @@ class ClassifiedEdges:
         order: (N,) rows of the graph's poses, sorted by id: the order of `problem.start`.
         trusted: (M,) bool, which edges count as odometry.
         problem: trusted edges and loops, each in the file's order.
+        connecting: (M,) bool, which of the trusted edges are no odometry and connect what odometry does not.
         warnings: assumptions that had to be made, a sentence each.
     """
 
     order: NDArray[np.int64]
     trusted: Mask
     problem: LoopProblem
+    connecting: Mask
     warnings: tuple[str, ...]
 
 
@@ -69,8 +71,9 @@ def classify_edges(graph: Graph, name: str) -> ClassifiedEdges:
     start = _compose_along(edges[trusted], graph.poses[order][0], len(ids))
     warnings = _describe_connecting(graph, np.flatnonzero(connecting), name)
     if trusted.all():
-        warnings += (f"{name}: no loop is left, so the poses stay where odometry puts them",)
-    return ClassifiedEdges(order, trusted, LoopProblem(edges[trusted], edges[~trusted], start), warnings)
+        warnings += (f"{name}: there is no loop, so the poses stay where odometry puts them",)
+    problem = LoopProblem(edges[trusted], edges[~trusted], start)
+    return ClassifiedEdges(order, trusted, problem, connecting, warnings)
 
 
 def _are_successive(edges: Edges, ids: Ids) -> Mask:
