@@ -17,6 +17,7 @@ from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_score
 from slam.evaluation.revisit_truth_files import RevisitTruth, read_revisit_truth
 from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors, umeyama
 from slam.evaluation.trajectory_matching import MAX_TIME_DIFFERENCE_S, PosePairs, pair_by_time
+from slam.io.frames_and_loops_csv import read_frames
 from slam.io.matches import read_matches, write_curve
 from slam.io.metrics import metrics_text, write_metrics
 from slam.io.run_folder import RunFolder
@@ -27,6 +28,8 @@ MAX_POSE_SPACING_M = 10.0
 # Between the axes of estimate and truth after alignment: a body's and a camera's axes differ by about 90 degrees.
 MAX_AXES_ANGLE_DEG = 20.0
 MIN_WIDTH = 0.05  # of a path, against its length, that determines the alignment
+
+FRAMES_FILE = "frames.csv"  # beside the tables of a run: the times of its images
 
 _ERROR_TITLES = {
     "ate_m": "ATE, metres",
@@ -168,8 +171,8 @@ def _describe_axes(pairs: PosePairs) -> list[str]:
     if angle < MAX_AXES_ANGLE_DEG or spread > angle / 2:
         return []
     return [
-        f"the axes of the poses differ by {angle:.0f} degrees, as those of a camera and of a vehicle do; the ATE does not"
-        " depend on them, but t_rel, r_rel and the end error do: give both for the same sensor"
+        f"the axes of the poses differ by {angle:.0f} degrees, as those of a camera and of a vehicle do; the ATE does"
+        " not depend on them, but t_rel, r_rel and the end error do: give both for the same sensor"
     ]
 
 
@@ -211,7 +214,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     """
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
-    _check_queries(options.matches, beliefs, truth)
+    warnings = [*truth.remarks, *_check_queries(options.matches, beliefs, truth)]
     tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.frame_tolerance or 0))
     results = {tolerance: measure_scores(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
@@ -219,10 +222,12 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
         "ground_truth": truth.origin,
         "queries": len(beliefs),
         "rules": {f"tolerance_{tolerance}": section for tolerance, section in results.items()},
+        "warnings": warnings,
     }
     if options.out is not None:
         _write(options, options.out, metrics, precision_recall(beliefs, truth.required_matrix))
-    return metrics_text(metrics) if json else "\n".join(_lines(truth, beliefs, results))
+    lines = [*_lines(truth, beliefs, results), *(f"warning: {warning}" for warning in warnings)]
+    return metrics_text(metrics) if json else "\n".join(lines)
 
 
 def _check(options: LoopsOptions) -> None:
@@ -243,19 +248,35 @@ def _check(options: LoopsOptions) -> None:
 
 
 def _truth(options: LoopsOptions) -> RevisitTruth:
-    truth = read_revisit_truth(options.truth, options.rule, options.fps)
+    frames = options.matches.with_name(FRAMES_FILE)  # of a run, whose table lies beside
+    times = read_frames(frames).timestamps if frames.is_file() else None
+    truth = read_revisit_truth(options.truth, options.rule, options.fps, times)
     if not truth.required_matrix.any():
         raise DataError(f"{truth.origin}: expected at least one revisit, found none; choose another truth or rule")
     return truth
 
 
-def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> None:
+def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> list[str]:
+    """Check that the truth has a row for each image; return a remark where the table does not say how many there are.
+
+    Raises:
+        DataError: a query is not among the images of the truth, or the table has a line for each image and the truth
+            another number of images.
+    """
     last, count = max((belief.query for belief in beliefs), default=0), len(truth.required_matrix)
     if last >= count:
         raise DataError(
             f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
             " choose the truth of this recording"
         )
+    if len(beliefs) == count:
+        return []
+    if len(beliefs) == last + 1:  # from 0 without a gap: a line for each image
+        raise DataError(
+            f"{truth.origin}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found {count};"
+            " choose the truth of this recording, with one pose for each image"
+        )
+    return [f"{matches}: {len(beliefs)} lines for {count} images; image i is the one of row i of the truth, from 0"]
 
 
 def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, dict[str, object]]) -> list[str]:

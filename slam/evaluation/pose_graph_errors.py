@@ -79,8 +79,8 @@ def _positions(file: Path, graph: Graph) -> tuple[Array, tuple[str, ...]]:
     trajectory = read_trajectory_with_remarks(file)
     if trajectory.num_left_out:
         raise DataError(
-            f"{'; '.join(trajectory.remarks)}; expected a pose in each line, as line i is the pose of id i; complete the"
-            " file"
+            f"{'; '.join(trajectory.remarks)}; expected a pose in each line, as line i is the pose of id i;"
+            " complete the file"
         )
     poses, ids = trajectory.poses, np.sort(graph.ids)
     if ids[0] < 0 or ids[-1] >= len(poses):

@@ -86,7 +86,8 @@ def read_trajectory_with_remarks(path: Path) -> Trajectory:
         _check_finite(table)
         return Trajectory(None, kitti_poses(path, table.numbers))
     raise DataError(
-        f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them, or EuRoC's csv"
+        f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them,"
+        " or EuRoC's csv"
     )
 
 

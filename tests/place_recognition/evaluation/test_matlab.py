@@ -9,7 +9,7 @@ from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
 from place_recognition.evaluation import ground_truth_files
-from place_recognition.evaluation.ground_truth_files import read_positive
+from place_recognition.evaluation.ground_truth_files import read_matrices
 from place_recognition.evaluation.revisit_ground_truth import load_truth
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"]
@@ -39,11 +39,12 @@ def test_matrices_come_back_from_a_file_that_scipy_wrote(file: Path, packed: boo
     whole = matrices(seed=2 * packed + sparse)
     written = {name: csc_matrix(value.astype(float)) for name, value in whole.items()} if sparse else whole
     savemat(file, written, do_compression=packed)
-    read = read_positive(file)
+    read = read_matrices(file)
     assert set(read) == set(whole)
     for name, value in whole.items():
-        assert read[name].dtype == np.bool_
-        np.testing.assert_array_equal(read[name], value > 0)
+        assert read[name].positive.dtype == np.bool_
+        np.testing.assert_array_equal(read[name].positive, value > 0)
+        assert read[name].num_values == len(np.unique(value))
 
 
 def test_what_is_no_matrix_of_real_numbers_is_left_out(file: Path) -> None:
@@ -51,9 +52,9 @@ def test_what_is_no_matrix_of_real_numbers_is_left_out(file: Path) -> None:
     savemat(
         file, {"a": np.eye(2), "one": 3.0, "text": "words", "cells": cells, "table": {"x": 1.0}, "z": np.eye(2) * 1j}
     )
-    assert set(read_positive(file)) == {"a"}
+    assert set(read_matrices(file)) == {"a"}
     savemat(file, {"text": "words", "one": 3.0})
-    assert read_positive(file) == {}
+    assert read_matrices(file) == {}
     with pytest.raises(ValueError, match="expected one matrix of numbers, found none"):
         load_truth(file)
     savemat(file, {"first": np.eye(2), "second": np.eye(2)})
@@ -70,7 +71,7 @@ def test_the_other_order_of_bytes_is_read_too(file: Path) -> None:
         kind.to_bytes(4, "big") + len(data).to_bytes(4, "big") + data + bytes(-len(data) % 8) for kind, data in parts
     )
     file.write_bytes(header + (14).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body)
-    np.testing.assert_array_equal(read_positive(file)["truthfull"], [[False, True]])
+    np.testing.assert_array_equal(read_matrices(file)["truthfull"].positive, [[False, True]])
 
 
 @pytest.mark.parametrize("killer", sorted(KILLERS.iterdir()), ids=lambda path: path.name)
@@ -90,7 +91,8 @@ def test_a_damaged_byte_is_an_error_or_changes_nothing_but_numbers(file: Path, p
         damaged[at] ^= 1 << rng.randrange(8)
         file.write_bytes(damaged if rng.random() < 0.8 else whole[:at])
         try:
-            assert all(matrix.ndim == 2 and matrix.dtype == np.bool_ for matrix in read_positive(file).values())
+            found = [matrix.positive for matrix in read_matrices(file).values()]
+            assert all(matrix.ndim == 2 and matrix.dtype == np.bool_ for matrix in found)
         except ValueError as error:
             assert str(error).isprintable()  # noqa: PT017 - both outcomes are right
             refused += 1
@@ -115,18 +117,18 @@ def test_whatever_becomes_of_the_reader_is_one_line(
     monkeypatch.setattr(ground_truth_files, "READER", reader)
     monkeypatch.setattr(ground_truth_files, "TIMEOUT_S", 1.0)
     with pytest.raises(ValueError, match=reason) as error:
-        read_positive(file)
+        read_matrices(file)
     assert str(error.value).isprintable()
 
 
 def test_a_sparse_matrix_of_any_stated_size_is_refused_before_memory_is_taken(file: Path) -> None:
     savemat(file, {"truth": csc_matrix((100000, 100000))})
     with pytest.raises(ValueError, match="of more than 134217728 numbers"):
-        read_positive(file)
+        read_matrices(file)
 
 
 def test_a_file_that_needs_too_much_memory_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(file, {"truth": np.zeros((20000, 2000))}, do_compression=True)  # 320 MB in 0.3 MB
     monkeypatch.setattr(ground_truth_files, "MAX_MEMORY_BYTES", 700 << 20)
     with pytest.raises(ValueError, match="too much memory"):
-        read_positive(file)
+        read_matrices(file)
