@@ -225,8 +225,8 @@ def _matrix_in_matlab(path: Path) -> tuple[NumberMatrix, list[str]]:
         matrices = read_matrices(path)
     except ValueError as error:
         raise ValueError(
-            f"{path}: expected an intact MATLAB file of version 4 to 7.2, found another: {error}; copy it again, or save"
-            " it with -v7"
+            f"{path}: expected an intact MATLAB file of version 4 to 7.2, found another: {error}; copy it again, or"
+            " save it with -v7"
         ) from error
     square = [name for name, matrix in matrices.items() if matrix.positive.shape[0] == matrix.positive.shape[1]]
     chosen = square if len(square) == 1 else list(matrices)

@@ -214,7 +214,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     """
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
-    warnings = [*truth.remarks, *_check_queries(options.matches, beliefs, truth)]
+    warnings = [*truth.remarks, *_check_queries(options, beliefs, len(truth.required_matrix))]
     tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.frame_tolerance or 0))
     results = {tolerance: measure_scores(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
@@ -256,24 +256,25 @@ def _truth(options: LoopsOptions) -> RevisitTruth:
     return truth
 
 
-def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> list[str]:
+def _check_queries(options: LoopsOptions, beliefs: Sequence[Belief], count: int) -> list[str]:
     """Check that the truth has a row for each image; return a remark where the table does not say how many there are.
 
     Raises:
-        DataError: a query is not among the images of the truth, or the table has a line for each image and the truth
-            another number of images.
+        DataError: a query is not among the `count` images of the truth, or the table has a line for each image and the
+            truth another number of images.
     """
-    last, count = max((belief.query for belief in beliefs), default=0), len(truth.required_matrix)
+    matches, truth = options.matches, options.truth
+    last = max((belief.query for belief in beliefs), default=0)
     if last >= count:
         raise DataError(
-            f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
+            f"{matches}: expected queries below {count}, the images of {truth}, found {last};"
             " choose the truth of this recording"
         )
     if len(beliefs) == count:
         return []
     if len(beliefs) == last + 1:  # from 0 without a gap: a line for each image
         raise DataError(
-            f"{truth.origin}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found {count};"
+            f"{truth}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found {count};"
             " choose the truth of this recording, with one pose for each image"
         )
     return [f"{matches}: {len(beliefs)} lines for {count} images; image i is the one of row i of the truth, from 0"]

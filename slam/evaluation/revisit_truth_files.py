@@ -85,8 +85,8 @@ def _poses_of_images(
     """Return true poses (N, 4, 4) at the times (N,) of images, each of which must have one, and how they were found."""
     images = Trajectory(image_times, np.tile(np.eye(4), (len(image_times), 1, 1)))
     pairs = pair_by_time(images, trajectory)
-    if not len(pairs.rows) and len(trajectory.poses) == len(image_times):
-        return trajectory.poses, f"{path}: times of another clock; image i has pose i, as there are as many"
+    if len(pairs.rows) < len(image_times) == len(trajectory.poses):
+        return trajectory.poses, f"{path}: not the times of the images, but as many poses; image i has pose i"
     if len(pairs.rows) < len(image_times):
         raise DataError(
             f"{path}: expected true poses at the times of all {len(image_times)} images, found"

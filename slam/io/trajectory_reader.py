@@ -48,7 +48,7 @@ class Trajectory:
 
 
 @dataclass
-class _Table:
+class _PoseTable:
     """The numbers of a file.
 
     Attributes:
@@ -91,8 +91,8 @@ def read_trajectory_with_remarks(path: Path) -> Trajectory:
     )
 
 
-def _read_table(path: Path) -> _Table:
-    table, words_seen = _Table(path), False
+def _read_table(path: Path) -> _PoseTable:
+    table, words_seen = _PoseTable(path), False
     for number, line in enumerate(read_lines(path), start=1):
         text = line.strip()
         if text.startswith("#"):
@@ -122,7 +122,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _add_row(table: _Table, number: int, text: str, cells: list[str]) -> None:
+def _add_row(table: _PoseTable, number: int, text: str, cells: list[str]) -> None:
     columns = len(table.rows[0]) if table.rows else len(cells)
     expected = f"{table.path}, line {number}: expected {columns} finite number{'s' if columns > 1 else ''}"
     if len(cells) != columns:
@@ -137,7 +137,7 @@ def _add_row(table: _Table, number: int, text: str, cells: list[str]) -> None:
     table.lines.append(number)
 
 
-def _check_finite(table: _Table) -> None:
+def _check_finite(table: _PoseTable) -> None:
     for row in np.flatnonzero(~np.isfinite(table.numbers).all(axis=1))[:1]:
         raise DataError(
             f"{table.path}, line {table.lines[row]}: expected {_KITTI_COLUMNS} finite numbers, found nan or inf;"
@@ -145,7 +145,7 @@ def _check_finite(table: _Table) -> None:
         )
 
 
-def _order_of_columns(table: _Table, columns: int) -> tuple[int, ...] | None:
+def _order_of_columns(table: _PoseTable, columns: int) -> tuple[int, ...] | None:
     """Return the columns of time, x, y, z, qx, qy, qz and qw; None for a table that has no times."""
     named = _named_order(table.header) if len(table.header) == columns else None
     if named is not None:
@@ -172,7 +172,7 @@ def _column(names: list[str], pattern: str) -> int | None:
     return next((k for k, name in enumerate(names) if re.fullmatch(pattern, name)), None)
 
 
-def _timed(table: _Table, order: tuple[int, ...]) -> Trajectory:
+def _timed(table: _PoseTable, order: tuple[int, ...]) -> Trajectory:
     rows = table.numbers[:, list(order)]
     passed_over = PassedOver()
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are left out, or refused later
@@ -195,7 +195,7 @@ def _timed(table: _Table, order: tuple[int, ...]) -> Trajectory:
     )
 
 
-def _describe_order(table: _Table, order: tuple[int, ...]) -> list[str]:
+def _describe_order(table: _PoseTable, order: tuple[int, ...]) -> list[str]:
     """Say which order of the quaternion was assumed where the file does not say it and two are in use."""
     if not table.has_commas or _named_order(table.header) is not None:
         return []
