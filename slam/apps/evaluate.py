@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from place_recognition.recognizer import Belief
+from slam.datasets.formats.euroc import read_sensor_yaml
 from slam.datasets.time_sync import MAX_GAP_S
 from slam.errors import ConfigError, DataError
 from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
-from slam.evaluation.revisit_truth_files import RevisitTruth, read_revisit_truth
+from slam.evaluation.revisit_truth_files import RevisitTruth, describe_remarks, read_revisit_truth
 from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors, umeyama
 from slam.evaluation.trajectory_matching import MAX_TIME_DIFFERENCE_S, PosePairs, pair_by_time
 from slam.io.frames_and_loops_csv import read_frames
@@ -98,7 +99,7 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
 
 
 def _compare(estimate: Path, truth: Path, mono: bool) -> _Comparison:
-    ours, theirs = read_trajectory_with_remarks(estimate), read_trajectory_with_remarks(truth)
+    ours, theirs = read_trajectory_with_remarks(estimate), _in_camera(truth, read_trajectory_with_remarks(truth))
     pairs = _pair(estimate, ours, truth, theirs)
     errors = trajectory_errors(pairs.estimate, pairs.truth, "sim3" if mono else "se3")
     spacing_m = path_length(pairs.truth) / max(len(pairs.rows) - 1, 1)
@@ -111,6 +112,16 @@ def _compare(estimate: Path, truth: Path, mono: bool) -> _Comparison:
     warnings = (*ours.remarks, *theirs.remarks, *_describe_pairs(estimate, ours, pairs), *_describe_axes(pairs))
     is_by_time = ours.times is not None and theirs.times is not None
     return _Comparison(pairs, len(ours.poses), is_by_time, errors, warnings)
+
+
+def _in_camera(truth: Path, trajectory: Trajectory) -> Trajectory:
+    """Return EuRoC's poses of the vehicle as those of its left camera, where the calibration lies beside the file."""
+    sensor = truth.absolute().parent.parent / "cam0" / "sensor.yaml"
+    if truth.suffix.lower() != ".csv" or trajectory.times is None or not sensor.is_file():
+        return trajectory
+    remark = f"{truth}: poses of the vehicle, moved to the left camera by {sensor}"
+    T_body_camera = read_sensor_yaml(sensor).T_body_camera
+    return replace(trajectory, poses=trajectory.poses @ T_body_camera, remarks=(*trajectory.remarks, remark))
 
 
 def _trajectory_lines(done: _Comparison) -> list[str]:
@@ -214,7 +225,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     """
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
-    warnings = [*truth.remarks, *_check_queries(options, beliefs, len(truth.required_matrix))]
+    warnings = [*truth.remarks, *_check_queries(options, beliefs, truth)]
     tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.frame_tolerance or 0))
     results = {tolerance: measure_scores(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
@@ -256,26 +267,27 @@ def _truth(options: LoopsOptions) -> RevisitTruth:
     return truth
 
 
-def _check_queries(options: LoopsOptions, beliefs: Sequence[Belief], count: int) -> list[str]:
+def _check_queries(options: LoopsOptions, beliefs: Sequence[Belief], truth: RevisitTruth) -> list[str]:
     """Check that the truth has a row for each image; return a remark where the table does not say how many there are.
 
     Raises:
-        DataError: a query is not among the `count` images of the truth, or the table has a line for each image and the
-            truth another number of images.
+        DataError: a query is not among the images of the truth, or the table has a line for each image and the truth
+            another number of images.
     """
-    matches, truth = options.matches, options.truth
+    matches, count = options.matches, len(truth.required_matrix)
     last = max((belief.query for belief in beliefs), default=0)
     if last >= count:
         raise DataError(
-            f"{matches}: expected queries below {count}, the images of {truth}, found {last};"
+            f"{matches}: expected queries below {count}, the images of {options.truth}, found {last};"
             " choose the truth of this recording"
         )
     if len(beliefs) == count:
         return []
     if len(beliefs) == last + 1:  # from 0 without a gap: a line for each image
         raise DataError(
-            f"{truth}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found {count};"
-            " choose the truth of this recording, with one pose for each image"
+            f"{options.truth}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found"
+            f" {count};"
+            f" choose the truth of this recording, with one pose for each image{describe_remarks(truth)}"
         )
     return [f"{matches}: {len(beliefs)} lines for {count} images; image i is the one of row i of the truth, from 0"]
 

@@ -116,8 +116,13 @@ def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
     if truth.matrix is not None and len(truth.matrix) != images:
         raise DataError(
             f"{truth.origin}: expected a truth of {images} images as in {of}, found {len(truth.matrix)};"
-            " choose the truth of this recording, at the rate of its images"
+            f" choose the truth of this recording, at the rate of its images{describe_remarks(truth)}"
         )
+
+
+def describe_remarks(truth: RevisitTruth) -> str:
+    """Return the remarks about a truth in brackets, for the end of a message; what was left out may be the cause."""
+    return f" ({'; '.join(truth.remarks)})" if truth.remarks else ""
 
 
 def describe_rule(rule: RevisitRule) -> str:

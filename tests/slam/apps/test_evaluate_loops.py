@@ -127,6 +127,11 @@ def test_other_columns_are_named(tmp_path: Path, truth: Path, content: str, foun
         evaluated(tmp_path / "x.csv", truth)
 
 
+def test_a_table_in_utf_16_is_read(tmp_path: Path, truth: Path) -> None:
+    (tmp_path / "a.csv").write_text("query,match,score\n50,10,9\n", encoding="utf-16")
+    assert evaluated(tmp_path / "a.csv", truth)["tolerance_0"]["true_positives"] == 1
+
+
 def test_a_missing_table_and_one_of_bytes_are_named(tmp_path: Path, truth: Path) -> None:
     (tmp_path / "b.csv").write_bytes(bytes(range(256)))
     with pytest.raises(DataError, match=r"b\.csv: expected a table of matches"):

@@ -197,3 +197,24 @@ def test_a_warning_is_printed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFix
     write_tum(path, np.arange(300.0)[::-1], drive())
     assert app._exit_code(lambda: app.app(["evaluate", "trajectory", str(path), str(path)])) == 0
     assert f"warning: {path}: sorted by time, as 299 lines are earlier" in capsys.readouterr().out
+
+
+def test_the_truth_of_a_vehicle_is_moved_to_its_camera_by_the_calibration_beside(tmp_path: Path) -> None:
+    T_body_camera = se3.exp(np.array([0.3, -1.2, 0.8, 0.1, -0.2, 0.3]))
+    times = 1.4e9 + np.arange(200) / 8
+    write_tum(tmp_path / "camera.tum", times, drive(200))
+    write_tum(tmp_path / "body.tum", times, drive(200) @ se3.inverse(T_body_camera))
+    for folder in ("cam0", "state_groundtruth_estimate0"):
+        (tmp_path / folder).mkdir()
+    rows = [line.split() for line in (tmp_path / "body.tum").read_text().splitlines()]
+    lines = [",".join([str(round(float(w[0]) * 1e9)), *w[1:4], w[7], *w[4:7]]) for w in rows]
+    truth = tmp_path / "state_groundtruth_estimate0" / "data.csv"
+    truth.write_text("\n".join(["#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z", *lines]))
+    numbers = ", ".join(map(repr, T_body_camera.ravel().tolist()))
+    (tmp_path / "cam0" / "sensor.yaml").write_text(
+        f"T_BS:\n  data: [{numbers}]\nintrinsics: [400, 400, 300, 200]\ndistortion_coefficients: []\n"
+    )
+    values = values_of(tmp_path / "camera.tum", truth)
+    assert values["end_error_m"] < 1e-6
+    assert values["t_rel_percent"] < 1e-6
+    assert "poses of the vehicle, moved to the left camera" in values["warnings"][0]
