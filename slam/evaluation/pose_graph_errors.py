@@ -55,7 +55,8 @@ def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | Non
     Raises:
         DataError: a file is missing or damaged, or has too few poses.
     """
-    positions, remarks = None, ()
+    positions: Array | None = None
+    remarks: tuple[str, ...] = ()
     if ground_truth is not None:
         file = _file_for(path, ground_truth) if ground_truth.is_dir() else ground_truth
         positions, remarks = _positions(file, graph)
