@@ -81,7 +81,7 @@ class NumberMatrix:
 
     Attributes:
         positive: (R, C) bool, which numbers are above 0.
-        num_values: how many different numbers there are.
+        num_values: how many different numbers there are, at most `matlab_process.MAX_VALUES`.
     """
 
     positive: NDArray[np.bool_]

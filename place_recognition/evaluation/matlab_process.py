@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 MAX_CELLS = 1 << 27  # of a matrix: a few bytes can state a sparse one of any size; 11,585 images have as many pairs
+MAX_VALUES = 100  # that are counted: a truth has two
 MAX_DEPTH = 8  # of structures in structures
 
 
@@ -50,9 +51,21 @@ def _write_matrices(path: str) -> None:
                 matrix.check_format(full_check=True)  # SciPy writes outside the array where an index is damaged
                 matrix = matrix.toarray()
             if cells > 1:
-                num_values = len(np.unique(matrix))
-                sys.stdout.buffer.write(f"{full_name} {matrix.shape[0]} {matrix.shape[1]} {num_values}\n".encode())
+                header = f"{full_name} {matrix.shape[0]} {matrix.shape[1]} {count_values(matrix)}\n"
+                sys.stdout.buffer.write(header.encode())
                 sys.stdout.buffer.write(np.packbits(np.greater(matrix, 0)).tobytes())
+
+
+def count_values(matrix: Any) -> int:
+    """Count the different numbers of a matrix (R, C), at most MAX_VALUES; all NaN are one."""
+    import numpy as np
+
+    values: set[object] = set()
+    for row in matrix:  # by rows, as sorting all numbers at once takes time and memory
+        values.update("nan" if value != value else value for value in np.unique(row).tolist())
+        if len(values) >= MAX_VALUES:
+            return MAX_VALUES
+    return len(values)
 
 
 def _matrices(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.ground_truth_files import NumberMatrix, array_names, read_array, read_matrices
+from place_recognition.evaluation.matlab_process import MAX_VALUES, count_values
 from place_recognition.evaluation.precision_recall import is_correct
 from place_recognition.recognizer import Belief
 
@@ -143,8 +144,9 @@ def read_truth_matrix(path: Path) -> TruthMatrix:
             " recording"
         )
     if found.num_values > MAX_TRUTH_VALUES:
+        count = f"{found.num_values}{' or more' if found.num_values == MAX_VALUES else ''}"
         raise ValueError(
-            f"{path}: expected 0 and 1 (1 = the same place), found {found.num_values} different values, such as scores"
+            f"{path}: expected 0 and 1 (1 = the same place), found {count} different values, such as scores"
             " or distances; compare them with a threshold first"
         )
     truth, which = _one_triangle(found.positive)
@@ -208,7 +210,7 @@ def _matrix_in_numpy(path: Path) -> tuple[NumberMatrix, list[str]]:
         raise ValueError(f"{path}: expected a square truth matrix (N, N), found {truth.shape}; save one matrix")
     if truth.dtype.kind not in "biuf":
         raise ValueError(f"{path}: expected a truth matrix of numbers, found {truth.dtype}; save 0 and 1")
-    return NumberMatrix(np.greater(truth, 0), len(np.unique(truth))), []
+    return NumberMatrix(np.greater(truth, 0), count_values(truth)), []
 
 
 def _matrix_in_matlab(path: Path) -> tuple[NumberMatrix, list[str]]:

@@ -145,7 +145,7 @@ def _pair(estimate: Path, ours: Trajectory, truth: Path, theirs: Trajectory) -> 
                 f"{estimate}: expected times within {MAX_TIME_DIFFERENCE_S} s of those in {truth},"
                 f" found {len(pairs.rows)} of {len(ours.times)}, from {ours.times[0]:.3f} to {ours.times[-1]:.3f} s"
                 f" against {theirs.times[0]:.3f} to {theirs.times[-1]:.3f} s; compare files of the same recording,"
-                " with times of one clock"
+                " with times of one clock, in seconds"
             )
         return pairs
     if len(ours.poses) != len(theirs.poses):

@@ -24,7 +24,7 @@ def optimize(
 ) -> None:
     """Optimise pose graphs that may hold false loops, and list which loops were kept and why.
 
-    Edges between consecutive poses are odometry, which is trusted. All other edges are loops.
+    Edges between poses of one robot whose ids follow each other are odometry, which is trusted. All others are loops.
 
     Example: revisit optimize kitti_05.g2o --ground-truth poses/05.txt --out runs/graph05
     """

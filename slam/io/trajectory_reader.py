@@ -23,9 +23,9 @@ _TUM_ORDER = (0, 1, 2, 3, 4, 5, 6, 7)  # time, position, quaternion with w last
 _EUROC_ORDER = (0, 1, 2, 3, 5, 6, 7, 4)  # EuRoC has w first
 _MIN_QUATERNION = 1e-6  # shorter ones have no direction
 # Units of time, by the size of a time since 1970 (seconds reach 1e11 in the year 5138), else by the usual step: poses
-# an hour apart are no trajectory, so what is more than 3,000 apart is counted in something smaller than seconds.
+# more than 10 s apart are no trajectory, so such steps are counted in something smaller than seconds.
 _UNITS_BY_TIME = ((1e17, 1e9, "nanoseconds"), (1e14, 1e6, "microseconds"), (1e11, 1e3, "milliseconds"))
-_UNITS_BY_STEP = ((3e6, 1e9, "nanoseconds"), (3e3, 1e6, "microseconds"))
+_UNITS_BY_STEP = ((3e6, 1e9, "nanoseconds"), (3e3, 1e6, "microseconds"), (10.5, 1e3, "milliseconds"))
 _ORIENTATION = r"q|rot|orient"  # how names of the columns of a quaternion begin
 _NO_POSE = "without a pose (nan, or a quaternion of length zero)"
 

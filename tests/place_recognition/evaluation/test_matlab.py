@@ -10,6 +10,7 @@ from scipy.sparse import csc_matrix
 
 from place_recognition.evaluation import ground_truth_files
 from place_recognition.evaluation.ground_truth_files import read_matrices
+from place_recognition.evaluation.matlab_process import MAX_VALUES, count_values
 from place_recognition.evaluation.revisit_ground_truth import load_truth, read_truth_matrix
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"]
@@ -227,3 +228,9 @@ def test_a_symmetric_matrix_is_its_lower_triangle(tmp_path: Path, suffix: str) -
 def test_a_band_of_neighbours_is_said(tmp_path: Path) -> None:
     found = read_truth_matrix(save(tmp_path, ".npz", np.eye(30, k=-1) + np.eye(30, k=-14)))
     assert "29 images are the same place as the image before them" in found.remarks[0]
+
+
+def test_values_are_counted_up_to_a_bound_and_nan_once() -> None:
+    assert count_values(np.array([[np.nan, 1.0], [0.0, np.nan], [1.0, np.nan]])) == 3
+    assert count_values(np.arange(200).reshape(20, 10)) == MAX_VALUES
+    assert count_values(np.array([[True, False]])) == 2

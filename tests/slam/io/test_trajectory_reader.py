@@ -84,14 +84,14 @@ def test_other_units_since_1970_become_seconds(tmp_path: Path, factor: float, un
     assert found.remarks == (f"{tmp_path / 'a.txt'}: the times are {unit} and were divided by {factor:g}",)
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e9, "nanoseconds"), (1e6, "microseconds")])
+@pytest.mark.parametrize(("factor", "unit"), [(1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")])
 def test_other_units_since_the_start_become_seconds(tmp_path: Path, factor: float, unit: str) -> None:
     found = read(tmp_path, [" ".join([repr(k / 8 * factor), *row[1:]]) for k, row in enumerate(rows_of(tmp_path))])
     np.testing.assert_allclose(found.times, np.arange(COUNT) / 8)  # type: ignore[arg-type]
     assert unit in found.remarks[0]
 
 
-@pytest.mark.parametrize("step", [0.005, 0.1, 1.0, 60.0])
+@pytest.mark.parametrize("step", [0.005, 0.1, 1.0, 10.0])
 def test_seconds_stay_seconds(tmp_path: Path, step: float) -> None:
     write_tum(tmp_path / "a.tum", np.arange(COUNT) * step, POSES)
     found = read_trajectory_with_remarks(tmp_path / "a.tum")
