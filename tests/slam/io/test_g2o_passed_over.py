@@ -182,7 +182,7 @@ def test_key_frames_with_uneven_gaps_are_one_robot(tmp_path: Path) -> None:
     assert classify_edges(graph, "a").trusted.tolist() == [False] + [True] * 7
 
 
-def test_robots_of_few_poses_are_told_apart_by_their_symbols(tmp_path: Path) -> None:
+def test_robots_of_few_poses_differ_by_their_symbols(tmp_path: Path) -> None:
     edges = [(SYMBOL_A, SYMBOL_B, 8), (SYMBOL_B, SYMBOL_B + 1, 1), (SYMBOL_A, SYMBOL_B + 1, 1)]
     graph = read(tmp_path, "".join(f"EDGE_SE2 {i} {j} {x} 0 0 {UNIT}\n" for i, j, x in edges))
     assert classify_edges(graph, "a").connecting.sum() == 1
