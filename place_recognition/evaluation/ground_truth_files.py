@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -74,15 +75,28 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[A
     return array
 
 
-def read_positive(path: Path) -> dict[str, NDArray[np.bool_]]:
-    """Read which numbers of each matrix in a MATLAB file are above 0.
+@dataclass(frozen=True)
+class NumberMatrix:
+    """A matrix of numbers, as far as a truth needs it.
+
+    Attributes:
+        positive: (R, C) bool, which numbers are above 0.
+        num_values: how many different numbers there are, at most `matlab_process.MAX_VALUES`.
+    """
+
+    positive: NDArray[np.bool_]
+    num_values: int
+
+
+def read_matrices(path: Path) -> dict[str, NumberMatrix]:
+    """Read the matrices of a MATLAB file.
 
     Args:
         path: file of version 4 to 7.2.
 
     Returns:
-        Name to matrix (R, C), for all variables that are two-dimensional arrays of more than one real number, dense or
-        sparse. All other variables are left out.
+        Name to matrix, for all variables that are two-dimensional arrays of more than one real number, dense or sparse,
+        and for such fields of structures, as `structure.field`. All other variables are left out.
 
     Raises:
         ValueError: the file is damaged or of another kind; the message is what was found, without the file's name.
@@ -111,15 +125,16 @@ def _failure(code: int, errors: bytes) -> str:
     return printable[:MAX_REASON_LENGTH]
 
 
-def _unpack(output: bytes) -> dict[str, NDArray[np.bool_]]:
-    """Read the matrices that the reader has written: for each a line "NAME ROWS COLUMNS", then its packed bits."""
+def _unpack(output: bytes) -> dict[str, NumberMatrix]:
+    """Read the matrices that the reader has written: for each "NAME ROWS COLUMNS VALUES", then its packed bits."""
     matrices, at = {}, 0
     while at < len(output):
         end = output.index(b"\n", at)
-        name, rows, columns = output[at:end].decode().split(" ")
+        name, rows, columns, num_values = output[at:end].decode().split(" ")
         shape = int(rows), int(columns)
         cells = shape[0] * shape[1]
         packed = np.frombuffer(output, np.uint8, -(-cells // 8), end + 1)
-        matrices[name] = np.unpackbits(packed, count=cells).astype(np.bool_).reshape(shape)
+        positive = np.unpackbits(packed, count=cells).astype(np.bool_).reshape(shape)
+        matrices[name] = NumberMatrix(positive, int(num_values))
         at = end + 1 + len(packed)
     return matrices

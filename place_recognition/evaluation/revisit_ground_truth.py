@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from place_recognition.evaluation.ground_truth_files import array_names, read_array, read_positive
+from place_recognition.evaluation.ground_truth_files import NumberMatrix, array_names, read_array, read_matrices
+from place_recognition.evaluation.matlab_process import MAX_VALUES, count_values
 from place_recognition.evaluation.precision_recall import is_correct
 from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
 
+MAX_TRUTH_VALUES = 3  # different numbers in a truth: 0 and 1, perhaps a mark for what is not known
+_MIN_IMAGES_FOR_SHARE = 10  # in fewer images most pairs may be the same place
+_HDF5, _HDF5_AT = b"\x89HDF\r\n\x1a\n", 512  # begins a file of MATLAB 7.3, after MATLAB's own header of that size
 _BLOCK = 256  # rows computed at a time: all N^2 distances of a long recording at once would need a gigabyte
 
 
@@ -103,54 +107,137 @@ def _nearest(same: Truth, distances: Array) -> Truth:
     return same & (np.arange(same.shape[1]) == nearest[:, None])
 
 
-def load_truth(path: Path) -> Truth:
-    """Read a truth matrix (N, N) from a file: .npz with `truth`, or a MATLAB .mat with one square matrix.
+@dataclass(frozen=True)
+class TruthMatrix:
+    """A truth matrix of a file.
 
-    A matrix for both directions of time keeps its lower triangle; one with an upper triangle only is turned.
+    Attributes:
+        matrix: (N, N) bool, row = query, column = an earlier image.
+        remarks: how the file was taken where it can be taken in several ways, and what was left out.
+    """
+
+    matrix: Truth
+    remarks: tuple[str, ...] = ()
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a truth matrix (N, N) from a file, as `read_truth_matrix` does, without its remarks.
 
     Raises:
         ValueError: the file holds no such matrix.
     """
-    matrix = _matrix_in(path)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"{path}: expected a square truth matrix (N, N), found {matrix.shape}")
-    if matrix.dtype.kind not in "biuf":
-        raise ValueError(f"{path}: expected a truth matrix of numbers, found {matrix.dtype}")
-    truth = np.greater(matrix, 0)
-    lower, upper = np.tril(truth, -1), np.triu(truth, 1)
-    return lower if lower.any() or not upper.any() else np.ascontiguousarray(upper.T)
+    return read_truth_matrix(path).matrix
 
 
-def _matrix_in(path: Path) -> NDArray[np.generic]:
+def read_truth_matrix(path: Path) -> TruthMatrix:
+    """Read a truth matrix (N, N) from a file: .npz with `truth`, or a MATLAB .mat with one square matrix.
+
+    The triangle with more entries is the truth: the lower one of a symmetric matrix; an upper one is turned.
+
+    Raises:
+        ValueError: the file holds no such matrix; the message ends with what to do.
+    """
+    found, remarks = _matrix_in(path)
+    if found.positive.shape[0] != found.positive.shape[1]:
+        raise ValueError(
+            f"{path}: expected a square truth matrix (N, N), found {found.positive.shape}; choose the truth of one"
+            " recording"
+        )
+    if found.num_values > MAX_TRUTH_VALUES:
+        count = f"{found.num_values}{' or more' if found.num_values == MAX_VALUES else ''}"
+        raise ValueError(
+            f"{path}: expected 0 and 1 (1 = the same place), found {count} different values, such as scores"
+            " or distances; compare them with a threshold first"
+        )
+    truth, which = _one_triangle(found.positive)
+    if 2 * np.count_nonzero(truth) > len(truth) * (len(truth) - 1) / 2 and len(truth) >= _MIN_IMAGES_FOR_SHARE:
+        raise ValueError(
+            f"{path}: expected 1 for the same place and 0 for another, found that most pairs of images are the same"
+            " place; exchange 0 and 1 if 0 is the same place"
+        )
+    remarks = [*remarks, *which, *_describe_neighbours(truth)]
+    return TruthMatrix(truth, tuple(f"{path}: {remark}" for remark in remarks))
+
+
+def _one_triangle(positive: Truth) -> tuple[Truth, list[str]]:
+    """Return the triangle with more entries, as a lower one, and a remark about what the other one has besides."""
+    lower, upper = np.tril(positive, -1), np.ascontiguousarray(np.triu(positive, 1).T)
+    is_upper = np.count_nonzero(upper) > np.count_nonzero(lower)
+    used, other = (upper, lower) if is_upper else (lower, upper)
+    left_out = np.argwhere(other & ~used)
+    if not len(left_out):
+        return used, ["the upper triangle is used: row = earlier image, column = query"] if is_upper else []
+    row, column = left_out[0] if is_upper else left_out[0, ::-1]
+    name, side = ("upper", "below") if is_upper else ("lower", "above")
+    entries = "entry" if len(left_out) == 1 else "entries"
+    return used, [
+        f"the {name} triangle is used with {np.count_nonzero(used)} entries; passed over {len(left_out)} {entries}"
+        f" {side} the diagonal without a mirror image (first in row {row}, column {column}, from 0)"
+    ]
+
+
+def _describe_neighbours(truth: Truth) -> list[str]:
+    """Say where images count as revisits of the image before them, which no recogniser reports."""
+    count = int(np.diagonal(truth, -1).sum())
+    if 2 * count <= len(truth):
+        return []
+    return [f"{count} images are the same place as the image before them, which counts as a revisit to be found"]
+
+
+def _matrix_in(path: Path) -> tuple[NumberMatrix, list[str]]:
     if not path.is_file():
         raise ValueError(f"{path}: expected a truth file, found none; check the path")
-    if path.suffix == ".npz":
-        return _matrix_in_numpy(path)
-    if path.suffix == ".mat":
-        return _matrix_in_matlab(path)
-    raise ValueError(f"{path}: expected a truth file .npz or .mat, found {path.suffix or 'no suffix'}")
+    readers = {".npz": _matrix_in_numpy, ".mat": _matrix_in_matlab}
+    suffix = path.suffix.lower()
+    if suffix not in readers:
+        raise ValueError(
+            f"{path}: expected a truth file .npz or .mat, found {path.suffix or 'no suffix'}; save it as one of them"
+        )
+    return readers[suffix](path)
 
 
-def _matrix_in_numpy(path: Path) -> NDArray[np.generic]:
+def _matrix_in_numpy(path: Path) -> tuple[NumberMatrix, list[str]]:
     try:
         truth = read_array(path, "truth")
     except ValueError as error:
-        raise ValueError(f"{path}: expected an intact .npz file, found a damaged one ({error})") from error
+        raise ValueError(
+            f"{path}: expected an intact .npz file, found a damaged one ({error}); copy it again"
+        ) from error
     if truth is None:
-        raise ValueError(f"{path}: expected an array named truth, found {', '.join(array_names(path)) or 'none'}")
-    return truth
+        names = ", ".join(array_names(path)) or "none"
+        raise ValueError(f"{path}: expected an array named truth, found {names}; name it truth")
+    if truth.ndim != 2:
+        raise ValueError(f"{path}: expected a square truth matrix (N, N), found {truth.shape}; save one matrix")
+    if truth.dtype.kind not in "biuf":
+        raise ValueError(f"{path}: expected a truth matrix of numbers, found {truth.dtype}; save 0 and 1")
+    return NumberMatrix(np.greater(truth, 0), count_values(truth)), []
 
 
-def _matrix_in_matlab(path: Path) -> NDArray[np.generic]:
+def _matrix_in_matlab(path: Path) -> tuple[NumberMatrix, list[str]]:
+    with path.open("rb") as file:
+        begin = file.read(_HDF5_AT + len(_HDF5))
+    if begin.startswith(b"MATLAB 7.3") or begin.startswith(_HDF5) or begin.endswith(_HDF5):
+        raise ValueError(
+            f"{path}: expected a MATLAB file of version 4 to 7.2, found version 7.3 (HDF5); load it in MATLAB or Octave"
+            " and save it with -v7"
+        )
+    if begin.startswith(b"# Created by Octave"):
+        raise ValueError(f"{path}: expected a MATLAB file, found Octave's text format; save it with -v7")
     try:
-        matrices = read_positive(path)
+        matrices = read_matrices(path)
     except ValueError as error:
         raise ValueError(
-            f"{path}: expected an intact MATLAB file of version 4 to 7.2, found another: {error}"
+            f"{path}: expected an intact MATLAB file of version 4 to 7.2, found another: {error}; copy it again, or"
+            " save it with -v7"
         ) from error
-    if len(matrices) != 1:
-        raise ValueError(f"{path}: expected one matrix of numbers, found {', '.join(matrices) or 'none'}")
-    return next(iter(matrices.values()))
+    square = [name for name, matrix in matrices.items() if matrix.positive.shape[0] == matrix.positive.shape[1]]
+    chosen = square if len(square) == 1 else list(matrices)
+    if len(chosen) != 1:
+        names = ", ".join(chosen) or "none"
+        raise ValueError(f"{path}: expected one matrix of numbers, found {names}; save the truth alone")
+    others = [name for name in matrices if name not in chosen]
+    remarks = [f"the truth is {chosen[0]}, the one square matrix; passed over {', '.join(others)}"] if others else []
+    return matrices[chosen[0]], remarks
 
 
 # Images without truth that do not end an event: a second at ten images a second. The holes in the published matrices

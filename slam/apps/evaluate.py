@@ -2,27 +2,35 @@
 
 import json as json_format
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall, precision_recall
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from place_recognition.recognizer import Belief
+from slam.datasets.formats.euroc import read_sensor_yaml
+from slam.datasets.time_sync import MAX_GAP_S
 from slam.errors import ConfigError, DataError
 from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
-from slam.evaluation.revisit_truth_files import RevisitTruth, read_revisit_truth
-from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors
+from slam.evaluation.revisit_truth_files import RevisitTruth, describe_remarks, read_revisit_truth
+from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors, umeyama
+from slam.evaluation.trajectory_matching import MAX_TIME_DIFFERENCE_S, PosePairs, pair_by_time
+from slam.io.frames_and_loops_csv import read_frames
 from slam.io.matches import read_matches, write_curve
 from slam.io.metrics import metrics_text, write_metrics
 from slam.io.run_folder import RunFolder
-from slam.io.trajectory_files import read_trajectory
+from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
 
-Array = NDArray[np.float64]
+# KITTI's segments end at the first pose beyond their length: with poses farther apart they are longer than they count.
+MAX_POSE_SPACING_M = 10.0
+# Between the axes of estimate and truth after alignment: a body's and a camera's axes differ by about 90 degrees.
+MAX_AXES_ANGLE_DEG = 20.0
+MIN_WIDTH = 0.05  # of a path, against its length, that determines the alignment
 
-MAX_TIME_DIFFERENCE_S = 0.01  # between the timestamps of two poses that are compared
+FRAMES_FILE = "frames.csv"  # beside the tables of a run: the times of its images
 
 _ERROR_TITLES = {
     "ate_m": "ATE, metres",
@@ -41,65 +49,142 @@ _SCORE_TITLES = {
 _ALIGNMENTS = {"se3": "after SE(3) alignment of all poses", "sim3": "after Sim(3) alignment of all poses"}
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    """Two trajectories of one drive, and their errors.
+
+    Attributes:
+        pairs: estimated and true poses.
+        num_estimated: number of estimated poses, with and without a true one.
+        is_by_time: whether poses were paired by time, not one by one.
+        errors: errors of the pairs.
+        warnings: what was left out or changed, a sentence each.
+    """
+
+    pairs: PosePairs
+    num_estimated: int
+    is_by_time: bool
+    errors: TrajectoryErrors
+    warnings: tuple[str, ...]
+
+    @property
+    def path_length_m(self) -> float:
+        """Length of the true path through all pairs, metres."""
+        return path_length(self.pairs.truth)
+
+
 def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, json: bool = False) -> str:
     """Compute the errors of an estimated trajectory, as text or as JSON with the keys of metrics.json.
 
     Args:
-        estimate: file of estimated poses T_world_camera, metres, KITTI or TUM.
-        truth: file of true poses, KITTI or TUM. Two TUM files are matched by time, others pose by pose.
+        estimate: file of estimated poses T_world_camera, metres: KITTI, TUM or EuRoC's csv.
+        truth: file of true poses, likewise. Two files with times are matched by time, others pose by pose.
         mono: whether to align with Sim(3) instead of SE(3).
         json: whether to return JSON.
 
     Raises:
         DataError: a file is missing or damaged, or the two are not of the same recording.
     """
-    poses, reference = _read_pairs(estimate, truth)
-    errors = trajectory_errors(poses, reference, "sim3" if mono else "se3")
-    size: dict[str, object] = {"poses": len(poses), "path_length_m": path_length(reference)}
+    done = _compare(estimate, truth, mono)
     if json:
-        return json_format.dumps(size | errors.as_metrics() | {"notes": errors.reasons}, indent=2)
-    return "\n".join([f"{len(poses)} poses, {path_length(reference):.1f} m", *_format_lines(errors)])
+        size = {
+            "poses": len(done.pairs.rows),
+            "estimated_poses": done.num_estimated,
+            "matched_by": "time" if done.is_by_time else "number",
+            "path_length_m": done.path_length_m,
+        }
+        rest = {"notes": done.errors.reasons, "warnings": done.warnings}
+        return json_format.dumps(size | done.errors.as_metrics() | rest, indent=2)
+    return "\n".join(_trajectory_lines(done))
 
 
-def _format_lines(errors: TrajectoryErrors) -> list[str]:
+def _compare(estimate: Path, truth: Path, mono: bool) -> _Comparison:
+    ours, theirs = read_trajectory_with_remarks(estimate), _in_camera(truth, read_trajectory_with_remarks(truth))
+    pairs = _pair(estimate, ours, truth, theirs)
+    errors = trajectory_errors(pairs.estimate, pairs.truth, "sim3" if mono else "se3")
+    spacing_m = path_length(pairs.truth) / max(len(pairs.rows) - 1, 1)
+    if errors.t_rel_percent is not None and spacing_m > MAX_POSE_SPACING_M:
+        reason = (
+            f"the {len(pairs.rows)} poses are {spacing_m:.0f} m apart, segments need one in {MAX_POSE_SPACING_M:.0f} m"
+        )
+        unknown = dict.fromkeys(("t_rel_percent", "r_rel_deg_per_100m"), reason)
+        errors = replace(errors, t_rel_percent=None, r_rel_deg_per_100m=None, reasons=errors.reasons | unknown)
+    warnings = (*ours.remarks, *theirs.remarks, *_describe_pairs(estimate, ours, pairs), *_describe_axes(pairs))
+    is_by_time = ours.times is not None and theirs.times is not None
+    return _Comparison(pairs, len(ours.poses), is_by_time, errors, warnings)
+
+
+def _in_camera(truth: Path, trajectory: Trajectory) -> Trajectory:
+    """Return EuRoC's poses of the vehicle as those of its left camera, where the calibration lies beside the file."""
+    sensor = truth.absolute().parent.parent / "cam0" / "sensor.yaml"
+    if truth.suffix.lower() != ".csv" or trajectory.times is None or not sensor.is_file():
+        return trajectory
+    remark = f"{truth}: poses of the vehicle, moved to the left camera by {sensor}"
+    T_body_camera = read_sensor_yaml(sensor).T_body_camera
+    return replace(trajectory, poses=trajectory.poses @ T_body_camera, remarks=(*trajectory.remarks, remark))
+
+
+def _trajectory_lines(done: _Comparison) -> list[str]:
+    count, errors = len(done.pairs.rows), done.errors
+    poses = f"{count} of {done.num_estimated} poses, matched by time" if done.is_by_time else f"{count} poses"
     values = errors.as_metrics()
     shown = {name: errors.reasons.get(name) or f"{values[name]:.4g}" for name in _ERROR_TITLES}
     shown["ate_m"] += f"  {_ALIGNMENTS[str(errors.ate_alignment)]}"
-    return [f"{title:<31} {shown[name]}" for name, title in _ERROR_TITLES.items()]
+    return [
+        f"{poses}, {done.path_length_m:.1f} m",
+        *(f"{title:<31} {shown[name]}" for name, title in _ERROR_TITLES.items()),
+        *(f"warning: {warning}" for warning in done.warnings),
+    ]
 
 
-def _read_pairs(estimate: Path, truth: Path) -> tuple[Array, Array]:
-    times, poses = read_trajectory(estimate)
-    reference_times, reference = read_trajectory(truth)
-    if times is not None and reference_times is not None:
-        ours, theirs = _associate(times, reference_times)
-        if len(ours) < 2:
+def _pair(estimate: Path, ours: Trajectory, truth: Path, theirs: Trajectory) -> PosePairs:
+    if ours.times is not None and theirs.times is not None:
+        pairs = pair_by_time(ours, theirs)
+        if len(pairs.rows) < 2:
             raise DataError(
                 f"{estimate}: expected times within {MAX_TIME_DIFFERENCE_S} s of those in {truth},"
-                f" found {len(ours)} of {len(times)}; compare files of the same recording"
+                f" found {len(pairs.rows)} of {len(ours.times)}, from {ours.times[0]:.3f} to {ours.times[-1]:.3f} s"
+                f" against {theirs.times[0]:.3f} to {theirs.times[-1]:.3f} s; compare files of the same recording,"
+                " with times of one clock, in seconds"
             )
-        return poses[ours], reference[theirs]
-    if len(poses) != len(reference):
+        return pairs
+    if len(ours.poses) != len(theirs.poses):
+        left_out = " ".join(("", *ours.remarks, *theirs.remarks))
         raise DataError(
-            f"{estimate}: expected {len(reference)} poses as in {truth}, found {len(poses)};"
-            " compare files of the same recording, or give both as TUM"
+            f"{estimate}: expected {len(theirs.poses)} poses as in {truth}, found {len(ours.poses)};"
+            f" compare files of the same recording, or give both as TUM{left_out}"
         )
-    return poses, reference
+    return PosePairs(ours.poses, theirs.poses, np.arange(len(ours.poses)))
 
 
-def _associate(times: Array, reference: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    # Each pose is paired with the reference nearest in time; of several poses with one reference the nearest stays.
-    # A reference need not be sorted by time: `order` sorts it.
-    order = np.argsort(reference, kind="stable")
-    after = np.clip(np.searchsorted(reference[order], times), 1, max(len(reference) - 1, 1))
-    candidates = order[np.clip(np.stack([after - 1, after]), 0, len(reference) - 1)]
-    differences = np.abs(reference[candidates] - times)
-    nearest, difference = candidates[differences.argmin(axis=0), np.arange(len(times))], differences.min(axis=0)
-    order_by_difference = np.argsort(difference, kind="stable")
-    _, first = np.unique(nearest[order_by_difference], return_index=True)
-    ours = np.sort(order_by_difference[first])
-    ours = ours[difference[ours] <= MAX_TIME_DIFFERENCE_S]
-    return ours, nearest[ours]
+def _describe_pairs(estimate: Path, ours: Trajectory, pairs: PosePairs) -> list[str]:
+    """Say how many estimated poses have no true one, and which is the first."""
+    missing = np.setdiff1d(np.arange(len(ours.poses)), pairs.rows)
+    if ours.times is None or not len(missing):
+        return []
+    return [
+        f"{estimate}: {len(pairs.rows)} of {len(ours.poses)} poses have a true pose within {MAX_TIME_DIFFERENCE_S} s or"
+        f" between two at most {MAX_GAP_S} s apart; {len(missing)} are left out, the first at"
+        f" {ours.times[missing[0]]:.6f} s"
+    ]
+
+
+def _describe_axes(pairs: PosePairs) -> list[str]:
+    """Say where the poses of the two are of differently turned axes, such as a camera's and a vehicle's."""
+    positions = pairs.truth[:, :3, 3]
+    extent = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    if len(positions) < 3 or extent[1] < MIN_WIDTH * extent[0]:
+        return []  # on a straight line the alignment may turn about the line
+    fit = umeyama(pairs.estimate[:, :3, 3], positions)
+    turns = Rotation.from_matrix(np.swapaxes(fit.R @ pairs.estimate[:, :3, :3], 1, 2) @ pairs.truth[:, :3, :3])
+    mean = turns.mean()
+    angle, spread = np.degrees(mean.magnitude()), np.degrees(np.median((mean.inv() * turns).magnitude()))
+    if angle < MAX_AXES_ANGLE_DEG or spread > angle / 2:
+        return []
+    return [
+        f"the axes of the poses differ by {angle:.0f} degrees, as those of a camera and of a vehicle do; the ATE does"
+        " not depend on them, but t_rel, r_rel and the end error do: give both for the same sensor"
+    ]
 
 
 @dataclass(frozen=True)
@@ -140,7 +225,7 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
     """
     _check(options)
     beliefs, truth = read_matches(options.matches), _truth(options)
-    _check_queries(options.matches, beliefs, truth)
+    warnings = [*truth.remarks, *_check_queries(options, beliefs, truth)]
     tolerances = dict.fromkeys((0, COMMON_TOLERANCE_IMAGES, options.frame_tolerance or 0))
     results = {tolerance: measure_scores(beliefs, truth.required_matrix, tolerance) for tolerance in tolerances}
     metrics: dict[str, object] = {
@@ -148,10 +233,12 @@ def evaluate_loops(options: LoopsOptions, json: bool = False) -> str:
         "ground_truth": truth.origin,
         "queries": len(beliefs),
         "rules": {f"tolerance_{tolerance}": section for tolerance, section in results.items()},
+        "warnings": warnings,
     }
     if options.out is not None:
         _write(options, options.out, metrics, precision_recall(beliefs, truth.required_matrix))
-    return metrics_text(metrics) if json else "\n".join(_lines(truth, beliefs, results))
+    lines = [*_lines(truth, beliefs, results), *(f"warning: {warning}" for warning in warnings)]
+    return metrics_text(metrics) if json else "\n".join(lines)
 
 
 def _check(options: LoopsOptions) -> None:
@@ -172,19 +259,37 @@ def _check(options: LoopsOptions) -> None:
 
 
 def _truth(options: LoopsOptions) -> RevisitTruth:
-    truth = read_revisit_truth(options.truth, options.rule, options.fps)
+    frames = options.matches.with_name(FRAMES_FILE)  # of a run, whose table lies beside
+    times = read_frames(frames).timestamps if frames.is_file() else None
+    truth = read_revisit_truth(options.truth, options.rule, options.fps, times)
     if not truth.required_matrix.any():
         raise DataError(f"{truth.origin}: expected at least one revisit, found none; choose another truth or rule")
     return truth
 
 
-def _check_queries(matches: Path, beliefs: Sequence[Belief], truth: RevisitTruth) -> None:
-    last, count = max((belief.query for belief in beliefs), default=0), len(truth.required_matrix)
+def _check_queries(options: LoopsOptions, beliefs: Sequence[Belief], truth: RevisitTruth) -> list[str]:
+    """Check that the truth has a row for each image; return a remark where the table does not say how many there are.
+
+    Raises:
+        DataError: a query is not among the images of the truth, or the table has a line for each image and the truth
+            another number of images.
+    """
+    matches, count = options.matches, len(truth.required_matrix)
+    last = max((belief.query for belief in beliefs), default=0)
     if last >= count:
         raise DataError(
-            f"{matches}: expected queries below {count}, the images of {truth.origin}, found {last};"
+            f"{matches}: expected queries below {count}, the images of {options.truth}, found {last};"
             " choose the truth of this recording"
         )
+    if len(beliefs) == count:
+        return []
+    if len(beliefs) == last + 1:  # from 0 without a gap: a line for each image
+        raise DataError(
+            f"{options.truth}: expected a truth of {len(beliefs)} images, one for each line of {matches}, found"
+            f" {count};"
+            f" choose the truth of this recording, with one pose for each image{describe_remarks(truth)}"
+        )
+    return [f"{matches}: {len(beliefs)} lines for {count} images; image i is the one of row i of the truth, from 0"]
 
 
 def _lines(truth: RevisitTruth, beliefs: Sequence[Belief], results: dict[int, dict[str, object]]) -> list[str]:

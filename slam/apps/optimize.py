@@ -82,9 +82,7 @@ def optimize_graphs(options: OptimizeOptions, messages: Console, results: Consol
     for path in options.graphs:
         out = options.out if len(options.graphs) == 1 else options.out / path.stem
         with RunFolder.create(out, options.overwrite) as folder:
-            done = _optimize(path, options)
-            for warning in done.graph.warnings + done.edges.warnings:
-                messages.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+            done = _optimize(path, options, messages)
             section = _section(done, options)
             _write(folder.path, done, _metrics(done, section))
             folder.commit()
@@ -92,14 +90,22 @@ def optimize_graphs(options: OptimizeOptions, messages: Console, results: Consol
     results.print(table)
 
 
-def _optimize(path: Path, options: OptimizeOptions) -> OptimizedGraph:
+def _optimize(path: Path, options: OptimizeOptions, messages: Console) -> OptimizedGraph:
     graph = read_g2o(path)
+    _warn(messages, graph.warnings)  # at once: what was passed over may be why the next step fails
     edges = classify_edges(graph, str(path))
+    _warn(messages, edges.warnings)
     truth = find_truth(path, graph, edges.trusted, options.ground_truth)
+    _warn(messages, truth.warnings)
     start = time.perf_counter()
     result = solve(edges.problem, options.robust)
     seconds = time.perf_counter() - start
     return OptimizedGraph(path, graph, edges, result, truth, seconds)
+
+
+def _warn(messages: Console, warnings: tuple[str, ...]) -> None:
+    for warning in warnings:
+        messages.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _in_place(done: OptimizedGraph) -> Array:
@@ -127,6 +133,7 @@ def _write(folder: Path, done: OptimizedGraph, metrics: dict[str, object]) -> No
             second=graph.second[kept],
             motions=graph.motions[kept],
             information=graph.information[kept],
+            declared_loops=np.zeros(0, np.int64),  # rows of the file, no longer those of the kept edges
         ),
     )
     write_table(folder / "edges.csv", EDGE_COLUMNS, _rows(done))
@@ -154,6 +161,7 @@ def _rows(done: OptimizedGraph) -> list[tuple[object, ...]]:
     residual[trusted] = np.sqrt(problem.trusted.chi2(result.poses))
     residual[~trusted] = np.sqrt(problem.loops.chi2(result.poses))
     reason[~trusted] = result.reasons
+    reason[done.edges.connecting] = "trusted, as no odometry joins its poses"
     if done.truth.loops is not None:
         truth[~trusted] = done.truth.loops
     role = np.where(trusted, "odometry", "loop")
@@ -185,7 +193,7 @@ def _section(done: OptimizedGraph, options: OptimizeOptions) -> dict[str, object
 
 def _metrics(done: OptimizedGraph, section: dict[str, object]) -> dict[str, object]:
     notes = {f"graph.{name}": done.truth.missing_reason(name) for name, value in section.items() if value is None}
-    warnings = list(done.graph.warnings + done.edges.warnings)
+    warnings = list(done.graph.warnings + done.edges.warnings + done.truth.warnings)
     rest: dict[str, object] = {"peak_memory_mb": peak_memory_mb(), "warnings": warnings, "notes": notes}
     return provenance(done.path, done.path.stem) | {"graph": section} | rest
 

@@ -132,9 +132,12 @@ def recognize_images(
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     config = _config(options, images)
+    for remark in truth.remarks:
+        messages.print(f"warning: {remark}", markup=False, highlight=False, soft_wrap=True)
     with RunFolder.create(options.out, options.overwrite) as folder:
         run = _run(options, config, images, truth, messages)
         origin = provenance(options.source, images.name) | _settings(options, config)
+        origin |= {"warnings": list(truth.remarks)}
         record = make_record(run, truth, _drive_data(images, truth), origin)
         write_results(folder.path, record)
         folder.commit()
@@ -148,7 +151,7 @@ def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> Revisi
         DataError: the file is missing or damaged, or its size differs from the number of images.
     """
     if options.ground_truth is not None:
-        truth = read_revisit_truth(options.ground_truth)
+        truth = read_revisit_truth(options.ground_truth, image_times=images.timestamps)
     elif images.ground_truth is not None:
         truth = revisit_truth_from_poses(images.ground_truth, f"poses of {options.source}")
     else:

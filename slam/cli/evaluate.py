@@ -24,7 +24,7 @@ def optimize(
 ) -> None:
     """Optimise pose graphs that may hold false loops, and list which loops were kept and why.
 
-    Edges between consecutive poses are odometry, which is trusted. All other edges are loops.
+    Edges between poses of one robot whose ids follow each other are odometry, which is trusted. All others are loops.
 
     Example: revisit optimize kitti_05.g2o --ground-truth poses/05.txt --out runs/graph05
     """
@@ -69,8 +69,8 @@ def benchmark(
 
 
 def evaluate_trajectory(
-    estimate: Annotated[Path, typer.Argument(help="Estimated poses: KITTI (12 numbers per line) or TUM.")],
-    truth: Annotated[Path, typer.Argument(help="True poses: KITTI or TUM.")],
+    estimate: Annotated[Path, typer.Argument(help="Estimated poses: KITTI (12 numbers per line), TUM or EuRoC's csv.")],
+    truth: Annotated[Path, typer.Argument(help="True poses: KITTI, TUM or EuRoC's csv.")],
     mono: Annotated[bool, typer.Option("--mono", help="Align with Sim(3) instead of SE(3).")] = False,
     json: Json = False,
 ) -> None:
@@ -80,7 +80,8 @@ def evaluate_trajectory(
     """
     from slam.apps.evaluate import evaluate_trajectory_files
 
-    Console().print(evaluate_trajectory_files(estimate, truth, mono, json))
+    text = evaluate_trajectory_files(estimate, truth, mono, json)
+    Console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def evaluate_loops(

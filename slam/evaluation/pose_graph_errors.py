@@ -11,7 +11,7 @@ from slam.errors import DataError
 from slam.evaluation.trajectory_errors import umeyama
 from slam.io.files import read_numbers
 from slam.io.g2o import Graph
-from slam.io.trajectory_files import read_trajectory
+from slam.io.trajectory_reader import read_trajectory_with_remarks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,10 +28,12 @@ class GraphTruth:
     Attributes:
         positions: (N, n - 1) true positions of the poses by id, metres, or None.
         loops: (L,) bool, which loops are true, in the file's order, or None.
+        warnings: what of the files was changed or could not be used, a sentence each.
     """
 
     positions: Array | None
     loops: Mask | None
+    warnings: tuple[str, ...] = ()
 
     @staticmethod
     def missing_reason(name: str) -> str:
@@ -53,11 +55,13 @@ def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | Non
     Raises:
         DataError: a file is missing or damaged, or has too few poses.
     """
-    positions = None
+    positions: Array | None = None
+    remarks: tuple[str, ...] = ()
     if ground_truth is not None:
         file = _file_for(path, ground_truth) if ground_truth.is_dir() else ground_truth
-        positions = _positions(file, graph)
-    return GraphTruth(positions, _labels(path, graph, trusted))
+        positions, remarks = _positions(file, graph)
+    loops, unknown = _labels(path, graph, trusted)
+    return GraphTruth(positions, loops, (*remarks, *unknown))
 
 
 def _file_for(path: Path, folder: Path) -> Path:
@@ -72,9 +76,14 @@ def _file_for(path: Path, folder: Path) -> Path:
     return found[0]
 
 
-def _positions(file: Path, graph: Graph) -> Array:
-    poses = read_trajectory(file)[1]
-    ids = np.sort(graph.ids)
+def _positions(file: Path, graph: Graph) -> tuple[Array, tuple[str, ...]]:
+    trajectory = read_trajectory_with_remarks(file)
+    if trajectory.num_left_out:
+        raise DataError(
+            f"{'; '.join(trajectory.remarks)}; expected a pose in each line, as line i is the pose of id i;"
+            " complete the file"
+        )
+    poses, ids = trajectory.poses, np.sort(graph.ids)
     if ids[0] < 0 or ids[-1] >= len(poses):
         raise DataError(
             f"{file}: expected a pose for each id from {ids[0]} to {ids[-1]} of the graph, found {len(poses)} poses; "
@@ -82,16 +91,27 @@ def _positions(file: Path, graph: Graph) -> Array:
         )
     positions = poses[ids, :3, 3]
     # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
-    return np.column_stack([positions[:, 2], -positions[:, 0]]) if graph.poses.shape[-1] == 3 else positions
+    planar = np.column_stack([positions[:, 2], -positions[:, 0]])
+    return (planar if graph.poses.shape[-1] == 3 else positions), trajectory.remarks
 
 
-def _labels(path: Path, graph: Graph, trusted: Mask) -> Mask | None:
+def _labels(path: Path, graph: Graph, trusted: Mask) -> tuple[Mask | None, list[str]]:
+    """Return which loops are listed as true, and a sentence about listed pairs that are no loops of the graph."""
     file = path.with_name(path.stem + LABELS)
     if not file.is_file():
-        return None
-    listed = {(int(min(pair)), int(max(pair))) for pair in read_numbers(file, 2)}
-    ends = zip(graph.first[~trusted].tolist(), graph.second[~trusted].tolist(), strict=True)
-    return np.array([(min(pair), max(pair)) in listed for pair in ends], dtype=bool)
+        return None, []
+    # An empty list is an answer too: none of the loops is true.
+    listed = {(int(min(pair)), int(max(pair))) for pair in read_numbers(file, 2, min_rows=0)}
+    ends = np.sort(np.column_stack([graph.first[~trusted], graph.second[~trusted]]), axis=1)
+    loops = [(first, second) for first, second in ends.tolist()]
+    unknown = sorted(listed - set(loops))
+    warnings = []
+    if unknown:
+        first, second = unknown[0]
+        warnings = [
+            f"{file}: passed over {len(unknown)} pairs that are no loops of the graph, such as {first} {second}"
+        ]
+    return np.array([pair in listed for pair in loops], dtype=bool), warnings
 
 
 def align_positions(estimate: Array, positions: Array) -> Array:

@@ -1,15 +1,16 @@
 """Ground truth of revisits: a published matrix, or true poses under a declared rule."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.revisit_ground_truth import RevisitRule, load_truth, truth_from_poses
+from place_recognition.evaluation.revisit_ground_truth import RevisitRule, read_truth_matrix, truth_from_poses
 from slam.errors import ConfigError, DataError
 from slam.evaluation.trajectory_errors import distances_along
-from slam.io.trajectory_files import read_trajectory
+from slam.evaluation.trajectory_matching import pair_by_time
+from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
 
 MATRIX_SUFFIXES = (".mat", ".npz")
 
@@ -22,11 +23,13 @@ class RevisitTruth:
         matrix: (N, N) bool, row = query, column = earlier image; None if there is no ground truth.
         origin: description of the source for people, with the rule if one was applied.
         path_lengths_m: (N,) length of the true path from the first image, metres; None if the poses are not known.
+        remarks: how the file was taken and what of it was left out, a sentence each.
     """
 
     matrix: NDArray[np.bool_] | None
     origin: str
     path_lengths_m: NDArray[np.float64] | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def required_matrix(self) -> NDArray[np.bool_]:
@@ -35,25 +38,37 @@ class RevisitTruth:
         return self.matrix
 
 
-def read_revisit_truth(path: Path, rule: RevisitRule | None = None, fps: float | None = None) -> RevisitTruth:
+def read_revisit_truth(
+    path: Path,
+    rule: RevisitRule | None = None,
+    fps: float | None = None,
+    image_times: NDArray[np.float64] | None = None,
+) -> RevisitTruth:
     """Read the ground truth of revisits from a matrix (.mat, .npz), or from poses (KITTI, TUM) under a rule.
 
     Args:
         path: file to read.
         rule: what counts as a revisit, for poses; None for the default rule.
         fps: poses per second, for a rule with a minimum time; TUM files have their own times.
+        image_times: (N,) seconds, of the images, at which poses with times are interpolated; None where line i of the
+            file is the pose of image i.
 
     Raises:
         DataError: the file is missing or damaged.
         ConfigError: the rule needs times and there are none.
     """
-    if path.suffix in MATRIX_SUFFIXES:
+    if path.suffix.lower() in MATRIX_SUFFIXES:
         try:
-            return RevisitTruth(load_truth(path), str(path))
+            truth = read_truth_matrix(path)
         except ValueError as error:
-            raise DataError(f"{error}; choose the truth of this recording") from error
+            raise DataError(str(error)) from error
+        return RevisitTruth(truth.matrix, str(path), remarks=truth.remarks)
     rule = rule or RevisitRule()
-    times, poses = read_trajectory(path)
+    trajectory = read_trajectory_with_remarks(path)
+    times, poses, remarks = trajectory.times, trajectory.poses, trajectory.remarks
+    if image_times is not None and times is not None:
+        poses, remark = _poses_of_images(path, trajectory, image_times)
+        times, remarks = image_times, (*remarks, remark)
     if times is None and fps is not None:
         times = np.arange(len(poses)) / fps
     if rule.min_time_gap_s > 0 and times is None:
@@ -61,7 +76,23 @@ def read_revisit_truth(path: Path, rule: RevisitRule | None = None, fps: float |
             f"{path}: expected times for --min-time-gap {rule.min_time_gap_s:g}, found none;"
             " give --fps, or poses as TUM"
         )
-    return revisit_truth_from_poses(poses, str(path), rule, times)
+    return replace(revisit_truth_from_poses(poses, str(path), rule, times), remarks=remarks)
+
+
+def _poses_of_images(
+    path: Path, trajectory: Trajectory, image_times: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], str]:
+    """Return true poses (N, 4, 4) at the times (N,) of images, each of which must have one, and how they were found."""
+    images = Trajectory(image_times, np.tile(np.eye(4), (len(image_times), 1, 1)))
+    pairs = pair_by_time(images, trajectory)
+    if len(pairs.rows) < len(image_times) == len(trajectory.poses):
+        return trajectory.poses, f"{path}: not the times of the images, but as many poses; image i has pose i"
+    if len(pairs.rows) < len(image_times):
+        raise DataError(
+            f"{path}: expected true poses at the times of all {len(image_times)} images, found"
+            f" {len(pairs.rows)}; choose the truth of this recording"
+        )
+    return pairs.truth, f"{path}: matched by time with the {len(image_times)} images"
 
 
 def revisit_truth_from_poses(
@@ -85,8 +116,13 @@ def check_truth_size(truth: RevisitTruth, images: int, of: Path) -> None:
     if truth.matrix is not None and len(truth.matrix) != images:
         raise DataError(
             f"{truth.origin}: expected a truth of {images} images as in {of}, found {len(truth.matrix)};"
-            " choose the truth of this recording"
+            f" choose the truth of this recording, at the rate of its images{describe_remarks(truth)}"
         )
+
+
+def describe_remarks(truth: RevisitTruth) -> str:
+    """Return the remarks about a truth in brackets, for the end of a message; what was left out may be the cause."""
+    return f" ({'; '.join(truth.remarks)})" if truth.remarks else ""
 
 
 def describe_rule(rule: RevisitRule) -> str:

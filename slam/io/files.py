@@ -1,5 +1,6 @@
 """Text files: writing in one piece, so that a file appears complete or not at all, and reading of lines and numbers."""
 
+import codecs
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,15 +45,28 @@ def atomic_writer(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         yield file
 
 
+def read_text(path: Path) -> str:
+    """Return a text of UTF-8, or of UTF-16 with a byte order mark, without that mark.
+
+    Windows editors write the mark, and PowerShell's `>` writes UTF-16; a mark that stayed would spoil the first word.
+
+    Raises:
+        OSError: the file cannot be read.
+        UnicodeDecodeError: it is no such text.
+    """
+    data = path.read_bytes()
+    is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return data.decode("utf-16" if is_utf16 else "utf-8-sig")
+
+
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a UTF-8 text file, without line ends.
+    """Return the lines of a text file (see `read_text`), without line ends.
 
     Raises:
         DataError: the file is missing, a folder, not readable or not text.
     """
     try:
-        # utf-8-sig: some editors write a byte order mark first, which float() rejects
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_text(path).splitlines()
     except FileNotFoundError:
         raise DataError(f"{path}: expected this file, found none; check the path or copy it there") from None
     except UnicodeDecodeError:
@@ -61,20 +75,22 @@ def read_lines(path: Path) -> list[str]:
         raise DataError(f"{path}: expected a readable file, found {error.strerror}; check it") from None
 
 
-def read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
+def read_numbers(path: Path, columns: int, min_rows: int = 1) -> NDArray[np.float64]:
     """Read a table (N, columns) of finite numbers separated by blanks; empty lines and # lines are skipped.
 
     Raises:
-        DataError: the file is empty, or a line has another number of words, or a word that is not a finite number.
+        DataError: the file has fewer rows than `min_rows`, or a line has another number of words, or a word that is not
+            a finite number.
     """
     rows = [
         _numbers(path, number, line, columns)
         for number, line in enumerate(read_lines(path), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    if not rows:
-        raise DataError(f"{path}: expected lines of {columns} numbers, found an empty file; copy it again")
-    return np.array(rows)
+    if len(rows) < min_rows:
+        found = f"{len(rows)} lines" if rows else "an empty file"
+        raise DataError(f"{path}: expected lines of {columns} numbers, found {found}; copy it again")
+    return np.array(rows, np.float64).reshape(-1, columns)
 
 
 def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
@@ -89,3 +105,28 @@ def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
     if not np.isfinite(values).all():
         raise DataError(f"{expected}, found {line.strip()[:60]!r}; correct that line")
     return values
+
+
+class PassedOver:
+    """Counts the lines of a file that a reader passes over, by what they are."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
+
+    def __contains__(self, what: str) -> bool:
+        return what in self._counts
+
+    def add(self, what: str, line: int) -> None:
+        """Count one line."""
+        self._first.setdefault(what, line)
+        self._counts[what] = self._counts.get(what, 0) + 1
+
+    def names(self) -> list[str]:
+        """What was passed over, in the order of its first line."""
+        return list(self._counts)
+
+    def describe(self, what: str) -> str:
+        """Say how many lines there are, and where the first one is: `3 lines FIX (first in line 7)`."""
+        count = self._counts[what]
+        return f"{count} line{'s' if count > 1 else ''} {what} (first in line {self._first[what]})"

@@ -4,13 +4,17 @@ The file stores the information matrix of the right perturbation of each edge, u
 the plane; in space translation first, while `Graph` has rotation first. As in GTSAM, the three rotation numbers are a
 rotation vector in radians.
 
+Several robots have ids far from one another, such as GTSAM's symbols. `FIX` may name several poses, of which the first
+is held. Edges of Vertigo are read as loops and written as plain edges. Lines of other tags are left out with a warning
+that counts them.
+
 Repaired with a warning: edges from a pose to itself and edges of zero information are left out; information that is
 zero in some direction gets a billionth of its largest eigenvalue there. Quaternions are normalised if rounding explains
 their length. Several edges between two poses are several measurements. Everything else is an error with its line.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +46,8 @@ class Graph:
         fixed: id of the pose that is held fixed (`FIX`), or None.
         has_poses: whether the file has poses.
         warnings: repairs and ignored lines, a sentence each.
+        also_fixed: ids of further poses after `FIX`, which are kept for the output and not held.
+        declared_loops: rows of the edges that the file declares to be loops, (K,), whatever their ids.
     """
 
     ids: Ids
@@ -53,6 +59,8 @@ class Graph:
     fixed: int | None = None
     has_poses: bool = True
     warnings: tuple[str, ...] = ()
+    also_fixed: tuple[int, ...] = ()
+    declared_loops: Ids = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def chain_graph(poses: Array, odometry: Sequence[tuple[Array, Array]], closures: Sequence[LoopClosure]) -> Graph:
@@ -79,12 +87,13 @@ def write_g2o(path: Path, graph: Graph) -> None:
             file.write(f"{kind.vertex} {key} {_join(numbers)}\n")
         for i, j, numbers, row in zip(graph.first, graph.second, _numbers(graph.motions), rows, strict=True):
             file.write(f"{kind.edge} {i} {j} {_join(numbers)} {_join(row)}\n")
-        if graph.fixed is not None:
-            file.write(f"FIX {graph.fixed}\n")  # last: GTSAM reads no further
+        held = () if graph.fixed is None else (graph.fixed,)
+        for key in (*held, *graph.also_fixed):
+            file.write(f"FIX {key}\n")  # last: GTSAM reads no further
 
 
 def read_g2o(path: Path) -> Graph:
-    """Read a graph; lines of other kinds (parameters, comments) are ignored.
+    """Read a graph; lines of other kinds (landmarks, parameters) are counted in its warnings.
 
     Raises:
         GraphError: the file is missing, a line is damaged, an edge leads to a missing pose, planar and spatial lines
@@ -101,9 +110,11 @@ def read_g2o(path: Path) -> Graph:
         second=parsed.edge_ids[:, 1],
         motions=_poses(parsed.edges),
         information=_reordered(parsed.information),
-        fixed=parsed.fixed,
+        fixed=parsed.fixed[0] if parsed.fixed else None,
         has_poses=parsed.has_poses,
         warnings=parsed.warnings,
+        also_fixed=parsed.fixed[1:],
+        declared_loops=np.flatnonzero(parsed.is_declared_loop),
     )
 
 

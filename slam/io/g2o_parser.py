@@ -1,14 +1,19 @@
-"""Parser of g2o files: every line is checked, and errors name the file, the line and the remedy."""
+"""Parser of g2o files: every line is checked, and errors name the file, the line and the remedy.
+
+Edges of Vertigo, `EDGE_SE2_SWITCHABLE` and `EDGE_SE2_MAXMIX` (and SE3), are read as the loops that they stand for; the
+number behind their ids, a switch or a weight, belongs to a solver of another kind. Lines that are not read are counted.
+"""
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import GraphError
+from slam.io.files import PassedOver, read_text
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -19,7 +24,15 @@ _MIN_EIGENVALUE = 1e-13  # relative to the largest one: solvers cannot use less
 _UNIT_TOLERANCE = 0.01  # of the length of a quaternion: files round it, a larger error is damage
 _MAX_INFORMATION = 1e100  # whose square is still a finite number
 _MAX_ID = np.iinfo(np.int64).max
-_PRIOR = "PRIOR"  # part of the tags of factors on absolute positions, which are ignored
+# Why lines of other tags are passed over, by a part of their tag; the first that fits.
+_REASONS = (
+    ("SWITCH", "the robust back end decides on the loops without switches"),
+    ("PRIOR", "priors are ignored"),
+    ("PARAMS", "parameters of sensors change no edge between poses"),
+    (r"_XY|XYZ|POINT|BEARING|LINE|DEPTH|DISPARITY", "landmarks are not supported"),
+    ("", "only poses and the edges between them are read"),
+)
+_LOOP_TAG = re.compile(r"EDGE_(SE2|SE3)(?::QUAT)?_(?:SWITCHABLE|MAXMIX)(?::QUAT)?")
 
 
 @dataclass(frozen=True)
@@ -58,7 +71,8 @@ class ParsedGraph:
         edge_ids: ids that each edge joins, (M, 2).
         edges: numbers of the relative poses, (M, 3) or (M, 7).
         information: information matrices, (M, dof, dof), positive definite.
-        fixed: id of the pose that is held fixed, or None.
+        is_declared_loop: (M,) bool, edges that their tag declares to be loops.
+        fixed: ids of the poses that are to be held fixed, in the file's order; those that exist.
         warnings: repairs and ignored lines, a sentence each.
     """
 
@@ -68,7 +82,8 @@ class ParsedGraph:
     edge_ids: Ids
     edges: Array
     information: Array
-    fixed: int | None
+    is_declared_loop: NDArray[np.bool_]
+    fixed: tuple[int, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -107,6 +122,10 @@ class _Table:
         """Return file and line of a row, for messages."""
         return f"{self._path}, line {self._lines[row]}"
 
+    def are_lines(self, lines: Collection[int]) -> NDArray[np.bool_]:
+        """Return which rows (N,) stand in the given lines of the file."""
+        return np.array([line in lines for line in self._lines], dtype=np.bool_)
+
     def arrays(self) -> tuple[Ids, Array]:
         """Return ids (N, 1 or 2) and numbers (N, K) of all lines, checked to be finite with unit quaternions."""
         ids = np.array(self._ids, np.int64).reshape(-1, self._num_ids)
@@ -121,41 +140,84 @@ class _Table:
         return ids, numbers
 
 
+@dataclass
+class _Lines:
+    """What has been read of a file.
+
+    Attributes:
+        path: the file.
+        tables: lines of poses and of edges, by tag; empty before the first one.
+        declared_loops: lines of edges that their tag declares to be loops.
+        fixed: ids after `FIX`, in the file's order.
+        passed_over: lines of other tags.
+    """
+
+    path: Path
+    tables: dict[str, _Table] = field(default_factory=dict)
+    declared_loops: set[int] = field(default_factory=set)
+    fixed: list[int] = field(default_factory=list)
+    passed_over: PassedOver = field(default_factory=PassedOver)
+
+    def add(self, line: int, words: list[str]) -> None:
+        """Parse one line."""
+        loop = _LOOP_TAG.fullmatch(words[0])
+        if words[0] in _BY_TAG:
+            self._add_to_table(line, words)
+        elif loop:
+            self.declared_loops.add(line)
+            self._add_to_table(line, self._plain_edge(line, words, KINDS[loop[1] == "SE3"]))
+        elif words[0] == "FIX":
+            self.fixed += self._fixed_ids(line, words[1:])
+        else:
+            self.passed_over.add(words[0], line)
+
+    def _add_to_table(self, line: int, words: list[str]) -> None:
+        self.tables = self.tables or _make_tables(self.path, _BY_TAG[words[0]])
+        if words[0] not in self.tables:
+            raise GraphError(
+                f"{self.path}, line {line}: expected {' or '.join(self.tables)} as before, found {words[0]}; poses of"
+                " the plane and of space do not mix, write two files"
+            )
+        self.tables[words[0]].add(line, words)
+
+    def _plain_edge(self, line: int, words: list[str], kind: Kind) -> list[str]:
+        """Return the words of the edge without its switch or weight, the third number."""
+        expected = 3 + kind.size + len(UPPER[kind.dof][0])
+        if len(words) - 1 != expected:
+            where = f"{self.path}, line {line}: {words[0]}"
+            raise GraphError(f"{where} has {len(words) - 1} numbers, expected {expected}; was the file cut short?")
+        return [kind.edge, *words[1:3], *words[4:]]
+
+    def _fixed_ids(self, line: int, words: list[str]) -> list[int]:
+        if not words or not all(re.fullmatch(r"\d{1,19}", word) for word in words):
+            raise GraphError(
+                f"{self.path}, line {line}: expected ids of poses after FIX, found {' '.join(words)[:60] or 'none'};"
+                " correct that line"
+            )
+        return [int(word) for word in words]
+
+
 def parse_g2o(path: Path) -> ParsedGraph:
     """Parse and check a g2o file.
 
     Raises:
         GraphError: see `slam.io.g2o.read_g2o`.
     """
-    tables: dict[str, _Table] = {}
-    fixed, priors = None, []
+    lines = _Lines(path)
     for line, words in _read_words(path):
-        tag = words[0]
-        if tag in _BY_TAG:
-            tables = tables or _make_tables(path, _BY_TAG[tag])
-            if tag not in tables:
-                raise GraphError(
-                    f"{path}, line {line}: expected {' or '.join(tables)} as before, found {tag}; poses of the plane"
-                    " and of space do not mix, write two files"
-                )
-            tables[tag].add(line, words)
-        elif fixed is None and re.fullmatch(r"FIX \d{1,19}", " ".join(words)):
-            fixed = int(words[1])
-        elif _PRIOR in tag:
-            priors.append(f"{path}, line {line}")
-    if not tables:
+        lines.add(line, words)
+    if not lines.tables:
+        others = ", ".join(map(lines.passed_over.describe, lines.passed_over.names()[:3])) or "none"
         raise GraphError(
-            f"{path}: expected VERTEX_SE2, VERTEX_SE3:QUAT, EDGE_SE2 or EDGE_SE3:QUAT lines, found none; "
+            f"{path}: expected VERTEX_SE2, VERTEX_SE3:QUAT, EDGE_SE2 or EDGE_SE3:QUAT lines, found {others}; "
             "is this a pose graph in g2o format?"
         )
-    ignored = [f"{priors[0]}: {len(priors)} priors are ignored"] if priors else []
-    vertices, edges = tables.values()
-    return _check_graph(path, vertices, edges, fixed, ignored)
+    return _check_graph(lines)
 
 
 def _read_words(path: Path) -> Iterator[tuple[int, list[str]]]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise GraphError(f"{path}: expected a pose graph in g2o format, could not read it: {error}") from error
     for number, line in enumerate(text.splitlines(), start=1):
@@ -172,19 +234,52 @@ def _make_tables(path: Path, kind: Kind) -> dict[str, _Table]:
     }
 
 
-def _check_graph(
-    path: Path, vertex_table: _Table, edge_table: _Table, fixed: int | None, ignored: list[str]
-) -> ParsedGraph:
+def _check_graph(lines: _Lines) -> ParsedGraph:
+    vertex_table, edge_table = lines.tables.values()
     kind = _BY_TAG[vertex_table.tag]
     (ids, vertices), (ends, edges) = vertex_table.arrays(), edge_table.arrays()
-    _check_unique(path, ids[:, 0])
+    _check_unique(lines.path, ids[:, 0])
     if len(ids):
         _check_ends(edge_table, kind, ids[:, 0], ends)
-    information, is_kept, warnings = _repair_information(edge_table, edges[:, kind.size :], ends)
+    information, is_kept, repairs = _repair_information(edge_table, edges[:, kind.size :], ends)
+    fixed = tuple(key for key in dict.fromkeys(lines.fixed) if key in (ids if len(ids) else ends))
     return ParsedGraph(
-        kind, ids[:, 0], vertices, ends[is_kept], edges[is_kept, : kind.size], information, fixed,
-        (*warnings, *ignored),
-    )  # fmt: skip
+        kind=kind,
+        vertex_ids=ids[:, 0],
+        vertices=vertices,
+        edge_ids=ends[is_kept],
+        edges=edges[is_kept, : kind.size],
+        information=information,
+        is_declared_loop=edge_table.are_lines(lines.declared_loops)[is_kept],
+        fixed=fixed,
+        warnings=(*repairs, *_describe_passed_over(lines), *_describe_fixed(lines, fixed)),
+    )
+
+
+def _describe_passed_over(lines: _Lines) -> list[str]:
+    """Return a sentence for each tag that is not read."""
+    sentences = []
+    for tag in lines.passed_over.names():
+        reason = next(reason for part, reason in _REASONS if re.search(part, tag))
+        sentences.append(f"{lines.path}: passed over {lines.passed_over.describe(tag)}: {reason}")
+    return sentences
+
+
+def _describe_fixed(lines: _Lines, fixed: tuple[int, ...]) -> list[str]:
+    """Return sentences about ids after `FIX` whose poses are not held."""
+    sentences = []
+    unknown = [key for key in dict.fromkeys(lines.fixed) if key not in fixed]
+    if unknown:
+        sentences.append(f"{lines.path}: passed over FIX of {_list_ids(unknown)}: the graph has no such pose")
+    if len(fixed) > 1:
+        sentences.append(
+            f"{lines.path}: passed over FIX of {_list_ids(fixed[1:])}: pose {fixed[0]}, the first, is held, one alone"
+        )
+    return sentences
+
+
+def _list_ids(ids: Sequence[int]) -> str:
+    return ", ".join(map(str, ids[:5])) + (f" and {len(ids) - 5} more" if len(ids) > 5 else "")
 
 
 def _check_unique(path: Path, ids: Ids) -> None:

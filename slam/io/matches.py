@@ -1,6 +1,7 @@
 """Files of place recognition: `matches.csv`, `precision_recall.csv` and `matrix.npz`."""
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.recognizer import Belief, StageScores
 from slam.errors import DataError
-from slam.io.files import atomic_writer
+from slam.io.files import atomic_writer, read_text
 from slam.io.frames_and_loops_csv import write_table
 
 MATCH_COLUMNS = (
@@ -88,9 +89,9 @@ def read_matches(path: Path) -> tuple[Belief, ...]:
 
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, restval="", strict=True, skipinitialspace=True)
-            rows, header = [(reader.line_num, row) for row in reader], reader.fieldnames or ()
+        lines = io.StringIO(read_text(path), newline="")
+        reader = csv.DictReader(lines, restval="", strict=True, skipinitialspace=True)
+        rows, header = [(reader.line_num, row) for row in reader], reader.fieldnames or ()
     except FileNotFoundError:
         raise DataError(f"{path}: expected a table of matches, found none; check the path") from None
     except (OSError, ValueError, csv.Error) as error:

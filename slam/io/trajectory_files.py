@@ -1,4 +1,4 @@
-"""Trajectory files in the formats of KITTI and TUM, which most tools read, and the covariances of their poses.
+"""Trajectory files of runs in the formats of KITTI and TUM, and the covariances of their poses.
 
 Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by row. TUM:
 `timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again.
@@ -40,7 +40,16 @@ def read_kitti(path: Path) -> Array:
     Raises:
         DataError: the file is missing, a line does not have 12 finite numbers, or a matrix is not a rotation.
     """
-    rows = read_numbers(path, 12).reshape(-1, 3, 4)
+    return kitti_poses(path, read_numbers(path, 12))
+
+
+def kitti_poses(path: Path, numbers: Array) -> Array:
+    """Return T_world_camera (N, 4, 4) of KITTI's numbers (N, 12).
+
+    Raises:
+        DataError: a matrix is not a rotation, or a position is impossibly far away.
+    """
+    rows = numbers.reshape(-1, 3, 4)
     poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
     poses[:, :3] = rows
     _check_rotations(path, poses[:, :3, :3])
@@ -67,19 +76,28 @@ def read_tum(path: Path) -> tuple[Array, Array]:
         DataError: the file is missing, a line does not have 8 finite numbers, or a quaternion has length zero.
     """
     rows = read_numbers(path, 8)
+    return rows[:, 0], tum_poses(path, rows[:, 1:])
+
+
+def tum_poses(path: Path, numbers: Array) -> Array:
+    """Return T_world_camera (N, 4, 4) of positions and quaternions (N, 7): x y z qx qy qz qw.
+
+    Raises:
+        DataError: a quaternion has length zero, or a position is impossibly far away.
+    """
     with np.errstate(over="ignore"):  # of lengths that are refused below
-        lengths = np.linalg.norm(rows[:, 4:], axis=1)
+        lengths = np.linalg.norm(numbers[:, 3:], axis=1)
     wrong = (lengths < 1e-6) | ~np.isfinite(lengths)
     if wrong.any():
         at = int(np.argmax(wrong))
         raise DataError(
             f"{path}, pose {at}: expected a unit quaternion, found one of length {lengths[at]:g}; write the file again"
         )
-    check_positions(path, rows[:, 1:4])
-    poses = np.repeat(np.eye(4)[None], len(rows), axis=0)
-    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-    poses[:, :3, 3] = rows[:, 1:4]
-    return rows[:, 0], poses
+    check_positions(path, numbers[:, :3])
+    poses = np.repeat(np.eye(4)[None], len(numbers), axis=0)
+    poses[:, :3, :3] = Rotation.from_quat(numbers[:, 3:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, :3]
+    return poses
 
 
 def check_positions(path: Path, positions: Array) -> None:
@@ -92,6 +110,8 @@ def check_positions(path: Path, positions: Array) -> None:
 
 def read_trajectory(path: Path) -> tuple[Array | None, Array]:
     """Read KITTI poses or TUM, by the count of numbers per line: timestamps (N,) or None, and poses (N, 4, 4).
+
+    For files that are known to be sound; `trajectory_reader` reads those of other programs.
 
     Raises:
         DataError: the file is missing, or its first line has neither 12 nor 8 numbers.

@@ -28,7 +28,7 @@ from slam.io.landmarks import read_landmark_observers
 from slam.io.matches import read_matches
 from slam.io.metrics import read_metrics
 from slam.io.ply import read_cloud
-from slam.io.trajectory_files import read_trajectory
+from slam.io.trajectory_reader import read_trajectory_with_remarks
 from slam.simulation.scenario.vehicle_path import read_plan
 
 from . import generation as made
@@ -104,9 +104,10 @@ def _video(name: str) -> Read:
 
 
 def _trajectory(root: Path) -> None:
-    times, poses = read_trajectory(root / "poses.txt")
+    trajectory = read_trajectory_with_remarks(root / "poses.txt")
+    times, poses = trajectory.times, trajectory.poses
     assert np.isfinite(poses).all(), "accepted poses that are not finite"
-    assert times is None or np.isfinite(times).all(), "accepted times that are not finite"
+    assert times is None or (np.isfinite(times).all() and (np.diff(times) > 0).all()), "accepted times out of order"
 
 
 def _graph(root: Path) -> None:

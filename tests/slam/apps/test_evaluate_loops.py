@@ -127,6 +127,11 @@ def test_other_columns_are_named(tmp_path: Path, truth: Path, content: str, foun
         evaluated(tmp_path / "x.csv", truth)
 
 
+def test_a_table_in_utf_16_is_read(tmp_path: Path, truth: Path) -> None:
+    (tmp_path / "a.csv").write_text("query,match,score\n50,10,9\n", encoding="utf-16")
+    assert evaluated(tmp_path / "a.csv", truth)["tolerance_0"]["true_positives"] == 1
+
+
 def test_a_missing_table_and_one_of_bytes_are_named(tmp_path: Path, truth: Path) -> None:
     (tmp_path / "b.csv").write_bytes(bytes(range(256)))
     with pytest.raises(DataError, match=r"b\.csv: expected a table of matches"):
@@ -142,3 +147,58 @@ def test_a_fault_is_one_line_on_the_command_line(
     assert app._exit_code(lambda: app.app(arguments)) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert app._exit_code(lambda: app.app([*arguments, "--max-distance", "-1"])) == 2
+
+
+def whole_table(folder: Path, images: int) -> Path:
+    """A line for each image; those of the second lap match those of the first."""
+    lines = [f"{k},{k - LAP},9" if k >= LAP else f"{k},,0" for k in range(images)]
+    return table(folder, *lines)
+
+
+@pytest.mark.parametrize("count", [2 * LAP - 1, 3 * 2 * LAP, 2 * LAP + 1])
+@pytest.mark.parametrize("suffix", ["txt", "tum", "npz"])
+def test_a_truth_of_another_rate_is_refused(tmp_path: Path, count: int, suffix: str) -> None:
+    poses, path = np.resize(laps(), (count, 4, 4)), tmp_path / f"truth.{suffix}"
+    if suffix == "npz":
+        np.savez(path, truth=np.eye(count, k=-LAP))
+    else:
+        write_kitti(path, poses) if suffix == "txt" else write_tum(path, np.arange(count) / 30, poses)
+    with pytest.raises(DataError, match=rf"truth\.{suffix}: expected|expected queries below {count}"):
+        evaluated(whole_table(tmp_path, 2 * LAP), path)
+
+
+def test_a_truth_of_another_rate_is_matched_by_the_times_of_the_run(tmp_path: Path) -> None:
+    run, motion = tmp_path / "run", se3.log(laps()[1])
+    run.mkdir()
+    times = np.arange(2 * LAP) / 10
+    true_times = np.arange(3 * 2 * LAP + 5) / 30
+    write_tum(run / "a.tum", times, laps())
+    write_tum(tmp_path / "fast.tum", true_times, np.array([se3.exp(10 * t * motion) for t in true_times]))
+    header = "frame,timestamp,status,reason,inliers,tracks,residual_px"
+    lines = [f"{k},{time},measured,,100,100,0.5" for k, time in enumerate(times)]
+    (run / "frames.csv").write_text("\n".join([header, *lines]) + "\n")
+    matches, rule = whole_table(run, 2 * LAP), RevisitRule(max_distance_m=1.0)
+    same, fast = (evaluated(matches, path, rule=rule) for path in (run / "a.tum", tmp_path / "fast.tum"))
+    assert fast == same
+    assert fast["tolerance_0"]["true_positives"] == LAP
+    short = tmp_path / "short.tum"
+    write_tum(short, true_times[:60], np.array([se3.exp(10 * t * motion) for t in true_times[:60]]))
+    with pytest.raises(DataError, match=r"short\.tum: expected true poses at the times of all 80 images, found 20"):
+        evaluated(matches, short, rule=rule)
+
+
+def test_remarks_about_the_truth_are_on_the_screen_and_in_the_metrics(tmp_path: Path) -> None:
+    stored = np.eye(2 * LAP, k=LAP)
+    stored[70, 1] = 1
+    np.savez(tmp_path / "upper.npz", truth=stored)
+    options = LoopsOptions(whole_table(tmp_path, 2 * LAP), tmp_path / "upper.npz", out=tmp_path / "out")
+    text = evaluate_loops(options)
+    remark = "the upper triangle is used with 40 entries; passed over 1 entry below the diagonal"
+    assert f"warning: {tmp_path / 'upper.npz'}: {remark}" in text
+    assert "R@P100                   1.0000" in text
+    assert remark in json.loads((tmp_path / "out" / "metrics.json").read_text())["warnings"][0]
+
+
+def test_a_table_with_few_lines_says_how_it_is_read(tmp_path: Path, truth: Path) -> None:
+    text = evaluate_loops(LoopsOptions(table(tmp_path, "50,10,9"), truth))
+    assert "matches.csv: 1 lines for 80 images; image i is the one of row i of the truth, from 0" in text

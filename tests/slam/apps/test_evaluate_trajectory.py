@@ -8,6 +8,7 @@ import pytest
 
 from odometry import se3
 from slam.apps.evaluate import evaluate_trajectory_files
+from slam.cli import app
 from slam.errors import DataError
 from slam.io.trajectory_files import write_kitti, write_tum
 
@@ -108,3 +109,112 @@ def test_other_files_are_named(tmp_path: Path, truth: Path, text: str, columns: 
     message = rf"a.txt: expected KITTI poses \(12 numbers a line\) or TUM \(8\), found {columns}"
     with pytest.raises(DataError, match=message):
         evaluate_trajectory_files(tmp_path / "a.txt", truth)
+
+
+def values_of(estimate: Path, truth: Path) -> dict:
+    return json.loads(evaluate_trajectory_files(estimate, truth, json=True))
+
+
+def test_the_order_of_the_lines_does_not_change_a_number(tmp_path: Path) -> None:
+    times, poses = np.arange(300) / 10, stretched(drive(), 1.01)
+    write_tum(tmp_path / "truth.tum", times, drive())
+    write_tum(tmp_path / "sorted.tum", times, poses)
+    order = np.r_[150:300, 0:150]
+    write_tum(tmp_path / "sessions.tum", times[order], poses[order])
+    expected = values_of(tmp_path / "sorted.tum", tmp_path / "truth.tum")
+    found = values_of(tmp_path / "sessions.tum", tmp_path / "truth.tum")
+    assert expected.pop("warnings") == []
+    assert "sessions.tum: sorted by time, as 1 line is earlier than the one before (first in line 151)" in str(
+        found.pop("warnings")
+    )
+    assert found == expected
+
+
+@pytest.mark.parametrize("rate", [7.0, 3.0, 100.0])
+def test_a_truth_of_another_rate_is_interpolated(tmp_path: Path, rate: float) -> None:
+    motion = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 10.0])  # a second's
+    times, true_times = np.arange(300) / 10, 0.0043 + np.arange(rate * 31) / rate
+    write_tum(tmp_path / "estimate.tum", times, np.array([se3.exp(t * motion) for t in times]))
+    write_tum(tmp_path / "truth.tum", true_times, np.array([se3.exp(t * motion) for t in true_times]))
+    values = values_of(tmp_path / "estimate.tum", tmp_path / "truth.tum")
+    # The first pose is before the truth, but near enough to its first one.
+    assert (values["poses"], values["estimated_poses"], values["matched_by"]) == (300, 300, "time")
+    assert values["ate_m"] < 0.003  # of that one pose, which is 4 cm off
+
+
+def test_few_poses_with_a_true_one_are_said_and_have_no_segment_errors(tmp_path: Path) -> None:
+    times, true_times = np.arange(300) / 10, 0.003 + np.arange(30) * 1.01
+    write_tum(tmp_path / "estimate.tum", times, drive())
+    write_tum(tmp_path / "truth.tum", true_times, np.array([se3.exp(t * se3.log(drive(11)[10])) for t in true_times]))
+    values = values_of(tmp_path / "estimate.tum", tmp_path / "truth.tum")
+    assert (values["poses"], values["estimated_poses"]) == (6, 300)  # at 0, 9.1, 10.1, 19.2, 20.2 and 29.3 s
+    assert values["t_rel_percent"] is None
+    assert "6 poses are 59 m apart, segments need one in 10 m" in values["notes"]["t_rel_percent"]
+    text = evaluate_trajectory_files(tmp_path / "estimate.tum", tmp_path / "truth.tum")
+    assert text.startswith("6 of 300 poses, matched by time, ")
+    assert "warning: " in text
+    assert "6 of 300 poses have a true pose within 0.01 s or between two at most 0.5 s apart; 294 are left out" in text
+
+
+def test_the_csv_of_euroc_is_a_truth(tmp_path: Path) -> None:
+    times, lines = (
+        1403636579763555584 + 100_000_000 * np.arange(300),
+        ["#timestamp, p_x, p_y, p_z, q_w, q_x, q_y, q_z, v"],
+    )
+    write_tum(tmp_path / "estimate.tum", times / 1e9, drive())
+    for time, row in zip(times, (tmp_path / "estimate.tum").read_text().splitlines(), strict=True):
+        words = row.split()
+        lines.append(",".join([str(time), *words[1:4], words[7], *words[4:7], "0"]))
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    values = values_of(tmp_path / "estimate.tum", tmp_path / "data.csv")
+    assert (values["poses"], values["warnings"]) == (300, [])
+    assert values["ate_m"] < 1e-6
+
+
+def test_other_axes_are_said(tmp_path: Path) -> None:
+    poses, turn = np.array([se3.exp(np.array([0, 0.02 * k, 0, 0, 0, 0])) for k in range(300)]), np.eye(4)
+    poses[:, :3, 3] = np.cumsum(poses[:, :3, 2], axis=0)
+    turn[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    write_kitti(tmp_path / "camera.txt", poses)
+    write_kitti(tmp_path / "vehicle.txt", poses @ se3.inverse(turn))
+    values = values_of(tmp_path / "camera.txt", tmp_path / "vehicle.txt")
+    assert "the axes of the poses differ by 120 degrees" in values["warnings"][0]
+    assert values["ate_m"] < 1e-9
+    assert values_of(tmp_path / "camera.txt", tmp_path / "camera.txt")["warnings"] == []
+
+
+def test_lines_left_out_explain_a_count_that_does_not_agree(tmp_path: Path, truth: Path) -> None:
+    write_tum(tmp_path / "a.tum", np.arange(300.0), drive())
+    lines = (tmp_path / "a.tum").read_text().splitlines()
+    lines[7] = "7.0 nan nan nan nan nan nan nan"
+    (tmp_path / "a.tum").write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"found 299; .* passed over 1 line without a pose .* \(first in line 8\)"):
+        evaluate_trajectory_files(tmp_path / "a.tum", truth)
+
+
+def test_a_warning_is_printed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "drive [one].tum"
+    write_tum(path, np.arange(300.0)[::-1], drive())
+    assert app._exit_code(lambda: app.app(["evaluate", "trajectory", str(path), str(path)])) == 0
+    assert f"warning: {path}: sorted by time, as 299 lines are earlier" in capsys.readouterr().out
+
+
+def test_the_truth_of_a_vehicle_is_moved_to_its_camera_by_the_calibration_beside(tmp_path: Path) -> None:
+    T_body_camera = se3.exp(np.array([0.3, -1.2, 0.8, 0.1, -0.2, 0.3]))
+    times = 1.4e9 + np.arange(200) / 8
+    write_tum(tmp_path / "camera.tum", times, drive(200))
+    write_tum(tmp_path / "body.tum", times, drive(200) @ se3.inverse(T_body_camera))
+    for folder in ("cam0", "state_groundtruth_estimate0"):
+        (tmp_path / folder).mkdir()
+    rows = [line.split() for line in (tmp_path / "body.tum").read_text().splitlines()]
+    lines = [",".join([str(round(float(w[0]) * 1e9)), *w[1:4], w[7], *w[4:7]]) for w in rows]
+    truth = tmp_path / "state_groundtruth_estimate0" / "data.csv"
+    truth.write_text("\n".join(["#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z", *lines]))
+    numbers = ", ".join(map(repr, T_body_camera.ravel().tolist()))
+    (tmp_path / "cam0" / "sensor.yaml").write_text(
+        f"T_BS:\n  data: [{numbers}]\nintrinsics: [400, 400, 300, 200]\ndistortion_coefficients: []\n"
+    )
+    values = values_of(tmp_path / "camera.tum", truth)
+    assert values["end_error_m"] < 1e-6
+    assert values["t_rel_percent"] < 1e-6
+    assert "poses of the vehicle, moved to the left camera" in values["warnings"][0]

@@ -113,3 +113,88 @@ def test_faults_are_one_line_and_leave_nothing_behind(
     assert error.count("\n") == 1
     assert message in error
     assert not Path("out").exists()
+
+
+def test_an_empty_list_of_true_loops_makes_every_kept_loop_false(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o", false=False)
+    graph.with_name("a_GT_LC.txt").write_text("")
+    assert run(graph, "--out", tmp_path / "out") == 0
+    section = read_metrics(tmp_path / "out" / "metrics.json")["graph"]
+    assert isinstance(section, dict)
+    assert (section["true"], section["true_kept"], section["false_kept"]) == (0, 0, section["loops_kept"])
+    assert section["loops_kept"] == 13
+
+
+def test_listed_pairs_that_are_no_loops_are_counted(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o")
+    labels = graph.with_name("a_GT_LC.txt")
+    labels.write_text(labels.read_text() + "70 2\n900 901\n")
+    assert run(graph, "--out", tmp_path / "out") == 0
+    warnings = read_metrics(tmp_path / "out" / "metrics.json")["warnings"]
+    assert isinstance(warnings, list)
+    assert any("passed over 2 pairs that are no loops of the graph, such as 2 70" in warning for warning in warnings)
+
+
+def test_what_is_passed_over_is_on_the_screen_and_in_the_metrics(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    graph = square(tmp_path / "a.g2o")
+    graph.write_text(graph.read_text() + "VERTEX_XY 999 0 0\nEDGE_SE2_XY 0 999 1 1 1 0 1\n")
+    assert run(graph, "--out", tmp_path / "out") == 0
+    sentence = "passed over 1 line EDGE_SE2_XY (first in line 95): landmarks are not supported"
+    assert f"warning: {graph}: {sentence}" in capsys.readouterr().err
+    assert f"{graph}: {sentence}" in read_metrics(tmp_path / "out" / "metrics.json")["warnings"]  # type: ignore[operator]
+
+
+def test_loops_of_vertigo_give_the_result_of_plain_edges(tmp_path: Path) -> None:
+    plain, vertigo = square(tmp_path / "plain.g2o"), square(tmp_path / "vertigo.g2o")
+    lines = plain.read_text().splitlines()
+    loops = [line.split() for line in lines[2 * 4 * SIDE - 1 :]]
+    switchable = [" ".join(["EDGE_SE2_SWITCHABLE", *w[1:3], str(1000 + k), *w[3:]]) for k, w in enumerate(loops)]
+    vertigo.write_text("\n".join(lines[: 2 * 4 * SIDE - 1] + switchable) + "\n")
+    for graph in (plain, vertigo):
+        assert run(graph, "--out", tmp_path / graph.stem) == 0
+    assert (tmp_path / "plain" / "optimized.g2o").read_bytes() == (tmp_path / "vertigo" / "optimized.g2o").read_bytes()
+
+
+def test_a_fixed_pose_keeps_its_place_and_the_file_its_fix_lines(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o")
+    poses = read_g2o(graph).ids
+    vertices = "".join(f"VERTEX_SE2 {key} {0.5 * key} {-0.25 * key} 0.125\n" for key in poses)
+    graph.write_text(vertices + graph.read_text() + "FIX 5 30\n")
+    assert run(graph, "--out", tmp_path / "out") == 0
+    written = read_g2o(tmp_path / "out" / "optimized.g2o")
+    assert (written.fixed, written.also_fixed) == (5, (30,))
+    np.testing.assert_allclose(written.poses[5], read_g2o(graph).poses[5], atol=1e-12)
+
+
+def test_two_robots_keep_their_true_loops_though_a_false_one_joins_neighbours(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o", false=False)
+    first, second, half = ord("a") << 56, ord("b") << 56, 4 * SIDE
+    renamed = []
+    for words in map(str.split, graph.read_text().splitlines()):
+        ids = [int(word) for word in words[1:3]]
+        if ids != [half - 1, half]:
+            names = [str(first + key if key < half else second + key - half) for key in ids]
+            renamed.append(" ".join([words[0], *names, *words[3:]]))
+    false = f"EDGE_SE2 {first + half - 1} {second} 8 3 2 {INFORMATION}"
+    graph.write_text("\n".join([false, *renamed]) + "\n")
+    graph.with_name("a_GT_LC.txt").unlink()
+    assert run(graph, "--out", tmp_path / "out") == 0
+    rows = list(csv.DictReader((tmp_path / "out" / "edges.csv").open()))
+    assert (rows[0]["role"], rows[0]["kept"]) == ("loop", "false")
+    assert [row["kept"] for row in rows if row["role"] == "loop"][1:] == ["true"] * 12
+    assert [row["reason"] for row in rows].count("trusted, as no odometry joins its poses") == 1
+
+
+def test_a_truth_with_lines_without_a_pose_is_refused_as_lines_stand_for_ids(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [f"{k} {k} 0 0 0 0 0 1" for k in range(2 * 4 * SIDE + 1)]
+    lines[3] = "3 nan nan nan nan nan nan nan"
+    (tmp_path / "truth.tum").write_text("\n".join(lines) + "\n")
+    graph = square(tmp_path / "a.g2o")
+    assert run(graph, "--out", tmp_path / "out", "--ground-truth", tmp_path / "truth.tum") == 1
+    error = capsys.readouterr().err
+    assert "passed over 1 line without a pose" in error
+    assert "(first in line 4); expected a pose in each line, as line i is the pose of id i" in error

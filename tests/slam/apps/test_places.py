@@ -14,12 +14,14 @@ import cv2
 import numpy as np
 import pytest
 
+from odometry import se3
 from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
 from place_recognition.recognizer import Belief, StageScores
 from slam.apps.places import drop_recent_matches
 from slam.cli import app
 from slam.io.matches import read_matches
+from slam.io.trajectory_files import write_tum
 from slam.pipeline import place_recognition as places_drive
 
 ROOT = Path(__file__).parents[3]
@@ -542,3 +544,28 @@ def test_the_seed_reaches_the_recogniser(two_laps: Path, tmp_path: Path) -> None
         assert places(two_laps, out, "--seed", seed, paradigm="hierarchical-places") == 0
         scores.append((out / "matrix.npz").read_bytes())
     assert scores[1] == scores[2] != scores[0]
+
+
+def test_remarks_about_the_truth_are_on_the_screen_and_in_the_metrics(
+    two_laps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = np.eye(2 * LAP, k=LAP)
+    stored[50, 2] = 1
+    np.savez(tmp_path / "upper.npz", truth=stored)
+    out = tmp_path / "out"
+    assert places(two_laps, out, "--ground-truth", tmp_path / "upper.npz", paradigm="pixel-sequences") == 0
+    remark = "upper.npz: the upper triangle is used with 30 entries; passed over 1 entry below the diagonal"
+    assert remark in capsys.readouterr().err
+    assert remark in metrics(out)["warnings"][0]
+    assert metrics(out)["places"]["truth_rows"] == LAP
+
+
+def test_a_truth_of_another_rate_is_matched_by_time(two_laps: Path, tmp_path: Path) -> None:
+    turn = np.array([0.0, 2 * np.pi / LAP, 0.0, 0.0, 0.0, 5.0])  # an image's
+    for name, steps in (("same.tum", np.arange(2 * LAP)), ("fast.tum", np.arange(0.0, 2 * LAP, 0.25))):
+        write_tum(tmp_path / name, steps / 10, np.array([se3.exp(step * turn) for step in steps]))
+        arguments = ["--fps", 10, "--ground-truth", tmp_path / name]
+        assert places(two_laps, tmp_path / name[:4], *arguments, paradigm="pixel-sequences") == 0
+    same, fast = metrics(tmp_path / "same")["places"], metrics(tmp_path / "fast")["places"]
+    assert same["truth_rows"] == fast["truth_rows"] > 0
+    assert same["average_precision"] == fast["average_precision"]

@@ -205,7 +205,7 @@ def test_damage_in_the_plane_is_named_with_its_line(tmp_path: Path, line: str, m
         (f"EDGE_SE2 1 1 0 0 0 {UNIT_PLANE}", r"line 3: an edge joins a pose to itself and is left out", 0),
         ("EDGE_SE2 0 1 1 0 0 0 0 0 0 0 0", r"line 3: an edge has zero information and is left out", 0),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 0", r"line 3: an edge has no information in some direction", 1),
-        (f"EDGE_PRIOR_SE2 0 0 0 0 {UNIT_PLANE}", r"line 3: 1 priors are ignored", 0),
+        (f"EDGE_PRIOR_SE2 0 0 0 0 {UNIT_PLANE}", r"1 line EDGE_PRIOR_SE2 \(first in line 3\): priors are ignored", 0),
     ],
 )
 def test_what_can_be_repaired_is_with_a_warning(tmp_path: Path, line: str, message: str, left: int) -> None:
