@@ -117,8 +117,8 @@ def summary(states: dict, junctions) -> tuple[float, float]:
             places[state[0]] = places.get(state[0], 0.0) + value
     peak = max(places, key=lambda place: (places[place], -place))
     near = {place: value for place, value in places.items() if abs(place - peak) <= place_filter._MATCH_RADIUS}
-    ways = [*junctions, *(tuple(reversed(ends)) for ends in junctions)]
-    steps_over = {place: [abs(peak - a) + 1 + abs(b - place) for a, b in ways] for place in places}
+    links = [*junctions, *(tuple(reversed(ends)) for ends in junctions)]
+    steps_over = {place: [abs(peak - a) + 1 + abs(b - place) for a, b in links] for place in places}
     beyond = sum(
         value
         for place, value in places.items()
@@ -182,7 +182,7 @@ def test_the_posterior_is_that_of_all_sequences_of_states(candidates, sharpness,
 
 @settings(max_examples=15)
 @given(st.lists(CANDIDATES, min_size=3, max_size=3), st.lists(st.integers(38, 48), min_size=2, max_size=4), CONFIGS)
-def test_where_passes_part_all_ways_are_counted_exactly(candidates, ends, config):
+def test_where_passes_part_each_route_is_counted_exactly(candidates, ends, config):
     junctions = [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=False) if abs(a - b) > 3]
     places = [[(40 + place, ratio) for place, ratio in some] for some in candidates]
     check_against_enumeration([observe(*some, junctions=junctions) for some in places], config)
@@ -307,7 +307,7 @@ def test_a_revisit_goes_on_through_a_few_steps_without_candidates():
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_revisit_goes_on_where_the_earlier_pass_left_a_still_earlier_one(direction):
-    """Steps up to 500 showed the places up to 60, and from 501 on places of their own: the way is one."""
+    """Steps up to 500 showed the places up to 60, and from 501 on places of their own: it is one street."""
     shown = [*range(51, 61), *range(501, 511)][::direction]
 
     def answers(junctions) -> list[PlacePosterior]:
