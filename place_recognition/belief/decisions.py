@@ -67,7 +67,8 @@ class SmoothedDecision:
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
         ratios = log_ratios(np.array(nearest), evidence)
-        return Observation(self._places(results), ratios, log_ratios_elsewhere(ratios, evidence), sharpness(evidence))
+        elsewhere = log_ratios_elsewhere(ratios, evidence)
+        return Observation(self._places(results), ratios, elsewhere, sharpness(evidence), self._steps.junctions())
 
     def _answer_oldest(self) -> Belief:
         proposals, results = self._waiting.popleft()

@@ -13,11 +13,10 @@ Equations: docs/math.md. Reasons and figures: docs/decisions/place_filter.md.
 """
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -70,12 +69,14 @@ class Observation:
         log_ratios: (K,) log10 of their likelihood ratios against a new place.
         elsewhere: (K,) log10 of those of their places seen from elsewhere.
         sharpness: (K,) factor, at least 1, by which a place is known better than usual (inverse variance).
+        junctions: (J, 2) places that successive steps show, far apart: there a pass meets or leaves an earlier one.
     """
 
     places: Indices
     log_ratios: Array
     elsewhere: Array
     sharpness: Array
+    junctions: Indices = field(default_factory=lambda: np.empty((0, 2), np.int64))
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ class _Message:
         likelihood: (N, S) likelihood ratio of each place and speed.
         births: (N,) probability that a revisit begins there.
         begin: probability that a revisit begins anywhere: 0 where nothing was observed.
+        junctions: (J, 2) of the observation.
     """
 
     places: Indices
@@ -112,6 +114,7 @@ class _Message:
     likelihood: Array
     births: Array
     begin: float
+    junctions: Indices
 
 
 class PlaceFilter:
@@ -123,7 +126,7 @@ class PlaceFilter:
 
     def add(self, observation: Observation) -> None:
         """Add the observation of the next step: predict, add births, weigh by the likelihood, normalise, prune."""
-        places, mass, new = self._predict()
+        places, mass, new = self._predict(observation.junctions)
         born = _around(observation.places, _BIRTH_RADIUS)
         begin = self.config.begin_probability if len(born) else 0.0
         birth = begin / max(len(born), 1)
@@ -140,16 +143,19 @@ class PlaceFilter:
         keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
         keep = keep[(at_place[keep] > _MIN_MASS) & (union[keep] >= 0)]
         mass, new = joint[keep] / total, new / total
-        self._window.append(_Message(union[keep], mass, new, likelihood[keep], births[keep], begin))
+        self._window.append(
+            _Message(union[keep], mass, new, likelihood[keep], births[keep], begin, observation.junctions)
+        )
 
-    def _predict(self) -> tuple[Indices, Array, float]:
+    def _predict(self, junctions: Indices) -> tuple[Indices, Array, float]:
         """Places and mass (N, S) after one more step of all revisits that go on, and the probability of a new place."""
         if not self._window:
             return np.empty(0, np.int64), np.empty((0, len(_SPEEDS))), 1.0
         last, ends = self._window[-1], self.config.end_probability
-        moved = (1 - ends) * (last.mass @ _SPEED_CHANGES)[:, None, :] * _MOVE_PROBABILITIES.T
-        places = (last.places[:, None] + _MOVES).ravel()
-        return places, moved.reshape(-1, len(_SPEEDS)), last.new + ends * float(last.mass.sum())
+        routes = _routes(last.places, junctions)
+        moved = (last.mass @ _SPEED_CHANGES)[routes.origins] * _MOVE_PROBABILITIES.T[routes.moves]
+        mass = (1 - ends) * routes.shares[:, None] * moved
+        return routes.places, mass, last.new + ends * float(last.mass.sum())
 
     def _likelihood(self, observation: Observation, places: Indices) -> Array:
         """Likelihood ratio (N, S) of each place and speed: of the candidate that explains it best, or of a miss."""
@@ -169,12 +175,14 @@ class PlaceFilter:
         for before, after in zip(later[-2::-1], later[:0:-1], strict=True):
             future, new = self._backward(before, after, future, new)
         both = later[0].mass * future
-        return _summarize(later[0].places, both @ _AT_PLACE, later[0].new * new + float((both @ ~_AT_PLACE).sum()))
+        elsewhere = later[0].new * new + float((both @ ~_AT_PLACE).sum())
+        return _summarize(later[0].places, both @ _AT_PLACE, elsewhere, later[-1].junctions)
 
     def _backward(self, before: _Message, after: _Message, future: Array, new: float) -> tuple[Array, float]:
         """One step of the backward pass, from the message of a step to that of the step before it."""
         weighted, ends = after.likelihood * future, self.config.end_probability
-        goes_on = _gather(before.places, after.places, weighted, _MOVE_PROBABILITIES) @ _SPEED_CHANGES.T
+        routes = _routes(before.places, after.junctions)
+        goes_on = _gather(routes, len(before.places), after.places, weighted) @ _SPEED_CHANGES.T
         earlier = (1 - ends) * goes_on + ends * new
         begins = float(after.births @ (weighted @ _BIRTH_SPEEDS))
         earlier_new = (1 - after.begin) * new + begins
@@ -190,35 +198,56 @@ class PlaceFilter:
         self._window.extend(_Message(**message) for message in state)
 
 
-@njit(cache=True)
-def _gather(places: Indices, after: Indices, weighted: Array, moves: Array) -> Array:
-    """Sum (N, S) of the weights (M, S) of the places `after` that each place may move to, rising both.
+class _Routes(NamedTuple):
+    """R moves of places: index of the place that moves, where, by which move, and the share that goes there."""
 
-    moves: (S, 7) probability of each move at each speed.
-    """
-    out = np.zeros((len(places), weighted.shape[1]))
-    half, first = moves.shape[1] // 2, 0
-    for i in range(len(places)):
-        while first < len(after) and after[first] < places[i] - half:
-            first += 1
-        k = first
-        while k < len(after) and after[k] <= places[i] + half:
-            move = after[k] - places[i] + half
-            for speed in range(weighted.shape[1]):
-                out[i, speed] += moves[speed, move] * weighted[k, speed]
-            k += 1
+    origins: Indices
+    places: Indices
+    moves: Indices
+    shares: Array
+
+
+def _routes(places: Indices, junctions: Indices) -> _Routes:
+    """All moves of places (N,), along the pass and over the junctions (J, 2) on the way, in equal shares."""
+    to = places[:, None] + _MOVES
+    first, last = junctions[:, 0, None, None], junctions[:, 1, None, None]
+    forward = (places[:, None] <= first) & (places[:, None] > first - len(_MOVES)) & (to > first)
+    backward = (places[:, None] >= last) & (places[:, None] < last + len(_MOVES)) & (to < last)
+    junction, origins, moves = np.nonzero(forward | backward)
+    beyond = np.where(forward, last - first - 1, first - last + 1) + to
+    shares = 1.0 / (1 + np.count_nonzero(forward | backward, axis=0))
+    rows, columns = np.indices(to.shape)
+    return _Routes(
+        np.concatenate([rows.ravel(), origins]),
+        np.concatenate([to.ravel(), beyond[junction, origins, moves]]),
+        np.concatenate([columns.ravel(), moves]),
+        np.concatenate([shares.ravel(), shares[origins, moves]]),
+    )
+
+
+def _gather(routes: _Routes, count: int, after: Indices, weighted: Array) -> Array:
+    """Sum (count, S) of the weights (M, S) of the places `after` that each place may move to."""
+    out = np.zeros((count, weighted.shape[1]))
+    if len(after):
+        found = np.minimum(np.searchsorted(after, routes.places), len(after) - 1)
+        shares = np.where(after[found] == routes.places, routes.shares, 0.0)
+        np.add.at(out, routes.origins, shares[:, None] * _MOVE_PROBABILITIES.T[routes.moves] * weighted[found])
     return out
 
 
-def _summarize(places: Indices, mass: Array, new: float) -> PlacePosterior:
+def _summarize(places: Indices, mass: Array, new: float, junctions: Indices) -> PlacePosterior:
     """The most likely place: the mean of those around the one of most mass, and how likely they are together."""
     if len(places) == 0 or mass.max() <= 0:
         return PlacePosterior(None, 0.0, _MIN_LOG_ODDS)
-    near = np.abs(places - places[int(mass.argmax())]) <= _MATCH_RADIUS
-    inside, total = float(mass[near].sum()), float(mass.sum()) + new
+    best = int(places[mass.argmax()])
+    near = np.abs(places - best) <= _MATCH_RADIUS
+    over = np.abs(junctions - best) + 1 + np.abs(places[:, None, None] - junctions[:, ::-1])
+    beyond = over.min(axis=(1, 2), initial=_MATCH_RADIUS + 1)
+    inside, total = float(mass[near | (beyond <= _MATCH_RADIUS)].sum()), float(mass.sum()) + new
     odds = inside / max(total - inside, 1e-300)
     log_odds = max(float(np.log10(max(odds, 1e-300))), _MIN_LOG_ODDS)
-    return PlacePosterior(round(float(mass[near] @ places[near]) / inside), inside / total, log_odds)
+    place = round(float(mass[near] @ places[near]) / float(mass[near].sum()))
+    return PlacePosterior(place, inside / total, log_odds)
 
 
 def _around(locations: Indices, radius: int) -> Indices:

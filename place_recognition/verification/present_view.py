@@ -27,6 +27,7 @@ _RETURN_RATIO = 3.0  # growth of the agreement with the beginning of the view by
 
 _MAX_RATIO = 0.8  # of nearest to second nearest descriptor distance, as in the verification of candidates
 _STEP_FEATURES = 150  # strongest features of each image that are compared to see whether the camera has moved
+_BESIDE = 3  # places within which successive steps show one stretch: recognised places are not exact
 _STEP_SHARE = 0.0025  # displacement of the features by which it has, as a share of the image width
 
 
@@ -179,6 +180,12 @@ class CameraSteps:
     def recognize(self, step: int, place: int) -> None:
         """Let a step show an earlier place from now on."""
         self._places.rows.reshape(-1)[step] = place
+
+    def junctions(self) -> NDArray[np.int64]:
+        """Return the places (J, 2) of successive steps where they lie apart: a pass meets or leaves an earlier one."""
+        shown = self._places.rows.reshape(-1)
+        apart = np.flatnonzero(np.abs(np.diff(shown)) > _BESIDE)
+        return np.stack([shown[apart], shown[apart + 1]], axis=1)
 
     def images(self, step: int) -> range:
         """Return the locations of the images of a step."""

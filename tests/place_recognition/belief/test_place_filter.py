@@ -2,6 +2,7 @@
 
 import copy
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,12 +19,13 @@ NOTHING = Observation(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(
 CANDIDATES = st.lists(st.tuples(st.integers(0, 6), st.floats(-1.5, 4)), max_size=2)
 
 
-def observe(*candidates: tuple[int, float], sharpness: float = 1.0) -> Observation:
-    """Candidates (place, log10 of the likelihood ratio)."""
+def observe(*candidates: tuple[int, float], sharpness: float = 1.0, junctions=()) -> Observation:
+    """Candidates (place, log10 of the likelihood ratio), and junctions (place, place)."""
     places, ratios = zip(*candidates, strict=True) if candidates else ((), ())
     place_ratios = np.array(ratios, float)
     elsewhere = np.minimum(place_ratios, MAX_ELSEWHERE)
-    return Observation(np.array(places, np.int64), place_ratios, elsewhere, np.full(len(places), sharpness))
+    links = np.array(junctions, np.int64).reshape(-1, 2)
+    return Observation(np.array(places, np.int64), place_ratios, elsewhere, np.full(len(places), sharpness), links)
 
 
 def run(observations, **settings_of_filter) -> list[PlacePosterior]:
@@ -74,8 +76,20 @@ def successors(state, observation: Observation, config: PlaceFilterConfig):
     yield NEW, config.end_probability
     for other, change in enumerate(place_filter._SPEED_CHANGES[speed]):
         for move, chance in zip(MOVES, place_filter._MOVE_PROBABILITIES[other], strict=True):
-            if chance > 0:
-                yield (place + move, other), (1 - config.end_probability) * change * chance
+            there = destinations(place, move, observation.junctions.tolist())
+            for goal in there if chance > 0 else ():
+                yield (goal, other), (1 - config.end_probability) * change * chance / len(there)
+
+
+def destinations(place: int, move: int, junctions) -> list[int]:
+    """Where a move leads: along the pass, and over each junction on its way."""
+    goals = [place + move]
+    for first, last in junctions:
+        if place <= first < place + move:
+            goals.append(last + place + move - first - 1)
+        if place >= last > place + move:
+            goals.append(first + place + move - last + 1)
+    return goals
 
 
 def posterior_by_enumeration(observations, step: int, config: PlaceFilterConfig) -> dict:
@@ -95,16 +109,23 @@ def posterior_by_enumeration(observations, step: int, config: PlaceFilterConfig)
     return {state: value / total for state, value in mass.items()}
 
 
-def summary(states: dict) -> tuple[float, float]:
-    """Mean place and probability of the places around the likeliest one, at whatever speed but 0."""
+def summary(states: dict, junctions) -> tuple[float, float]:
+    """Mean place of those around the likeliest one, and their probability with those beyond a junction; not speed 0."""
     places: dict[int, float] = {}
     for state, value in states.items():
         if state is not NEW and place_filter._SPEEDS[state[1]] != 0:
             places[state[0]] = places.get(state[0], 0.0) + value
     peak = max(places, key=lambda place: (places[place], -place))
     near = {place: value for place, value in places.items() if abs(place - peak) <= place_filter._MATCH_RADIUS}
+    links = [*junctions, *(tuple(reversed(ends)) for ends in junctions)]
+    steps_over = {place: [abs(peak - a) + 1 + abs(b - place) for a, b in links] for place in places}
+    beyond = sum(
+        value
+        for place, value in places.items()
+        if place not in near and min(steps_over[place], default=np.inf) <= place_filter._MATCH_RADIUS
+    )
     inside = sum(near.values())
-    return sum(place * value for place, value in near.items()) / inside, inside
+    return sum(place * value for place, value in near.items()) / inside, inside + beyond
 
 
 @contextmanager
@@ -147,7 +168,7 @@ def check_against_enumeration(observations, config: PlaceFilterConfig) -> None:
             if all(state is NEW for state in states):
                 assert answer.place is None
                 continue
-            place, probability = summary(states)
+            place, probability = summary(states, observations[until - 1].junctions.tolist())
             assert answer.probability == pytest.approx(probability, abs=1e-9)
             assert abs(answer.place - place) <= 0.5 + 1e-6
 
@@ -157,6 +178,14 @@ def check_against_enumeration(observations, config: PlaceFilterConfig) -> None:
 def test_the_posterior_is_that_of_all_sequences_of_states(candidates, sharpness, config):
     places = [[(40 + place, ratio) for place, ratio in some] for some in candidates]
     check_against_enumeration([observe(*some, sharpness=sharpness) for some in places], config)
+
+
+@settings(max_examples=15)
+@given(st.lists(CANDIDATES, min_size=3, max_size=3), st.lists(st.integers(38, 48), min_size=2, max_size=4), CONFIGS)
+def test_where_passes_part_each_route_is_counted_exactly(candidates, ends, config):
+    junctions = [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=False) if abs(a - b) > 3]
+    places = [[(40 + place, ratio) for place, ratio in some] for some in candidates]
+    check_against_enumeration([observe(*some, junctions=junctions) for some in places], config)
 
 
 def test_a_step_without_candidates_between_others_is_smoothed_exactly():
@@ -274,6 +303,21 @@ def test_a_revisit_goes_on_through_a_few_steps_without_candidates():
     assert all(answers[k].probability > 0.99 for k in (33, 34, 35))
     assert [answers[k].place for k in (33, 34, 35)] == [63, 64, 65]
     assert all(answers[k].probability < 0.5 for k in (57, 58, 59))  # after the end there is nothing to go on to
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_revisit_goes_on_where_the_earlier_pass_left_a_still_earlier_one(direction):
+    """Steps up to 500 showed the places up to 60, and from 501 on places of their own: it is one street."""
+    shown = [*range(51, 61), *range(501, 511)][::direction]
+
+    def answers(junctions) -> list[PlacePosterior]:
+        passed = [*quiet(20), *(observe((place, 2.0)) for place in shown), *quiet(20)]
+        links = np.array(junctions, np.int64).reshape(-1, 2)
+        return run([replace(each, junctions=links) for each in passed])[20:40]
+
+    assert accepted(answers([(60, 501)]))[5:15].all()
+    assert not accepted(answers([]))[5:15].all()
+    assert [answer.place for answer in answers([(60, 501)])][5:15] == pytest.approx(shown[5:15], abs=1)
 
 
 def test_of_two_lines_the_one_of_more_evidence_is_chosen():

@@ -179,3 +179,11 @@ def test_a_step_shows_a_place_of_its_own_until_it_is_recognised():
     steps.recognize(30, 7)
     assert steps.places(locations).tolist() == [7 if step == 30 else step for step in own]
     assert [steps.of(k) for k in range(44)] == own
+
+
+def test_passes_meet_where_a_recognised_step_follows_one_of_a_place_of_its_own_and_part_where_the_next_does():
+    steps = steps_of(np.arange(40.0))
+    assert steps.junctions().tolist() == []
+    for step, place in ((30, 7), (31, 8), (32, 8), (33, 11)):
+        steps.recognize(step, place)
+    assert steps.junctions().tolist() == [[29, 7], [11, 34]]
