@@ -14,9 +14,10 @@ Equations: docs/math.md. Reasons and figures: docs/decisions/place_filter.md.
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ _ANY_SPEED = 0.02  # share of these changes that lead to any speed
 _BIRTH_RADIUS = 2  # a revisit may begin this many steps beside a candidate
 _MAX_PLACES, _MIN_MASS = 60, 1e-9  # only places with mass are kept
 _MATCH_RADIUS = 3  # steps within which places are one match
+_OUT_OF_REACH = 4  # steps: no move leads that far, and no match extends that far
 _MIN_LOG_ODDS = -30.0
 
 
@@ -96,7 +98,7 @@ class PlacePosterior:
 
 @dataclass(frozen=True)
 class _Message:
-    """Forward message of one step and the likelihoods that the backward pass needs.
+    """Forward message of one step and what the backward pass needs.
 
     Attributes:
         places: (N,) places with mass, rising.
@@ -105,6 +107,8 @@ class _Message:
         likelihood: (N, S) likelihood ratio of each place and speed.
         births: (N,) probability that a revisit begins there.
         begin: probability that a revisit begins anywhere: 0 where nothing was observed.
+        routes: (R, 3) moves that led here: row of the place before, row of the place here, column of the move.
+        shares: (R,) share of the move that took each route.
         junctions: (J, 2) of the observation.
     """
 
@@ -114,6 +118,8 @@ class _Message:
     likelihood: Array
     births: Array
     begin: float
+    routes: Indices
+    shares: Array
     junctions: Indices
 
 
@@ -126,36 +132,32 @@ class PlaceFilter:
 
     def add(self, observation: Observation) -> None:
         """Add the observation of the next step: predict, add births, weigh by the likelihood, normalise, prune."""
-        places, mass, new = self._predict(observation.junctions)
+        last, ends = self._window[-1] if self._window else _before_the_first(), self.config.end_probability
+        origins, moves, ahead, shares = _routes(last.places, _near(observation.junctions, last.places))
         born = _around(observation.places, _BIRTH_RADIUS)
         begin = self.config.begin_probability if len(born) else 0.0
         birth = begin / max(len(born), 1)
-        union, index = np.unique(np.concatenate([places, born]), return_inverse=True)
-        predicted = np.zeros((len(union), len(_SPEEDS)))
-        stays_new = self._window[-1].new if self._window else 1.0
-        begins = np.full((len(born), 1), stays_new * birth) * _BIRTH_SPEEDS
-        np.add.at(predicted, index, np.concatenate([mass, begins]))
-        likelihood, births = self._likelihood(observation, union), np.where(np.isin(union, born), birth, 0.0)
-        joint = predicted * likelihood
-        new -= stays_new * begin
+        places, rows = np.unique(np.concatenate([ahead, born]), return_inverse=True)
+        moved, began = rows[: len(ahead)], rows[len(ahead) :]
+        joint = np.zeros((len(places), len(_SPEEDS)))
+        goes_on = (last.mass @ _SPEED_CHANGES)[origins] * _MOVE_PROBABILITIES.T[moves]
+        np.add.at(joint, moved, (1 - ends) * shares[:, None] * goes_on)
+        joint[began] += last.new * birth * _BIRTH_SPEEDS
+        likelihood = self._likelihood(observation, places)
+        joint *= likelihood
+        new = (1 - begin) * last.new + ends * float(last.mass.sum())
         total = float(joint.sum()) + new
-        at_place = joint.sum(axis=1) / total
-        keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
-        keep = keep[(at_place[keep] > _MIN_MASS) & (union[keep] >= 0)]
-        mass, new = joint[keep] / total, new / total
+        keep = _likeliest(places, joint.sum(axis=1) / total)
+        births, here = np.zeros(len(places)), np.full(len(places), -1)
+        births[began], here[keep] = birth, np.arange(len(keep))
+        routes = np.stack([origins, here[moved], moves], axis=1)
+        kept = routes[:, 1] >= 0
         self._window.append(
-            _Message(union[keep], mass, new, likelihood[keep], births[keep], begin, observation.junctions)
-        )
-
-    def _predict(self, junctions: Indices) -> tuple[Indices, Array, float]:
-        """Places and mass (N, S) after one more step of all revisits that go on, and the probability of a new place."""
-        if not self._window:
-            return np.empty(0, np.int64), np.empty((0, len(_SPEEDS))), 1.0
-        last, ends = self._window[-1], self.config.end_probability
-        routes = _routes(last.places, junctions)
-        moved = (last.mass @ _SPEED_CHANGES)[routes.origins] * _MOVE_PROBABILITIES.T[routes.moves]
-        mass = (1 - ends) * routes.shares[:, None] * moved
-        return routes.places, mass, last.new + ends * float(last.mass.sum())
+            _Message(
+                places[keep], joint[keep] / total, new / total, likelihood[keep], births[keep], begin,
+                routes[kept], shares[kept], observation.junctions,
+            )
+        )  # fmt: skip
 
     def _likelihood(self, observation: Observation, places: Indices) -> Array:
         """Likelihood ratio (N, S) of each place and speed: of the candidate that explains it best, or of a miss."""
@@ -181,9 +183,8 @@ class PlaceFilter:
     def _backward(self, before: _Message, after: _Message, future: Array, new: float) -> tuple[Array, float]:
         """One step of the backward pass, from the message of a step to that of the step before it."""
         weighted, ends = after.likelihood * future, self.config.end_probability
-        routes = _routes(before.places, after.junctions)
-        goes_on = _gather(routes, len(before.places), after.places, weighted) @ _SPEED_CHANGES.T
-        earlier = (1 - ends) * goes_on + ends * new
+        goes_on = _gather(after.routes, after.shares, weighted, len(before.places), _MOVE_PROBABILITIES)
+        earlier = (1 - ends) * (goes_on @ _SPEED_CHANGES.T) + ends * new
         begins = float(after.births @ (weighted @ _BIRTH_SPEEDS))
         earlier_new = (1 - after.begin) * new + begins
         scale = max(earlier_new, float(earlier.max(initial=0.0)))
@@ -198,41 +199,55 @@ class PlaceFilter:
         self._window.extend(_Message(**message) for message in state)
 
 
-class _Routes(NamedTuple):
-    """R moves of places: index of the place that moves, where, by which move, and the share that goes there."""
-
-    origins: Indices
-    places: Indices
-    moves: Indices
-    shares: Array
+def _before_the_first() -> _Message:
+    """Before the first step the place is new."""
+    mass, rows = np.empty((0, len(_SPEEDS))), np.empty((0, 3), np.int64)
+    return _Message(rows[:, 0], mass, 1.0, mass, mass[:, 0], 0.0, rows, mass[:, 0], rows[:, :2])
 
 
-def _routes(places: Indices, junctions: Indices) -> _Routes:
-    """All moves of places (N,), along the pass and over the junctions (J, 2) on the way, in equal shares."""
+def _near(junctions: Indices, places: Indices) -> Indices:
+    """The junctions (J, 2) that a place of (N,) may reach by one move, or that part places of one match."""
+    away = np.abs(junctions[:, :, None] - places).min(axis=(1, 2), initial=_OUT_OF_REACH)
+    return junctions[away < _OUT_OF_REACH]
+
+
+def _routes(places: Indices, junctions: Indices) -> tuple[Indices, Indices, Indices, Array]:
+    """All moves of places (N,), along the pass and over the junctions (J, 2) on the way, in equal shares.
+
+    Returns:
+        Of R routes: row of the place, column of the move, where it leads, and its share of the move, (R,) each.
+    """
     to = places[:, None] + _MOVES
     first, last = junctions[:, 0, None, None], junctions[:, 1, None, None]
-    forward = (places[:, None] <= first) & (places[:, None] > first - len(_MOVES)) & (to > first)
-    backward = (places[:, None] >= last) & (places[:, None] < last + len(_MOVES)) & (to < last)
+    forward = (places[:, None] <= first) & (to > first)
+    backward = (places[:, None] >= last) & (to < last)
     junction, origins, moves = np.nonzero(forward | backward)
-    beyond = np.where(forward, last - first - 1, first - last + 1) + to
+    beyond = to + np.where(forward, last - first - 1, first - last + 1)
     shares = 1.0 / (1 + np.count_nonzero(forward | backward, axis=0))
-    rows, columns = np.indices(to.shape)
-    return _Routes(
-        np.concatenate([rows.ravel(), origins]),
+    rows, columns = (index.ravel() for index in np.indices(to.shape))
+    return (
+        np.concatenate([rows, origins]),
+        np.concatenate([columns, moves]),
         np.concatenate([to.ravel(), beyond[junction, origins, moves]]),
-        np.concatenate([columns.ravel(), moves]),
         np.concatenate([shares.ravel(), shares[origins, moves]]),
     )
 
 
-def _gather(routes: _Routes, count: int, after: Indices, weighted: Array) -> Array:
-    """Sum (count, S) of the weights (M, S) of the places `after` that each place may move to."""
+@njit(cache=True)
+def _gather(routes: Indices, shares: Array, weighted: Array, count: int, probabilities: Array) -> Array:
+    """Sum (count, S) of the weights (M, S) of the places that each place may move to; probabilities (S, moves)."""
     out = np.zeros((count, weighted.shape[1]))
-    if len(after):
-        found = np.minimum(np.searchsorted(after, routes.places), len(after) - 1)
-        shares = np.where(after[found] == routes.places, routes.shares, 0.0)
-        np.add.at(out, routes.origins, shares[:, None] * _MOVE_PROBABILITIES.T[routes.moves] * weighted[found])
+    for k in range(len(routes)):
+        origin, here, move = routes[k]
+        for speed in range(weighted.shape[1]):
+            out[origin, speed] += shares[k] * probabilities[speed, move] * weighted[here, speed]
     return out
+
+
+def _likeliest(places: Indices, at_place: Array) -> Indices:
+    """Rows of the places (N,) that are kept, rising: those of most mass (N,)."""
+    keep = np.sort(np.argsort(-at_place, kind="stable")[:_MAX_PLACES])
+    return keep[(at_place[keep] > _MIN_MASS) & (places[keep] >= 0)]
 
 
 def _summarize(places: Indices, mass: Array, new: float, junctions: Indices) -> PlacePosterior:
@@ -241,9 +256,10 @@ def _summarize(places: Indices, mass: Array, new: float, junctions: Indices) -> 
         return PlacePosterior(None, 0.0, _MIN_LOG_ODDS)
     best = int(places[mass.argmax()])
     near = np.abs(places - best) <= _MATCH_RADIUS
-    over = np.abs(junctions - best) + 1 + np.abs(places[:, None, None] - junctions[:, ::-1])
-    beyond = over.min(axis=(1, 2), initial=_MATCH_RADIUS + 1)
-    inside, total = float(mass[near | (beyond <= _MATCH_RADIUS)].sum()), float(mass.sum()) + new
+    links = _near(junctions, np.array([best]))
+    over = np.abs(links - best) + 1 + np.abs(places[:, None, None] - links[:, ::-1])
+    beyond = over.min(axis=(1, 2), initial=_OUT_OF_REACH) <= _MATCH_RADIUS
+    inside, total = float(mass[near | beyond].sum()), float(mass.sum()) + new
     odds = inside / max(total - inside, 1e-300)
     log_odds = max(float(np.log10(max(odds, 1e-300))), _MIN_LOG_ODDS)
     place = round(float(mass[near] @ places[near]) / float(mass[near].sum()))

@@ -4,9 +4,13 @@ What the papers leave open, and how it is filled here: docs/decisions/published_
 """
 
 import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
 
-from place_recognition.belief.decisions import PublishedDecisionConfig
+from place_recognition.belief.decisions import Results, stage_scores
 from place_recognition.belief.matrix_filter import DIAGONAL, LEARNED, FilterConfig
+from place_recognition.map.image_history import ImageHistory
 from place_recognition.map.place_map import PlaceSegmentationConfig
 from place_recognition.map.sequence_map import FixedDistanceConfig, WordVarianceConfig
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlacesConfig
@@ -17,6 +21,7 @@ from place_recognition.paradigms.sequences import (
 )
 from place_recognition.paradigms.tracked_words import TrackedWordsConfig
 from place_recognition.paradigms.whole_images import PixelSequencesConfig
+from place_recognition.recognizer import Belief, Proposals
 from place_recognition.vocabulary.growing_neural_gas import GasConfig
 from place_recognition.vocabulary.word_tracking import TrackConfig
 
@@ -85,6 +90,77 @@ def tracked_words() -> TrackedWordsConfig:
 def pixel_sequences() -> PixelSequencesConfig:
     """Return the numbers of ICRA 2012: lines of 10 images at 0.8 to 1.2 of the speed."""
     return PixelSequencesConfig(speed_ratios=(0.8, 0.9, 1.0, 1.1, 1.2), max_candidates=1)
+
+
+@dataclass(frozen=True)
+class PublishedDecisionConfig:
+    """Thresholds of a published method.
+
+    Attributes:
+        min_score: smallest score of the paradigm of an accepted match, on its own scale.
+        min_exclusion_s: age below which no image is matched, seconds; 0 leaves it to the paradigm.
+        min_inliers: smallest number of matches that agree with one fundamental matrix; 0 asks for no geometry.
+        min_consistent_frames: number of successive images, the query included, whose matches must lie near one another;
+            1 asks for no temporal consistency. beta in the paper of the hierarchical places.
+        max_gap_frames: largest distance of the matches of two successive images that lie near one another.
+    """
+
+    min_score: float = 0.0
+    min_exclusion_s: float = 40.0
+    min_inliers: int = 12
+    min_consistent_frames: int = 1
+    max_gap_frames: int = 10
+
+
+class PublishedDecision:
+    """Accepts the first candidate of each query if it passes every threshold (a Decision).
+
+    Nothing is shared between images but a temporal gate.
+    """
+
+    def __init__(self, history: ImageHistory, config: PublishedDecisionConfig) -> None:
+        self._history, self._config = history, config
+        self._recent: deque[int | None] = deque(maxlen=config.min_consistent_frames)  # matches of the latest queries
+
+    def add(self, proposals: Proposals, results: Results) -> list[Belief]:
+        """Add the candidates of the next query and return the belief about it."""
+        query, stages = int(self._history.ids[proposals.query]), stage_scores(self._history, proposals, results)
+        result = results[0] if results else None
+        verified = result is not None and result.inliers >= self._config.min_inliers
+        passes = verified and proposals.scores[0] >= self._config.min_score
+        self._recent.append(result.location if passes and result is not None else None)
+        if result is None or not verified:
+            return [Belief(query, None, 0.0, accepted=False, verified=False, stages=stages)]
+        belief = Belief(
+            query=query,
+            match=int(self._history.ids[result.location]),
+            score=proposals.scores[0],
+            accepted=self._is_consistent(),
+            inliers=result.inliers,
+            verified=verified,
+            pixels=result.pixels,
+            stages=stages,
+        )
+        return [belief]
+
+    def _is_consistent(self) -> bool:
+        """Whether the latest matches, that of the query included, all passed and lie near one another."""
+        recent = [location for location in self._recent if location is not None]
+        if len(recent) < self._config.min_consistent_frames:
+            return False
+        return all(abs(b - a) <= self._config.max_gap_frames for a, b in pairwise(recent))
+
+    def finish(self) -> list[Belief]:
+        """Return nothing: each query is answered at once."""
+        return []
+
+    def state(self) -> list[int | None]:
+        """The matches of the latest queries, for a checkpoint."""
+        return list(self._recent)
+
+    def restore(self, state: list[int | None]) -> None:
+        """Continue from a state."""
+        self._recent.extend(state)
 
 
 # Thresholds of the decisions. P1 and P2: the threshold of the filter, 12 inliers (IROS 2016, Table III) and two

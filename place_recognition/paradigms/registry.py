@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.belief.decisions import PublishedDecision, SmoothedDecision
+from place_recognition.belief.decisions import SmoothedDecision
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
@@ -202,7 +202,7 @@ def _stages(
         epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
         exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)
         window = FixedWindow(history, config.view.exclusion_frames)
-        decision: Decision = PublishedDecision(history, published.DECISIONS.get(name, published.CONTROL))
+        decision: Decision = published.PublishedDecision(history, published.DECISIONS.get(name, published.CONTROL))
         return StagedRecognizer(features, history, window, proposer, decision, exact)
     decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
     return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)

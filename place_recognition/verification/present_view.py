@@ -158,6 +158,7 @@ class CameraSteps:
         self._firsts: list[int] = []  # location of the first image of each step
         self._steps: GrowingArray[np.int64] = GrowingArray(np.int64)  # step of each image
         self._places: GrowingArray[np.int64] = GrowingArray(np.int64)  # place of each step
+        self._junctions: dict[int, tuple[int, int]] = {}  # places of a step and of the next one, where they lie apart
 
     def add(self, location: int) -> bool:
         """Add the next image; return whether the camera has moved since the first image of its latest step."""
@@ -165,6 +166,7 @@ class CameraSteps:
         if moved:
             self._places.extend(np.array([len(self._firsts)]))
             self._firsts.append(location)
+            self._compare_with_next(len(self._firsts) - 2)
         self._steps.extend(np.array([len(self._firsts) - 1]))
         return moved
 
@@ -180,12 +182,18 @@ class CameraSteps:
     def recognize(self, step: int, place: int) -> None:
         """Let a step show an earlier place from now on."""
         self._places.rows.reshape(-1)[step] = place
+        self._compare_with_next(step - 1)
+        self._compare_with_next(step)
 
     def junctions(self) -> NDArray[np.int64]:
         """Return the places (J, 2) of successive steps where they lie apart: a pass meets or leaves an earlier one."""
-        shown = self._places.rows.reshape(-1)
-        apart = np.flatnonzero(np.abs(np.diff(shown)) > _BESIDE)
-        return np.stack([shown[apart], shown[apart + 1]], axis=1)
+        return np.array([self._junctions[step] for step in sorted(self._junctions)], np.int64).reshape(-1, 2)
+
+    def _compare_with_next(self, step: int) -> None:
+        self._junctions.pop(step, None)
+        shown = self._places.rows.reshape(-1)[max(step, 0) : step + 2]
+        if len(shown) == 2 and abs(int(shown[1]) - int(shown[0])) > _BESIDE:
+            self._junctions[step] = int(shown[0]), int(shown[1])
 
     def images(self, step: int) -> range:
         """Return the locations of the images of a step."""
@@ -217,3 +225,5 @@ class CameraSteps:
         self._firsts = list(state["first_images"])
         self._steps.restore(state["steps"])
         self._places.restore(state["places"])
+        for step in range(len(self._firsts) - 1):
+            self._compare_with_next(step)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from landmark_street import history_of, make_features
 
-from place_recognition.belief.decisions import PublishedDecision, PublishedDecisionConfig
+from place_recognition.paradigms.published import PublishedDecision, PublishedDecisionConfig
 from place_recognition.recognizer import Proposals
 from place_recognition.verification.candidate_verification import VerificationResult
 
