@@ -6,7 +6,7 @@ by its files: docs/decisions/datasets_by_content.md.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -18,9 +18,9 @@ from slam.datasets.formats.custom_camera import (
     open_custom_camera_images,
 )
 from slam.datasets.formats.euroc import is_euroc, open_euroc, open_euroc_images
-from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
-from slam.datasets.formats.kitti import open_kitti
-from slam.datasets.formats.kitti_files import sequence_names
+from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.kitti import open_image_sequence, open_kitti
+from slam.datasets.formats.kitti_files import is_kitti
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
@@ -77,11 +77,6 @@ def _count_up_to(folder: Path, name: re.Pattern[str], limit: int) -> int:
     return len(list(islice(matching, limit)))
 
 
-def _is_kitti(root: Path) -> bool:
-    folders = (root, root / "sequences", root / "dataset" / "sequences")
-    return any((f / "image_0").is_dir() or (f / "image_2").is_dir() for f in folders) or bool(sequence_names(root))
-
-
 # The order matters: formats with the most distinctive files come first, a bare folder of images comes last.
 FORMATS = {
     "bag": DatasetFormat(is_bag, open_bag, open_bag_images),
@@ -89,8 +84,8 @@ FORMATS = {
     "tum-rgbd": DatasetFormat(lambda root: contains_dataset(root, is_tum_rgbd), open_tum_rgbd, open_tum_rgbd_images),
     "own-camera": DatasetFormat(has_camera_toml, open_custom_camera, open_custom_camera_images),
     "kitti": DatasetFormat(
-        _is_kitti,
-        lambda spec: open_kitti(spec.path, spec.sequence),
+        is_kitti,
+        lambda spec: open_kitti(spec.path, spec.sequence, spec.left_only),
         lambda spec: open_image_sequence(spec.path, spec.sequence, spec.fps),
     ),
     "malaga": _images_only(_has_files(r"CAMERA1_[\d.]+_left\.(jpg|png)"), open_malaga),
@@ -144,7 +139,7 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
         DataError: as `open_dataset`, or there are no right images and two cameras are needed.
         ConfigError: the format does not exist.
     """
-    dataset = open_dataset(spec)
+    dataset = open_dataset(replace(spec, left_only=mono))
     if not dataset.has_right and not mono:
         raise DataError(
             f"{spec.path}: expected left and right images, found left ones only; use one camera with --mono"
@@ -153,10 +148,12 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
 
 
 def open_images(spec: DatasetSpec) -> ImageDataset:
-    """Open the left camera's images of a dataset. They are undistorted if there is a calibration; none is needed.
+    """Open the left camera's images of a dataset, whatever is wrong with the right camera.
+
+    They are undistorted if there is a calibration; none is needed.
 
     Raises:
         DataError: the images are missing, damaged or inconsistent.
         ConfigError: the format does not exist.
     """
-    return FORMATS[detect_format(spec)].open_images(spec)
+    return FORMATS[detect_format(spec)].open_images(replace(spec, left_only=True))

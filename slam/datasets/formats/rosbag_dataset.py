@@ -62,6 +62,8 @@ def open_bag(spec: DatasetSpec) -> RectifiedDataset:
     """
     bag, settings = read_bag(spec.path), _find_settings(spec.path)
     topics = choose_topics(bag, _requested_topics(spec, settings))
+    if spec.left_only:
+        topics = CameraTopics(topics.left)
     left = open_stream(bag.path, topics.left)
     right = None if topics.right is None else open_stream(bag.path, topics.right)
     remarks: tuple[str, ...] = ()

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.formats.image_sequence import open_image_sequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.errors import DataError
 
 
