@@ -1,4 +1,4 @@
-"""Times as recordings have them: their unit and order, pairs of images, and poses interpolated at the times of images."""
+"""Times as recordings have them: their unit and order, pairs of images, and poses at the times of images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,8 @@ beside the images holds their times, seconds, if their rate is not constant; nam
 nanoseconds are times too. The `camera.toml` of a single video is in its folder.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +14,14 @@ from numpy.typing import NDArray
 
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
 from slam.datasets.dataset import DatasetSpec
+from slam.datasets.formats.camera_streams import find_times, open_camera_images, open_pair, open_stream
 from slam.datasets.formats.image_sequence import (
     IMAGE_SUFFIXES,
-    ImageSequence,
-    check_one_camera,
     list_images,
     open_image_folder,
-    read_times,
-    times_from_names,
 )
+from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.recording import (
-    CameraStream,
     ImageDataset,
     LeftImages,
     RawRecording,
@@ -34,7 +31,8 @@ from slam.datasets.formats.recording import (
     read_ground_truth,
     rectify_left,
 )
-from slam.datasets.video import VIDEO_SUFFIXES, Video, is_video, open_video
+from slam.datasets.rectification import Rectification, Size
+from slam.datasets.video import VIDEO_SUFFIXES, is_video
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
@@ -49,8 +47,6 @@ PAIR_NAMES = (
 )
 _MAX_STRAY_IMAGES = 9  # beside folders of images or videos: previews and plots, no recording
 _MAX_SHOWN = 6  # names in an error message
-# Steps of a video without a gap, relative to their median; relative difference of two equal rates.
-_MAX_EVEN_STEP, _MAX_RATE_DIFFERENCE = 1.5, 1e-3
 
 
 def camera_toml_path(path: Path) -> Path:
@@ -76,16 +72,18 @@ def open_custom_camera(spec: DatasetSpec) -> RectifiedDataset:
     """
     path = camera_toml_path(spec.path)
     if not path.is_file():
-        raise DataError(
-            f"{path}: expected the calibration of the camera, found none; write it: fx, fy, cx, cy, and baseline for a"
-            " pair (docs/drives.md)"
-        )
+        known = describe_known_layout(spec.path)
+        remedy = known or "write it: fx, fy, cx, cy, and baseline for a pair (docs/drives.md)"
+        raise DataError(f"{path}: expected the calibration of the camera, found none; {remedy}")
     settings = read_camera_toml(path)
-    recording = _raw_recording(spec, settings)
-    if not spec.left_only:
-        return build_dataset(recording, settings.rectification)
-    alone = replace(settings, right_camera=None, baseline_m=None)
-    return build_dataset(recording, rectify_left(settings.rectification, alone.rectification))
+    return build_dataset(_raw_recording(spec, settings), rectification_of(settings, spec.left_only))
+
+
+def rectification_of(settings: CameraToml, left_only: bool) -> Callable[[Size], Rectification]:
+    """Rectification of a camera file, for which nothing about the right camera matters if the left alone is used."""
+    if not left_only:
+        return settings.rectification
+    return rectify_left(settings.rectification, replace(settings, right_camera=None, baseline_m=None).rectification)
 
 
 def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
@@ -101,8 +99,8 @@ def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
         raise _no_camera_error(spec.path)
     if path == spec.path and path.is_dir():
         return open_image_folder(path, spec.fps)
-    images = _open_images(path)
-    times = _find_times(path, images, spec.fps)
+    images = open_camera_images(path)
+    times = find_times(path, images, spec.fps)
     return UncalibratedImages(spec.path.absolute().name, images, times.seconds, remarks=times.remarks)
 
 
@@ -116,7 +114,7 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     elif right is None and settings.is_pair:
         remarks = (f"{settings.path.name} describes two cameras, there are images of one",)
     fps = spec.fps or settings.fps
-    left_stream, right_stream = (open_stream(left, fps), None) if right is None else _open_pair(left, right, fps)
+    left_stream, right_stream = (open_stream(left, fps), None) if right is None else open_pair(left, right, fps)
     return RawRecording(
         name=spec.path.absolute().name,
         left=left_stream,
@@ -124,52 +122,6 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
         ground_truth=None if settings.ground_truth is None else read_ground_truth(settings.ground_truth, left_stream),
         remarks=remarks,
     )
-
-
-def _open_pair(left: Path, right: Path, fps: float | None) -> tuple[CameraStream, CameraStream]:
-    """Open two cameras whose images are paired by time, or by number if their counts agree.
-
-    Raises:
-        DataError: a camera cannot be read, or nothing says which images belong together.
-    """
-    images = _open_images(left), _open_images(right)
-    times = _find_times(left, images[0], fps), _find_times(right, images[1], fps)
-    if all(isinstance(video, Video) and video.has_times for video in images):
-        own = _find_times(left, images[0], None), _find_times(right, images[1], None)
-        if fps is not None and not times[0].are_recorded:  # the rate of the user, the gaps of the videos
-            own = tuple(_at_rate(time, fps * _median_step(own[0].seconds)) for time in own)  # type: ignore[assignment]
-        times = own
-        _check_gaps(left, right, own)
-    elif not times[1].are_recorded and len(images[0]) != len(images[1]):
-        # Without times of its own, one missing image would shift all later ones to the wrong partner.
-        raise DataError(
-            f"{right}: expected {len(images[0])} images as in {left.name}, found {len(images[1])}; copy it again, or"
-            " use the left camera alone with --mono"
-        )
-    return _stream(left, images[0], times[0]), _stream(right, images[1], times[1])
-
-
-def _at_rate(times: "ImageTimes", factor: float) -> "ImageTimes":
-    return times if times.seconds is None else replace(times, seconds=times.seconds / factor)
-
-
-def _median_step(seconds: Array | None) -> float:
-    return 1.0 if seconds is None or len(seconds) < 2 else float(np.median(np.diff(seconds)))
-
-
-def _check_gaps(left: Path, right: Path, times: tuple["ImageTimes", "ImageTimes"]) -> None:
-    """Raise DataError if one of two videos has fewer images, but no gap and the same rate: nothing shows the missing."""
-    seconds = [time.seconds for time in times if time.seconds is not None]
-    steps = [np.diff(each) for each in seconds]
-    if len(seconds) < 2 or len(seconds[0]) == len(seconds[1]) or min(map(len, steps)) == 0:
-        return
-    medians = [float(np.median(step)) for step in steps]
-    are_even = all(step.max() < _MAX_EVEN_STEP * median for step, median in zip(steps, medians, strict=True))
-    if are_even and abs(medians[0] / medians[1] - 1) < _MAX_RATE_DIFFERENCE:
-        raise DataError(
-            f"{right}: expected {len(seconds[0])} images as in {left.name}, found {len(seconds[1])}, and no gap in the"
-            " times that shows which are missing; cut both videos to the same images, or use --mono"
-        )
 
 
 def _cameras(path: Path, settings: CameraToml) -> tuple[Path, Path | None]:
@@ -189,6 +141,9 @@ def _find_by_name(settings: CameraToml, name: str) -> Path:
 
 
 def _no_camera_error(path: Path) -> DataError:
+    known = describe_known_layout(path)
+    if known:
+        return DataError(f"{path}: expected the images of a known camera, found {describe_contents(path)}; {known}")
     names = ", ".join(pair[0] for pair in PAIR_NAMES)
     return DataError(
         f"{path}: expected images, one video, or a folder or video called {names}, found {describe_contents(path)};"
@@ -228,64 +183,3 @@ def _list_media(folder: Path) -> list[Path]:
     if list_images(folder):
         return [folder]
     return [item for item in sorted(folder.iterdir()) if is_video(item) or list_images(item)]
-
-
-def open_stream(path: Path, fps: float | None) -> CameraStream:
-    """Open a folder of images or a video file with its times.
-
-    Args:
-        path: folder or video file.
-        fps: images per second, where there is no `times.txt`; None to use a video's own times.
-
-    Raises:
-        DataError: there are no images, or their times are unknown.
-    """
-    images = _open_images(path)
-    return _stream(path, images, _find_times(path, images, fps))
-
-
-def _stream(path: Path, images: ImageSequence | Video, times: "ImageTimes") -> CameraStream:
-    if times.seconds is None:
-        raise DataError(
-            f"{path}: expected the times of {len(images)} images, found no times.txt; give --fps, or fps in"
-            f" {CAMERA_TOML}"
-        )
-    return CameraStream(images, times.seconds, times.remarks)
-
-
-def _open_images(path: Path) -> ImageSequence | Video:
-    if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
-        return open_video(path)
-    files = list_images(path)
-    if not files:
-        raise DataError(f"{path}: expected images or a video, found none; check the name")
-    check_one_camera(files)
-    return ImageSequence(path.absolute().name, files, None)
-
-
-@dataclass(frozen=True)
-class ImageTimes:
-    """Times of the images of one camera.
-
-    Attributes:
-        seconds: (N,) increasing; None if they are unknown.
-        remarks: notes for the user.
-        are_recorded: whether they were recorded with the images; if not, images were counted at a constant rate.
-    """
-
-    seconds: Array | None
-    remarks: tuple[str, ...] = ()
-    are_recorded: bool = True
-
-
-def _find_times(path: Path, images: ImageSequence | Video, fps: float | None) -> ImageTimes:
-    """Times from `times.txt`, else from the frame rate, else from the video itself or the names of the images."""
-    places = [path / "times.txt", path.parent / "times.txt"] if path.is_dir() else [path.with_suffix(".txt")]
-    file = next((place for place in places if place.is_file()), None)
-    if file is not None:
-        return ImageTimes(*read_times(file, len(images)))
-    if fps is not None:
-        return ImageTimes(np.arange(len(images)) / fps, are_recorded=False)
-    if isinstance(images, Video):
-        return ImageTimes(images.timestamps, images.remarks, images.has_times)
-    return ImageTimes(*times_from_names(images.files))

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from slam.datasets.camera_toml import parse_pose
+from slam.datasets.camera_toml import CAMERA_TOML, parse_pose, read_camera_toml
 from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
+from slam.datasets.formats.custom_camera import rectification_of
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_timed_poses
 from slam.datasets.formats.recording import (
     CameraStream,
@@ -67,6 +68,8 @@ def open_euroc(spec: DatasetSpec) -> RectifiedDataset:
     """
     folder = _folder(spec)
     cameras = _cameras(folder)
+    if not (cameras / "cam0" / "sensor.yaml").is_file():
+        return _open_with_camera_toml(spec, folder)
     left, has_right = read_sensor_yaml(cameras / "cam0" / "sensor.yaml"), (cameras / "cam1" / "data.csv").is_file()
     recording = RawRecording(
         name=folder.absolute().name,
@@ -86,6 +89,21 @@ def open_euroc(spec: DatasetSpec) -> RectifiedDataset:
     return build_dataset(recording, rectify_left(rectify_both, rectify_one) if spec.left_only else rectify_both)
 
 
+def _open_with_camera_toml(spec: DatasetSpec, folder: Path) -> RectifiedDataset:
+    """Open a sequence without `sensor.yaml`; its poses are of the vehicle, whose camera's place is then unknown."""
+    path, cameras = folder / CAMERA_TOML, _cameras(folder)
+    if not path.is_file():
+        raise DataError(
+            f"{cameras / 'cam0' / 'sensor.yaml'}: expected this file, found none; copy it there, or write {path} (of"
+            " TUM-VI the numbers are in dso/camchain.yaml)"
+        )
+    settings = read_camera_toml(path)
+    has_right = settings.is_pair and not spec.left_only and (cameras / "cam1" / "data.csv").is_file()
+    right = _stream(cameras / "cam1") if has_right else None
+    recording = RawRecording(folder.absolute().name, _stream(cameras / "cam0"), right)
+    return build_dataset(recording, rectification_of(settings, spec.left_only))
+
+
 def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
     """Open the left camera's images; they are undistorted if there is a `sensor.yaml`.
 
@@ -93,7 +111,7 @@ def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     folder = _folder(spec)
-    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file():
+    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file() or (folder / CAMERA_TOML).is_file():
         return LeftImages.of(open_euroc(spec))
     stream = _stream(_cameras(folder) / "cam0")
     return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps, remarks=stream.remarks)
@@ -122,7 +140,9 @@ def _rectify(left: EurocCamera, right: EurocCamera | None, size: Size) -> Rectif
 
 
 def _read_ground_truth(cameras: Path, left: EurocCamera) -> GroundTruthTrajectory | None:
-    path = next((cameras / name / "data.csv" for name in _GROUND_TRUTH if (cameras / name / "data.csv").is_file()), None)
+    path = next(
+        (cameras / name / "data.csv" for name in _GROUND_TRUTH if (cameras / name / "data.csv").is_file()), None
+    )
     if path is None:
         return None
     T_world_body = read_timed_poses(path, CSV_NANOSECONDS, (5, 6, 7, 4))  # a quaternion with w first

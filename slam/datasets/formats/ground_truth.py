@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _MIN_QUATERNION_NORM = 1e-6  # shorter ones have no direction: trackers write zeros when they have lost the target
 
+_COUNTED_STEP_S = (0.5, 2.0)  # of images that are as far apart as poses with the times 1, 2, 3, ...
+
 
 @dataclass(frozen=True)
 class GroundTruthTrajectory:
@@ -89,12 +91,26 @@ def _read(path: Path, image_times: Array) -> GroundTruthTrajectory:
     if len(words) == 12:
         return _read_kitti(path, image_times)
     if len(words) == 8:
-        return _read_timed(path, SPACE_SEPARATED_SECONDS, (4, 5, 6, 7))
+        truth = _read_timed(path, SPACE_SEPARATED_SECONDS, (4, 5, 6, 7))
+        _check_not_counted(path, truth.timestamps, image_times)
+        return truth
     times, poses = read_trajectory(path)
     if times is None:
         return _one_per_image(path, poses, image_times)
     order = order_by_time(path, times, 1.0, range(1, len(times) + 1))
     return GroundTruthTrajectory(order.seconds, poses[order.rows], order.remarks)
+
+
+def _check_not_counted(path: Path, times: Array, image_times: Array) -> None:
+    """Raise DataError if times count the poses, as in ICL-NUIM, beside images that are not a second apart."""
+    if len(times) < 3 or len(image_times) < 2 or (np.diff(times) != 1.0).any():
+        return
+    step = float(np.median(np.diff(image_times)))
+    if not _COUNTED_STEP_S[0] < step < _COUNTED_STEP_S[1]:
+        raise DataError(
+            f"{path}: expected a time in seconds in each line, found 1, 2, 3, ... for images {step:.3g} s apart; write"
+            " the times of the images there"
+        )
 
 
 def _read_kitti(path: Path, image_times: Array) -> GroundTruthTrajectory:
@@ -120,7 +136,9 @@ def _read_timed(path: Path, list_format: ListFormat, quaternion: Sequence[int]) 
         raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found others; copy the file again")
     if not good.all():
         at = values[np.argmin(good), 0]
-        remarks += (f"{short_name(path)}: {np.sum(~good)} poses without a rotation are left out, the first at {at:.6f} s",)
+        remarks += (
+            f"{short_name(path)}: {np.sum(~good)} poses without a rotation are left out, the first at {at:.6f} s",
+        )
     values = values[good]
     check_positions(path, values[:, 1:4])
     poses = np.repeat(np.eye(4)[None], len(values), axis=0)

@@ -119,7 +119,7 @@ def open_kitti(root: Path, sequence: str | None = None, left_only: bool = False)
 
 
 def open_image_sequence(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
-    """Open the left images of a KITTI sequence, which need no calibration and no right ones here, or a folder of images.
+    """Open a folder of images, or the left images of a KITTI sequence: here they need no calibration and no right ones.
 
     Args:
         source: folder in KITTI odometry layout, or of images in the natural order of their names.
@@ -200,9 +200,7 @@ def stereo_camera(P_left: Array, P_right: Array, size: tuple[int, int]) -> Stere
     )
 
 
-def _read_ground_truth(
-    folder: Path, files: StereoFiles, P_left: Array
-) -> tuple[Array | None, tuple[str, ...]]:
+def _read_ground_truth(folder: Path, files: StereoFiles, P_left: Array) -> tuple[Array | None, tuple[str, ...]]:
     path = find_poses(folder)
     if path is None:
         return None, ()

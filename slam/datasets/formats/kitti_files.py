@@ -162,9 +162,10 @@ def read_calibration_lines(path: Path) -> dict[str, NDArray[np.float64]]:
         DataError: the file is missing, or a line has no name.
     """
     found = {}
-    for number, line in enumerate(read_lines(path), start=1):
-        if not line.strip():
-            continue
+    lines = [(number, line) for number, line in enumerate(read_lines(path), start=1) if line.strip()]
+    if not lines:
+        raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found none; copy the calibration again")
+    for number, line in lines:
         name, colon, words = line.partition(":")
         if not colon:
             raise DataError(
@@ -175,8 +176,6 @@ def read_calibration_lines(path: Path) -> dict[str, NDArray[np.float64]]:
             found[name.strip()] = np.array(words.split(), np.float64)
         except ValueError:
             continue  # such as the time of the calibration
-    if not found:
-        raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found none; copy the calibration again")
     return found
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from slam.datasets.dataset import Dataset, DatasetSpec, contains_dataset, subfolders
 from slam.datasets.formats.custom_camera import (
+    describe_contents,
     has_camera_toml,
     is_custom_camera,
     open_custom_camera,
@@ -21,6 +22,8 @@ from slam.datasets.formats.euroc import is_euroc, open_euroc, open_euroc_images
 from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.kitti import open_image_sequence, open_kitti
 from slam.datasets.formats.kitti_files import is_kitti
+from slam.datasets.formats.kitti_raw import is_kitti_raw, open_kitti_raw, open_kitti_raw_images
+from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
@@ -28,6 +31,7 @@ from slam.datasets.formats.rosbag_file import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
 from slam.errors import ConfigError, DataError
 
+_REMEDY = "check the path; other images must be converted to png, other videos to mp4"
 _CITY_CENTRE_IMAGES = 2474  # fewer .jpg files with numbers may be any recording
 
 
@@ -88,6 +92,7 @@ FORMATS = {
         lambda spec: open_kitti(spec.path, spec.sequence, spec.left_only),
         lambda spec: open_image_sequence(spec.path, spec.sequence, spec.fps),
     ),
+    "kitti-raw": DatasetFormat(is_kitti_raw, open_kitti_raw, open_kitti_raw_images),
     "malaga": _images_only(_has_files(r"CAMERA1_[\d.]+_left\.(jpg|png)"), open_malaga),
     "new-college": _images_only(_has_files(r"StereoImages__[\d.]+-left\.(pnm|ppm|pgm|png|jpg)"), open_new_college),
     "city-centre": _images_only(_has_files(r"\d{4}\.jpg", _CITY_CENTRE_IMAGES), open_city_centre),
@@ -110,9 +115,10 @@ def detect_format(spec: DatasetSpec) -> str:
         raise DataError(f"{spec.path}: expected a recording, found nothing; check the path")
     found = next((name for name, candidate in FORMATS.items() if candidate.matches(spec.path)), None)
     if found is None:
+        contents = describe_contents(spec.path) if spec.path.is_dir() else "a file"
         raise DataError(
             f"{spec.path}: expected images or a folder in KITTI layout, found neither, nor a recording of another"
-            f" format ({', '.join(FORMATS)}); check the path"
+            f" format ({', '.join(FORMATS)}), but {contents}; {describe_known_layout(spec.path) or _REMEDY}"
         )
     return found
 
