@@ -17,7 +17,7 @@ MAX_PAIR_OFFSET_S = 0.005  # between the images of a pair: at 20 m/s a car drive
 MAX_GAP_S = 0.5  # between measured poses: across a longer gap, interpolation is no ground truth
 
 _TICKS_PER_SECOND = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-_POSSIBLE_STEP_S = (1e-4, 10.0)  # median step between images or poses of one drive
+_POSSIBLE_STEP_S = (9e-4, 10.0)  # median step between images or poses of one drive; trackers measure at up to 1 kHz
 _USUAL_STEP_S = (1e-3, 1.0)  # a thousandfold range: among units that differ by a thousand, only one fits
 _DATES_S = (1e8, 1e10)  # clocks that count from 1970, in the years 1973 to 2286
 _MIN_CLOCK_S = 1e3  # a clock that reads more, and never less, has not begun with the recording: its zeros are no times
@@ -90,7 +90,7 @@ def unit_name(ticks_per_second: float) -> str:
 def find_ticks_per_second(ticks: Array, expected: float) -> float:
     """Return the unit of times (N,) by their step and date: the expected one unless another one fits better.
 
-    With one camera or tracker, successive times differ by 0.1 ms to 10 s; a clock shows a date or begins near 0.
+    With one camera or tracker, successive times differ by 1 ms to 10 s; a clock shows a date or begins near 0.
     """
     known = np.unique(ticks[np.isfinite(ticks) & (ticks != 0)])
     if len(known) == 0 or _shows_date(known / expected):

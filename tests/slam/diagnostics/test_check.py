@@ -162,6 +162,10 @@ def test_the_command_answers_people_and_scripts(
     assert (answer["format"], answer["works"]) == ("own-camera", {"stereo": True, "mono": True, "places": True})
     for file in (folder / "right").iterdir():
         file.write_bytes(b"")
+    assert revisit("check", folder, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["works"] == {"stereo": False, "mono": True, "places": True}
+    for file in (folder / "left").iterdir():
+        file.write_bytes(b"")
     assert revisit("check", folder) == 1
     assert "will not work: " in capsys.readouterr().out
     assert revisit("check", tmp_path / "nowhere") == 1
