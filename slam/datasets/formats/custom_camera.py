@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
+from slam.datasets.calibration_yaml import find_calibration
+from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.image_sequence import ImageSequence, list_images, open_image_sequence, read_times
 from slam.datasets.formats.recording import (
@@ -60,22 +61,22 @@ def open_custom_camera(spec: DatasetSpec) -> RectifiedDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     path = camera_toml_path(spec.path)
-    if not path.is_file():
+    settings = find_calibration(path.parent)
+    if settings is None:
         raise DataError(
             f"{path}: expected the calibration of the camera, found none; write it: fx, fy, cx, cy, and baseline for a"
             " pair (docs/drives.md)"
         )
-    settings = read_camera_toml(path)
     return build_dataset(_raw_recording(spec, settings), settings.rectification)
 
 
 def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
-    """Open the left camera's images; they are undistorted if there is a `camera.toml`.
+    """Open the left camera's images; they are undistorted if there is a calibration.
 
     Raises:
-        DataError: there are no images, or the `camera.toml` is invalid.
+        DataError: there are no images, or the calibration is invalid.
     """
-    if camera_toml_path(spec.path).is_file():
+    if find_calibration(camera_toml_path(spec.path).parent) is not None:
         return LeftImages.of(open_custom_camera(spec))
     if list_images(spec.path):
         return open_image_sequence(spec.path, fps=spec.fps)
@@ -89,11 +90,20 @@ def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
 
 def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     left, right = _cameras(spec.path, settings)
-    remarks: tuple[str, ...] = ()
+    remarks = settings.remarks
     if right is not None and not settings.is_pair:
-        right, remarks = None, (f"{settings.path.name} has no baseline: the left camera alone is used",)
+        right, remarks = (
+            None,
+            (
+                *remarks,
+                f"{settings.path.name} has no baseline: the left camera alone is used",
+            ),
+        )
     elif right is None and settings.is_pair:
-        remarks = (f"{settings.path.name} describes two cameras, there are images of one",)
+        remarks = (
+            *remarks,
+            f"{settings.path.name} describes two cameras, there are images of one",
+        )
     fps = spec.fps or settings.fps
     left_stream = open_stream(left, fps)
     return RawRecording(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
+from slam.datasets.calibration_yaml import parse_numbers, read_yaml
 from slam.datasets.camera_toml import parse_pose
 from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
@@ -31,7 +32,6 @@ from slam.datasets.formats.recording import (
 from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS, read_timestamped_rows
 from slam.datasets.rectification import Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
-from slam.io.files import read_lines
 from slam.io.trajectory_files import check_positions
 
 Array = NDArray[np.float64]
@@ -135,36 +135,16 @@ def read_sensor_yaml(path: Path) -> EurocCamera:
     Raises:
         DataError: the file is missing or is not YAML, or a value is missing or invalid.
     """
-    import yaml  # imported here because only this format needs it
-
-    text = "\n".join(line for line in read_lines(path) if not line.startswith("%YAML"))
     try:
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise ValueError("aliases, which can expand a few lines to billions")
-        table = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise DataError(f"{path}: expected YAML, found {str(error)[:200]}; copy the file again") from None
-    try:
-        return _sensor(path, table if isinstance(table, dict) else {})
+        return _sensor(path, read_yaml(path))
     except ValueError as error:
         raise DataError(f"{path}: {error}; copy the file again or correct it") from None
 
 
-def _sensor(path: Path, table: dict[Any, Any]) -> EurocCamera:
+def _sensor(path: Path, table: dict[str, Any]) -> EurocCamera:
     pose = table.get("T_BS")
     T_body_camera = parse_pose(pose.get("data") if isinstance(pose, dict) else pose, "T_BS")
-    fx, fy, cx, cy = _numbers(table, "intrinsics", 4)
-    coefficients = _numbers(table, "distortion_coefficients")
+    fx, fy, cx, cy = parse_numbers(table, "intrinsics", 4)
+    coefficients = parse_numbers(table, "distortion_coefficients")
     model = str(table.get("distortion_model", "radial-tangential")) if coefficients else "none"
     return EurocCamera(path, CameraModel(fx, fy, cx, cy, model, coefficients), T_body_camera)
-
-
-def _numbers(table: dict[Any, Any], name: str, count: int | None = None) -> tuple[float, ...]:
-    value: Any = table.get(name, [] if count is None else None)
-    try:
-        numbers = tuple(map(float, value))
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"expected a list of numbers {name}, found {str(value)[:60]}") from None
-    if count is not None and len(numbers) != count:
-        raise ValueError(f"expected {count} numbers {name}, found {len(numbers)}")
-    return numbers

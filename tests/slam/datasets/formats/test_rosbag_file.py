@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.formats.rosbag_file import ENCODINGS, decode_image, read_camera_info, read_timestamp
+from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image, read_camera_info, read_timestamp
 
 
 def message(values: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int = 0) -> SimpleNamespace:
