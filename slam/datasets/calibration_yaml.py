@@ -4,7 +4,7 @@ A file is recognised by what is in it, so its name does not matter:
 
 * Kalibr's `camchain.yaml`: `cam0`, `cam1` with `intrinsics`, `distortion_coeffs`, `T_cn_cnm1`, `rostopic`;
 * OpenCV's stereo calibration: `M1 D1 M2 D2 R T`, in one file or two, or the same matrices under similar names;
-* one camera of OpenCV or ROS: `camera_matrix`, `distortion_coefficients`; ROS's `left.yaml` and `right.yaml` are a pair;
+* one camera of OpenCV or ROS: `camera_matrix`, `distortion_coefficients`; ROS's `left.yaml`, `right.yaml` are a pair;
 * ORB-SLAM's settings: `Camera.fx` or `Camera1.fx`, with `Camera.bf`, `Stereo.T_c1_c2`, or `LEFT.K` and `LEFT.P`.
 """
 
@@ -36,6 +36,13 @@ _D_NAMES = ("d{}", "distcoeffs{}", "distortioncoefficients{}", "{}distcoeffs", "
 _R_NAMES = ("r{}", "rectificationmatrix{}", "{}r")  # rectification of one camera
 _P_NAMES = ("p{}", "projectionmatrix{}", "{}p")
 _SIDES = (("1", "left", "l"), ("2", "right", "r"))
+_MIN_COEFFICIENTS = 4  # k1 k2 p1 p2
+_ROS_NAMES = {
+    "camera_matrix": "k",
+    "distortion_coefficients": "d",
+    "rectification_matrix": "r",
+    "projection_matrix": "p",
+}
 _ORB_SLAM_MODELS = {"KannalaBrandt8": "equidistant"}
 
 
@@ -174,7 +181,7 @@ def _orb_slam_model(table: Table, name: str) -> CameraModel:
     keys = ("k1", "k2", "k3", "k4") if kind in _ORB_SLAM_MODELS else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     found = [parse_numbers(table, f"{name}.{key}", 1)[0] if f"{name}.{key}" in table else None for key in keys]
     coefficients = tuple(value or 0.0 for value in found)
-    while len(coefficients) > 4 and found[len(coefficients) - 1] is None:
+    while len(coefficients) > _MIN_COEFFICIENTS and found[len(coefficients) - 1] is None:
         coefficients = coefficients[:-1]
     model = _ORB_SLAM_MODELS.get(kind, "radtan")
     return CameraModel(fx, fy, cx, cy, model if any(v is not None for v in found) else "none", coefficients)
@@ -225,13 +232,7 @@ def _ros_pair(tables: Mapping[Path, Table]) -> CameraToml | None:
                 sides[side].append(table)
     if [len(found) for found in sides.values()] != [1, 1]:
         return None
-    names = {
-        "camera_matrix": "k",
-        "distortion_coefficients": "d",
-        "rectification_matrix": "r",
-        "projection_matrix": "p",
-    }
-    both = {f"{names[n]}{k + 1}": sides[side][0].get(n) for k, side in enumerate(sides) for n in names}
+    both = {f"{short}{k + 1}": sides[side][0].get(n) for k, side in enumerate(sides) for n, short in _ROS_NAMES.items()}
     path = next(file for file in tables if "left" in file.stem.lower())
     shared = {n: sides["left"][0].get(n) for n in ("distortion_model", "image_width", "image_height")}
     return _from_rectified(path, {n: v for n, v in (both | shared).items() if v is not None})

@@ -47,12 +47,17 @@ _TEXT_KEYS = ("left", "right", "ground_truth")
 _KEYS = (*_CAMERA_KEYS, "baseline", "fps", *_TEXT_KEYS, "right_camera")
 # What users write instead, where the known key is spelt quite differently.
 _SYNONYMS = {
-    "images": "left", "image": "left", "folder": "left", "video": "left", "topic": "left", "images_left": "left",
-    "images_right": "right", "rate": "fps", "hz": "fps", "frequency": "fps", "f": "fx", "focal_length": "fx", "b": "baseline",
-    "coefficients": "distortion", "d": "distortion", "distortion_model": "model", "distortion_coefficients": "distortion",
-    "poses": "ground_truth", "truth": "ground_truth", "t_c1_c2": "T_left_right", "extrinsics": "T_left_right",
+    **dict.fromkeys(("images", "image", "images_left", "folder", "video", "topic"), "left"),
+    **dict.fromkeys(("rate", "hz", "frequency"), "fps"),
+    **dict.fromkeys(("f", "focal", "focal_length"), "fx"),
+    **dict.fromkeys(("coefficients", "d", "distortion_coefficients"), "distortion"),
+    **dict.fromkeys(("poses", "truth", "trajectory"), "ground_truth"),
+    **dict.fromkeys(("extrinsics", "pose", "t_c1_c2"), "T_left_right"),
+    "images_right": "right",
+    "b": "baseline",
+    "distortion_model": "model",
     "cam1": "right_camera",
-}  # fmt: skip
+}
 _MAX_NAME_BYTES = 255  # of a file name in Linux's file systems
 _MAX_TRANSLATION = 1e6  # m, of a pose in a calibration: more is damage
 
@@ -112,8 +117,8 @@ class CameraToml:
         """
         if self.size not in (size, (0, 0)):
             raise DataError(
-                f"{self.path}: expected images of {self.size[0]} x {self.size[1]}, found {size[0]} x {size[1]}; calibrate"
-                f" images of this size, or write their fx, fy, cx and cy into {CAMERA_TOML}"
+                f"{self.path}: expected images of {self.size[0]} x {self.size[1]}, found {size[0]} x {size[1]};"
+                f" calibrate images of this size, or write their fx, fy, cx and cy into {CAMERA_TOML}"
             )
         try:
             if self.right_camera is not None:

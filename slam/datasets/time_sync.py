@@ -125,7 +125,7 @@ def order_timestamps(stamps: Array, received: Array) -> TimeOrder:
     if reason:
         return _sorted_out(np.arange(len(stamps)), received, (f"{reason}: the times of receipt are used",))
     missing = np.flatnonzero(stamps <= 0)
-    remarks = _count_remark(missing, "images have no time stamp and are left out")
+    remarks = _count_remark(missing, "without a time stamp left out")
     return _sorted_out(indices, stamps[indices], remarks)
 
 
@@ -154,9 +154,9 @@ def _sorted_out(indices: Indices, times: Array, remarks: tuple[str, ...]) -> Tim
     copies, far = indices[~is_new], indices[is_new & ~is_near]
     remarks = (
         *remarks,
-        *_count_remark(late, "images come later than their time stamps say and are sorted"),
-        *_count_remark(np.sort(copies), "images have the time stamp of another and are left out as copies"),
-        *_count_remark(np.sort(far), "images are days away from the others by their time stamps and are left out"),
+        *_count_remark(late, "later than the time stamps say and sorted"),
+        *_count_remark(np.sort(copies), "with the time stamp of another left out as copies"),
+        *_count_remark(np.sort(far), "days away from the others by the time stamps left out"),
     )
     return TimeOrder(indices[is_new & is_near], times[is_new & is_near], remarks)
 
@@ -168,4 +168,4 @@ def _is_of_largest_group(times: Array) -> NDArray[np.bool_]:
 
 
 def _count_remark(indices: Indices, words: str) -> tuple[str, ...]:
-    return (f"{len(indices)} {words} (the first is image {indices[0]})",) if len(indices) else ()
+    return (f"images {words}: {len(indices)}, the first is image {indices[0]}",) if len(indices) else ()

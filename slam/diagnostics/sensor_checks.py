@@ -20,6 +20,7 @@ _USUAL_VIEW_DEG, _POSSIBLE_VIEW_DEG = (35.0, 120.0), (5.0, 170.0)  # horizontal 
 _MAX_USUAL_OFFSET, _MAX_POSSIBLE_OFFSET = 0.12, 0.5
 _MAX_ASPECT_DIFFERENCE = 0.05  # of fx / fy from 1
 _USUAL_BASELINE_M = (0.03, 2.0)
+_UNITS_M = {"centimetres": 0.01, "millimetres": 0.001}  # that calibrations are made in
 _FEATURES, _MAX_RATIO, _MAX_EPIPOLAR_PX = 1000, 0.8, 2.0  # SIFT features, Lowe's ratio, distance of an inlier
 _MIN_IMAGE_MATCHES = 8  # that determine a fundamental matrix
 _MIN_MATCHES = 50  # in all pairs together, for a median
@@ -96,8 +97,22 @@ def _check_baseline(camera: StereoCamera) -> Finding:
     low, high = _USUAL_BASELINE_M
     text = f"baseline {camera.baseline:.3f} m"
     if not low <= camera.baseline <= high:
-        return report_warning("baseline", f"{text}: unusual; is it in metres?", metres=camera.baseline)
+        guess = _guess_baseline(camera) or "is it in metres?"
+        return report_warning("baseline", f"{text}: unusual; {guess}", metres=camera.baseline)
     return report_ok("baseline", text, metres=camera.baseline)
+
+
+def _guess_baseline(camera: StereoCamera) -> str:
+    """What the baseline would be if it were given in another unit, and how to correct it; empty if that is unusual too.
+
+    A projection matrix holds -fx times the baseline; in some the baseline itself was written there.
+    """
+    low, high = _USUAL_BASELINE_M
+    readings = {unit: camera.baseline * factor for unit, factor in _UNITS_M.items()}
+    if camera.baseline < low:
+        readings = {"metres where -fx times the baseline is expected (P[3])": camera.baseline * camera.fx}
+    usual = [f"{metres:.3f} m if it was given in {unit}" for unit, metres in readings.items() if low <= metres <= high]
+    return f"{' or '.join(usual)}: correct the calibration" if usual else ""
 
 
 def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:

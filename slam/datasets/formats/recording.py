@@ -279,12 +279,14 @@ class UncalibratedImages:
         images: N images.
         timestamps: (N,) seconds, increasing, or None.
         ground_truth: T_world_camera (N, 4, 4), metres, or None.
+        remarks: notes about what was left out and assumed on opening.
     """
 
     name: str
     images: Images
     timestamps: Array | None
     ground_truth: Array | None = None
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.images)

@@ -59,6 +59,8 @@ def open_bag(spec: DatasetSpec) -> RectifiedDataset:
     bag = read_bag(spec.path)
     settings = _find_settings(bag)
     topics = choose_topics(bag, _requested_topics(spec, bag, settings))
+    if spec.left_only:
+        topics = CameraTopics(topics.left)
     if settings is not None and settings.path.name != CAMERA_TOML and not _is_preferred(settings, bag, topics):
         settings = None
     is_pair = topics.right is not None and _is_pair(bag, topics, settings)
@@ -93,7 +95,7 @@ def open_bag_images(spec: DatasetSpec) -> ImageDataset:
     if settings is not None or find_camera_info(bag, topics.left) is not None:
         return LeftImages.of(open_bag(replace(spec, topics=(topics.left,))))
     (images,) = open_topics(bag.path, (topics.left,))
-    return UncalibratedImages(spec.path.stem, images, images.timestamps)
+    return UncalibratedImages(spec.path.stem, images, images.timestamps, remarks=images.remarks)
 
 
 def _find_settings(bag: Bag) -> CameraToml | None:
@@ -135,7 +137,7 @@ def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:
         if info is None:
             continue
         remarks += [bag.remarks[info]] if info in bag.remarks else []
-        if not image_topic(topic).startswith(info.rpartition("/")[0] + "/") or info.count("/") < topic.count("/"):
+        if info.rpartition("/")[0] not in (image_topic(topic), image_topic(topic).rpartition("/")[0]):
             remarks.append(f"{info} is taken for {topic}")
     return tuple(remarks)
 
@@ -148,7 +150,7 @@ def _is_pair(bag: Bag, topics: CameraTopics, settings: CameraToml | None) -> boo
     if right is not None and left is not None and left.offset_right_m > right.offset_right_m:
         raise DataError(
             f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
-            f" {topics.right} by CameraInfo; swap them with --image-topic, or use the left one with --mono"
+            f" {topics.right} by CameraInfo; swap them, or name one alone, with --image-topic"
         )
     return right is not None and right.offset_right_m != 0
 

@@ -38,12 +38,12 @@ _VIDEO_WORDS = ("Packet", "CompressedVideo")  # in the types of streams from whi
 # What the library says about a recording that was cut off or cannot be read as it is, and what brings it back.
 _REMEDIES = {
     "not indexed": "type: rosbag reindex {path}",
-    "magic is invalid": "type: mcap recover {path} -o recovered.mcap",
-    "mcap footer": "type: mcap recover {path} -o recovered.mcap",
-    "end of file": "type: mcap recover {path} -o recovered.mcap",
+    "index looks damaged": "type: rosbag reindex {path}",
+    "profile is not ros2": "convert it to a ROS 1 bag or a ROS 2 bag",
     "metadata": "type: ros2 bag reindex {path}",
     "malformed": "type: sqlite3 {path} .recover | sqlite3 recovered.db3",
 }
+_MCAP_REMEDY = "type: mcap recover {path} -o recovered.mcap, or copy it again"
 _REMEDY = "record or copy it again"
 
 
@@ -108,7 +108,7 @@ def _find_usable_info(reader: Any, topic: str, bag: Bag) -> None:
     if topic not in bag.camera_infos:
         bag.rejected[topic] = fault
     elif passed:
-        bag.remarks[topic] = f"{topic}: the first {passed} CameraInfo are not usable and passed over ({fault})"
+        bag.remarks[topic] = f"{topic}: CameraInfo passed over before the first usable one: {passed} ({fault})"
 
 
 @dataclass(frozen=True)
@@ -220,6 +220,8 @@ def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange 
     order = order_timestamps(np.array(listing.stamps), arrived / 1e9)
     is_usable = np.isin(order.indices, numbers)
     numbers, times = order.indices[is_usable], order.times[is_usable]
+    if not len(numbers):
+        raise DataError(f"{path}, {topic}: expected images with usable time stamps, found none; record it again")
     scale = [grey_range.remark] if grey_range is not None and grey_range.remark else []
     remarks = (*damaged, *(f"{topic}: {remark}" for remark in (*order.remarks, *scale)))
     messages = _Messages(path, topic, arrived, numbers, grey_range or FULL_RANGE)
@@ -305,5 +307,13 @@ def _open_reader(path: Path) -> Iterator[Any]:
         raise DataError(f"{path}: expected a readable bag, found sizes beyond the memory; copy it again") from None
     except Exception as error:  # the library does not validate its input: a damaged bag can raise any exception
         found = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
-        remedy = next((remedy for words, remedy in _REMEDIES.items() if words in found.lower()), _REMEDY)
-        raise DataError(f"{path}: expected a readable bag, found: {found}; {remedy.format(path=path)}") from error
+        raise DataError(f"{path}: expected a readable bag, found: {found}; {_remedy(path, found)}") from error
+
+
+def _remedy(path: Path, found: str) -> str:
+    """What to type after the library has found a fault in a bag."""
+    mcap = next(path.glob("*.mcap"), None) if path.is_dir() else path if path.suffix == ".mcap" else None
+    for words, remedy in _REMEDIES.items():
+        if words in found.lower():
+            return remedy.format(path=path)
+    return _REMEDY if mcap is None or "seems to be empty" in found else _MCAP_REMEDY.format(path=mcap)

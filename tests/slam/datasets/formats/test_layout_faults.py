@@ -145,7 +145,7 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
     "two answers": (toml(lambda t: "baseline = 0.1\n" + t), r"expected baseline or \[right_camera\], found both"),
     "coefficients missing": (
         toml(lambda t: t.replace("-0.28, ", "", 1)),
-        r"expected 4 or 5 coefficients of radtan, found 3",
+        r"expected 4, 5, 8, 12 or 14 coefficients of radtan, found 3",
     ),
     "a rotation that is none": (
         toml(lambda t: t.replace("T_left_right = [[0", "T_left_right = [[5", 1)),
