@@ -97,22 +97,23 @@ def _check_baseline(camera: StereoCamera) -> Finding:
     low, high = _USUAL_BASELINE_M
     text = f"baseline {camera.baseline:.3f} m"
     if not low <= camera.baseline <= high:
-        guess = _guess_baseline(camera) or "is it in metres?"
-        return report_warning("baseline", f"{text}: unusual; {guess}", metres=camera.baseline)
+        return report_warning(
+            "baseline", f"{text}: unusual; is it in metres?{_guess_unit(camera)}", metres=camera.baseline
+        )
     return report_ok("baseline", text, metres=camera.baseline)
 
 
-def _guess_baseline(camera: StereoCamera) -> str:
-    """What the baseline would be if it were given in another unit, and how to correct it; empty if that is unusual too.
+def _guess_unit(camera: StereoCamera) -> str:
+    """What an unusual baseline would be if it were given in another unit, and the remedy; empty if unusual too.
 
-    A projection matrix holds -fx times the baseline; in some the baseline itself was written there.
+    A projection matrix holds -fx times the baseline; some hold the baseline itself in that place.
     """
     low, high = _USUAL_BASELINE_M
-    readings = {unit: camera.baseline * factor for unit, factor in _UNITS_M.items()}
+    readings = {f"{unit} were given": camera.baseline * metres for unit, metres in _UNITS_M.items()}
     if camera.baseline < low:
-        readings = {"metres where -fx times the baseline is expected (P[3])": camera.baseline * camera.fx}
-    usual = [f"{metres:.3f} m if it was given in {unit}" for unit, metres in readings.items() if low <= metres <= high]
-    return f"{' or '.join(usual)}: correct the calibration" if usual else ""
+        readings = {"P[3] is the baseline itself, not -fx times it": camera.baseline * camera.fx}
+    usual = [f"{metres:.3f} m if {case}" for case, metres in readings.items() if low <= metres <= high]
+    return f" It is {' or '.join(usual)}: correct the calibration" if usual else ""
 
 
 def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
