@@ -287,12 +287,6 @@ def test_one_camera_is_opened_without_a_word_about_the_right_one(tmp_path: Path)
     assert "/stereo/right/camera_info: expected positive focal lengths" in both.remarks[0]
 
 
-def test_several_publishers_of_a_topic_are_one_camera(tmp_path: Path) -> None:
-    messages = one_camera(STEPS)
-    path = messages.write(tmp_path / "drive.bag")
-    assert len(open_dataset(path)) == 6
-
-
 def spoil(path: Path, kind: str) -> Path:
     data = path.read_bytes()
     if kind == "not indexed":
