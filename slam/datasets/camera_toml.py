@@ -179,8 +179,8 @@ def _camera_file(path: Path, table: dict[str, Any], other: CameraToml | None) ->
 def _right_camera(table: object) -> RightCamera:
     if not isinstance(table, dict):
         raise ValueError(f"expected a table [right_camera], found {str(table)[:60]!r}")
-    _reject_unknown_keys(table, (*_CAMERA_KEYS, "T_left_right"))
     try:
+        _reject_unknown_keys(table, (*_CAMERA_KEYS, "T_left_right"))
         return RightCamera(_camera_model(table), parse_pose(table.get("T_left_right"), "T_left_right"))
     except ValueError as error:
         raise ValueError(f"[right_camera] {error}") from None

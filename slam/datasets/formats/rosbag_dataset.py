@@ -126,7 +126,9 @@ def _remarks_of_choice(bag: Bag, topics: CameraTopics, used: CameraTopics) -> tu
     if topics == used:
         return ()
     faults = "".join(f"; {topic}: {fault}" for topic, fault in bag.rejected.items())
-    return (f"neither CameraInfo nor {CAMERA_TOML} has a baseline: the left camera alone is used{faults}",)
+    return (
+        f"neither CameraInfo (P of both cameras) nor {CAMERA_TOML} has a baseline: the left camera alone is used{faults}",
+    )
 
 
 def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:
@@ -150,9 +152,11 @@ def _is_pair(bag: Bag, topics: CameraTopics, settings: CameraToml | None) -> boo
     if right is not None and left is not None and left.offset_right_m > right.offset_right_m:
         raise DataError(
             f"{bag.path}: expected the left camera, then the right one, found {topics.left} to the right of"
-            f" {topics.right} by CameraInfo; swap them, or name one alone, with --image-topic"
+            f" {topics.right} by CameraInfo; swap them with --image-topic, or correct the sign of P[3],"
+            " which is -fx times the baseline"
         )
-    return right is not None and right.offset_right_m != 0
+    # Without P, the left camera is not rectified, and the baseline of the right one is to a camera that is not there.
+    return left is not None and left.has_rectification and right is not None and right.offset_right_m != 0
 
 
 def _rectify(bag: Bag, topics: CameraTopics, size: Size) -> Rectification:

@@ -63,10 +63,12 @@ class Info:
     D: Sequence[float] = (0.0,) * 5
     binning: tuple[int, int] = (0, 0)
     roi: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, height, width, as in the message
+    has_projection: bool = True
 
     def message(self, stamp: float = START) -> Any:
         K = np.array([[self.fx, 0, self.centre[0]], [0, self.fx, self.centre[1]], [0, 0, float(self.fx > 0)]])
         P = np.hstack([K, [[-self.fx * self.offset], [0], [0]]])
+        P *= self.has_projection
         roi = STORE.types["sensor_msgs/msg/RegionOfInterest"](*self.roi, False)
         arrays = [np.asarray(a, np.float64).ravel() for a in (self.D, K, np.eye(3), P)]
         kind = STORE.types["sensor_msgs/msg/CameraInfo"]

@@ -287,6 +287,13 @@ def test_one_camera_is_opened_without_a_word_about_the_right_one(tmp_path: Path)
     assert "/stereo/right/camera_info: expected positive focal lengths" in both.remarks[0]
 
 
+def test_a_baseline_to_a_camera_that_is_not_rectified_is_none(tmp_path: Path) -> None:
+    path = a_pair(Info(has_projection=False), Info(offset=BASELINE)).write(tmp_path / "drive.bag")
+    dataset = open_dataset(path)
+    assert not dataset.has_right
+    assert "neither CameraInfo (P of both cameras) nor camera.toml has a baseline" in dataset.remarks[0]
+
+
 def spoil(path: Path, kind: str) -> Path:
     data = path.read_bytes()
     if kind == "not indexed":
