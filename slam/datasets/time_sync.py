@@ -14,6 +14,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MAX_PAIR_OFFSET_S = 0.005  # between the images of a pair: at 20 m/s a car drives 10 cm in that time
+# Time stamps that are not in the order of receipt.
+_MIN_DIFFERENT_SHARE = 0.5  # of the time stamps; with fewer, the clock is too coarse to tell images from copies
+_MAX_DELAY_S = 1.0  # of a message that arrives late; stamps that go back farther may be those of a clock that was set
+_MIN_REPEATED_IMAGES = 3  # whose times were there before the clock was set back
+_MAX_PAUSE_S = 86400.0
 MAX_GAP_S = 0.5  # between measured poses: across a longer gap, interpolation is no ground truth
 
 _TICKS_PER_SECOND = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
@@ -194,3 +199,79 @@ def _interpolate(times: Array, pose_times: Array, poses: Array) -> Array:
     out[:, :3, :3] = Slerp(pose_times, Rotation.from_matrix(poses[:, :3, :3]))(times).as_matrix()
     out[:, :3, 3] = np.stack([np.interp(times, pose_times, axis) for axis in poses[:, :3, 3].T], axis=1)
     return out
+
+
+@dataclass(frozen=True)
+class TimeOrder:
+    """Images in the order of their times.
+
+    Attributes:
+        indices: (N,) of the images that are used, in the order of time.
+        times: (N,) of these images, seconds, increasing.
+        remarks: which images were left out, and what was assumed.
+    """
+
+    indices: Indices
+    times: Array
+    remarks: tuple[str, ...]
+
+
+def order_timestamps(stamps: Array, received: Array) -> TimeOrder:
+    """Put images into the order of their time stamps; leave copies and images without a time stamp out.
+
+    Where the stamps tell no order, because all are missing, most are equal, or the clock was set back so that two parts
+    of the recording have the same times, the times of receipt are used.
+
+    Args:
+        stamps: (N,) seconds, in the order of receipt; 0 or less where there is none.
+        received: (N,) times of receipt, seconds.
+    """
+    indices = np.flatnonzero(stamps > 0)
+    reason = _reason_against(stamps[indices])
+    if reason:
+        return _sorted_out(np.arange(len(stamps)), received, (f"{reason}: the times of receipt are used",))
+    missing = np.flatnonzero(stamps <= 0)
+    remarks = _count_remark(missing, "without a time stamp left out")
+    return _sorted_out(indices, stamps[indices], remarks)
+
+
+def _reason_against(stamps: Array) -> str:
+    """Why time stamps cannot be used; empty if they can."""
+    if not len(stamps):
+        return "the images have no time stamps"
+    if len(np.unique(stamps)) < _MIN_DIFFERENT_SHARE * len(stamps):
+        return f"only {len(np.unique(stamps))} of {len(stamps)} time stamps are different"
+    back = np.flatnonzero(np.diff(stamps) < 0) + 1
+    if len(back) == 1:
+        at = int(back[0])
+        overlap = int((stamps[at:] > stamps[0]).sum())
+        if stamps[at - 1] - stamps[at] > _MAX_DELAY_S and overlap >= _MIN_REPEATED_IMAGES:
+            return f"the time stamps are set back by {stamps[at - 1] - stamps[at]:.1f} s at image {at}"
+    return ""
+
+
+def _sorted_out(indices: Indices, times: Array, remarks: tuple[str, ...]) -> TimeOrder:
+    """Sort images by time, and leave copies and those of another epoch out."""
+    late = indices[times < np.maximum.accumulate(times)]
+    order = np.argsort(times, kind="stable")
+    indices, times = indices[order], times[order]
+    is_new = np.diff(times, prepend=-np.inf) > 0
+    is_near = _is_of_largest_group(times)
+    copies, far = indices[~is_new], indices[is_new & ~is_near]
+    remarks = (
+        *remarks,
+        *_count_remark(late, "later than the time stamps say and sorted"),
+        *_count_remark(np.sort(copies), "with the time stamp of another left out as copies"),
+        *_count_remark(np.sort(far), "days away from the others by the time stamps left out"),
+    )
+    return TimeOrder(indices[is_new & is_near], times[is_new & is_near], remarks)
+
+
+def _is_of_largest_group(times: Array) -> NDArray[np.bool_]:
+    """Mask (N,) of the largest group of sorted times without a gap of a day: a clock may be set after the start."""
+    groups = np.cumsum(np.diff(times, prepend=times[:1]) > _MAX_PAUSE_S)
+    return np.asarray(groups == np.argmax(np.bincount(groups)))
+
+
+def _count_remark(indices: Indices, words: str) -> tuple[str, ...]:
+    return (f"images {words}: {len(indices)}, the first is image {indices[0]}",) if len(indices) else ()

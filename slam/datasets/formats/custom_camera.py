@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
+from slam.datasets.calibration_yaml import find_calibration
+from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.camera_streams import find_times, open_camera_images, open_pair, open_stream
 from slam.datasets.formats.image_sequence import (
@@ -71,11 +72,11 @@ def open_custom_camera(spec: DatasetSpec) -> RectifiedDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     path = camera_toml_path(spec.path)
-    if not path.is_file():
+    settings = find_calibration(path.parent)
+    if settings is None:
         known = describe_known_layout(spec.path)
         remedy = known or "write it: fx, fy, cx, cy, and baseline for a pair (docs/drives.md)"
         raise DataError(f"{path}: expected the calibration of the camera, found none; {remedy}")
-    settings = read_camera_toml(path)
     return build_dataset(_raw_recording(spec, settings), rectification_of(settings, spec.left_only))
 
 
@@ -87,12 +88,12 @@ def rectification_of(settings: CameraToml, left_only: bool) -> Callable[[Size], 
 
 
 def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
-    """Open the left camera's images; they are undistorted if there is a `camera.toml`.
+    """Open the left camera's images; they are undistorted if there is a calibration.
 
     Raises:
-        DataError: there are no images, or the `camera.toml` is invalid.
+        DataError: there are no images, or the calibration is invalid.
     """
-    if camera_toml_path(spec.path).is_file():
+    if find_calibration(camera_toml_path(spec.path).parent) is not None:
         return LeftImages.of(open_custom_camera(replace(spec, left_only=True)))
     path = _find_cameras(spec.path)[0]
     if path is None:
@@ -106,13 +107,16 @@ def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
 
 def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     left, right = _cameras(spec.path, settings)
-    remarks: tuple[str, ...] = ()
+    remarks = settings.remarks
     if spec.left_only:
         right = None
     elif right is not None and not settings.is_pair:
-        right, remarks = None, (f"{settings.path.name} has no baseline: the left camera alone is used",)
+        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: the left camera alone is used")
     elif right is None and settings.is_pair:
-        remarks = (f"{settings.path.name} describes two cameras, there are images of one",)
+        remarks = (
+            *remarks,
+            f"{settings.path.name} describes two cameras, there are images of one",
+        )
     fps = spec.fps or settings.fps
     left_stream, right_stream = (open_stream(left, fps), None) if right is None else open_pair(left, right, fps)
     return RawRecording(

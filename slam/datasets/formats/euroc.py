@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from slam.datasets.camera_toml import CAMERA_TOML, parse_pose, read_camera_toml
+from slam.datasets.calibration_yaml import find_calibration, parse_numbers, read_yaml
+from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, parse_pose
 from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
 from slam.datasets.formats.custom_camera import rectification_of
@@ -32,7 +33,6 @@ from slam.datasets.formats.recording import (
 from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS
 from slam.datasets.rectification import Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
-from slam.io.files import read_lines
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def open_euroc(spec: DatasetSpec) -> RectifiedDataset:
     folder = _folder(spec)
     cameras = _cameras(folder)
     if not (cameras / "cam0" / "sensor.yaml").is_file():
-        return _open_with_camera_toml(spec, folder)
+        return _open_with_other_calibration(spec, folder)
     left, has_right = read_sensor_yaml(cameras / "cam0" / "sensor.yaml"), (cameras / "cam1" / "data.csv").is_file()
     recording = RawRecording(
         name=folder.absolute().name,
@@ -89,19 +89,23 @@ def open_euroc(spec: DatasetSpec) -> RectifiedDataset:
     return build_dataset(recording, rectify_left(rectify_both, rectify_one) if spec.left_only else rectify_both)
 
 
-def _open_with_camera_toml(spec: DatasetSpec, folder: Path) -> RectifiedDataset:
+def _open_with_other_calibration(spec: DatasetSpec, folder: Path) -> RectifiedDataset:
     """Open a sequence without `sensor.yaml`; its poses are of the vehicle, whose camera's place is then unknown."""
-    path, cameras = folder / CAMERA_TOML, _cameras(folder)
-    if not path.is_file():
+    cameras, settings = _cameras(folder), _find_calibration(folder)
+    if settings is None:
         raise DataError(
-            f"{cameras / 'cam0' / 'sensor.yaml'}: expected this file, found none; copy it there, or write {path} (of"
-            " TUM-VI the numbers are in dso/camchain.yaml)"
+            f"{cameras / 'cam0' / 'sensor.yaml'}: expected this file, found none; copy it there, or write"
+            f" {folder / CAMERA_TOML} (of TUM-VI the numbers are in dso/camchain.yaml)"
         )
-    settings = read_camera_toml(path)
     has_right = settings.is_pair and not spec.left_only and (cameras / "cam1" / "data.csv").is_file()
     right = _stream(cameras / "cam1") if has_right else None
-    recording = RawRecording(folder.absolute().name, _stream(cameras / "cam0"), right)
+    recording = RawRecording(folder.absolute().name, _stream(cameras / "cam0"), right, remarks=settings.remarks)
     return build_dataset(recording, rectification_of(settings, spec.left_only))
+
+
+def _find_calibration(folder: Path) -> CameraToml | None:
+    """The calibration beside `mav0`, else that in the folder in which TUM-VI has Kalibr's; None if there is none."""
+    return find_calibration(folder) or (find_calibration(folder / "dso") if (folder / "dso").is_dir() else None)
 
 
 def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
@@ -111,7 +115,7 @@ def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     folder = _folder(spec)
-    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file() or (folder / CAMERA_TOML).is_file():
+    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file() or _find_calibration(folder) is not None:
         return LeftImages.of(open_euroc(spec))
     stream = _stream(_cameras(folder) / "cam0")
     return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps, remarks=stream.remarks)
@@ -155,36 +159,16 @@ def read_sensor_yaml(path: Path) -> EurocCamera:
     Raises:
         DataError: the file is missing or is not YAML, or a value is missing or invalid.
     """
-    import yaml  # imported here because only this format needs it
-
-    text = "\n".join(line for line in read_lines(path) if not line.startswith("%YAML"))
     try:
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise ValueError("aliases, which can expand a few lines to billions")
-        table = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise DataError(f"{path}: expected YAML, found {str(error)[:200]}; copy the file again") from None
-    try:
-        return _sensor(path, table if isinstance(table, dict) else {})
+        return _sensor(path, read_yaml(path))
     except ValueError as error:
         raise DataError(f"{path}: {error}; copy the file again or correct it") from None
 
 
-def _sensor(path: Path, table: dict[Any, Any]) -> EurocCamera:
+def _sensor(path: Path, table: dict[str, Any]) -> EurocCamera:
     pose = table.get("T_BS")
     T_body_camera = parse_pose(pose.get("data") if isinstance(pose, dict) else pose, "T_BS")
-    fx, fy, cx, cy = _numbers(table, "intrinsics", 4)
-    coefficients = _numbers(table, "distortion_coefficients")
+    fx, fy, cx, cy = parse_numbers(table, "intrinsics", 4)
+    coefficients = parse_numbers(table, "distortion_coefficients")
     model = str(table.get("distortion_model", "radial-tangential")) if coefficients else "none"
     return EurocCamera(path, CameraModel(fx, fy, cx, cy, model, coefficients), T_body_camera)
-
-
-def _numbers(table: dict[Any, Any], name: str, count: int | None = None) -> tuple[float, ...]:
-    value: Any = table.get(name, [] if count is None else None)
-    try:
-        numbers = tuple(map(float, value))
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"expected a list of numbers {name}, found {str(value)[:60]}") from None
-    if count is not None and len(numbers) != count:
-        raise ValueError(f"expected {count} numbers {name}, found {len(numbers)}")
-    return numbers

@@ -1,20 +1,25 @@
 """Grey images from files, and sequences of image files of one uncalibrated camera."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import cached_property, reduce
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.grey_levels import FULL_RANGE, GreyRange, measure_grey_range
 from slam.datasets.time_sync import find_clock_unit, find_ticks_per_second, short_name, unit_name
 from slam.errors import DataError
 from slam.io.files import read_lines, read_numbers
 
 Array = NDArray[np.float64]
+
+_MEASURED_FILES = 16  # of a sequence of 16-bit images, to find their range
 
 IMAGE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".jpe", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".webp", ".jp2")
@@ -55,7 +60,14 @@ class ImageSequence:
         """
         if not 0 <= index < len(self):
             raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
-        return read_grey(self.files[index])
+        return read_grey(self.files[index], lambda: self._grey_range)
+
+    @cached_property
+    def _grey_range(self) -> GreyRange:
+        """Range of 16-bit images, by some from all parts of the sequence."""
+        some = (_read(path) for path in self.files[:: max(len(self.files) // _MEASURED_FILES, 1)])
+        ranges = [measure_grey_range(image) for image in some if image is not None and image.dtype == np.uint16]
+        return reduce(GreyRange.joined, ranges) if ranges else FULL_RANGE
 
     def where(self, index: int) -> str:
         """Path of an image, for error messages."""
@@ -96,22 +108,34 @@ def check_one_camera(files: tuple[Path, ...]) -> None:
             )
 
 
-def read_grey(path: Path) -> NDArray[np.uint8]:
+def read_grey(path: Path, find_range: Callable[[], GreyRange] = lambda: FULL_RANGE) -> NDArray[np.uint8]:
     """Read an image (H, W) uint8; colour is converted to grey.
+
+    Args:
+        path: file of the image.
+        find_range: finds the range of values of the recording; called for images of 16 bits.
 
     Raises:
         DataError: the file is missing or damaged, or its name is not valid Unicode.
     """
     _check_name(path)
-    try:
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    except cv2.error:  # raised for a header with a size that OpenCV refuses to allocate
-        image = None
+    image = _read(path)
     if image is None and not path.exists():
         raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
     if image is None:
         raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
-    return np.asarray(image, dtype=np.uint8)
+    return find_range().to_8_bits(image) if image.dtype == np.uint16 else np.asarray(image, np.uint8)
+
+
+def _read(path: Path) -> NDArray[Any] | None:
+    """Read an image (H, W), uint8 or uint16, grey; None if it cannot be read."""
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        if image is None or image.dtype in (np.uint8, np.uint16):
+            return image
+        return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # raised for a header with a size that OpenCV refuses to allocate
+        return None
 
 
 def _check_name(path: Path) -> None:

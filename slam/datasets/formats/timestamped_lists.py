@@ -86,16 +86,6 @@ def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> 
     return TimedRows(values, (*describe_lines(path, np.array(lines)[~good], trouble), *ordered.remarks))
 
 
-def check_increasing(path: Path, times: Array) -> None:
-    """Raise DataError unless times increase."""
-    wrong = np.diff(times) <= 0
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise DataError(
-            f"{path}: expected increasing times, found {times[at + 1]:.6f} after {times[at]:.6f}; correct those lines"
-        )
-
-
 def _cells(path: Path, list_format: ListFormat, min_columns: int = 1) -> tuple[list[int], list[list[str]]]:
     """Split all lines but a header, comments and empty ones into cells; return line numbers and cells."""
     lines: list[int] = []

@@ -401,6 +401,21 @@ def test_tum_vi_takes_its_calibration_from_camera_toml(tmp_path: Path, rough: Ta
     assert drive.ground_truth is None
 
 
+def test_tum_vi_takes_its_calibration_from_the_camchain_in_dso(tmp_path: Path, rough: Taken) -> None:
+    root, rig = write_euroc(tmp_path / "room1", rough), rough.rig
+    lines = []
+    for name, lens in (("cam0", rig.left), ("cam1", rig.right)):
+        (root / "mav0" / name / "sensor.yaml").unlink()
+        lines += [f"{name}:", "  camera_model: pinhole", f"  intrinsics: {[lens.fx, lens.fy, lens.cx, lens.cy]}"]
+        lines += ["  distortion_model: radtan", f"  distortion_coeffs: {list(lens.coefficients)}"]
+    lines += [f"  T_cn_cnm1: {np.linalg.inv(rig.T_left_right).tolist()}"]
+    (root / "dso").mkdir()
+    (root / "dso/camchain.yaml").write_text("\n".join(lines))
+    drive = open_for_odometry(DatasetSpec(root), mono=False)
+    np.testing.assert_array_equal(drive[2].right, rough.ideal.right(rough.pairs[2][1]))
+    assert usable(root) == (Use.STEREO, Use.MONO, Use.PLACES)
+
+
 LAYOUTS: dict[str, tuple[tuple[str, ...], str]] = {
     "TartanAir": (
         ("image_left/000000_left.png", "image_right/000000_right.png", "pose_left.txt"),

@@ -37,6 +37,17 @@ def test_images_are_grey(tmp_path: Path) -> None:
     assert (image.shape, image.dtype) == ((4, 6), np.uint8)
 
 
+@pytest.mark.parametrize("high", [1023, 4095, 16383, 65535])
+def test_images_of_sixteen_bits_keep_the_high_bits_of_the_sensor(tmp_path: Path, high: int) -> None:
+    folder = write(tmp_path / "a")
+    grey = np.tile(np.arange(256, dtype=np.uint16), (8, 1))
+    for number in range(4):  # the brightest is the last: all have one scale
+        cv2.imwrite(str(folder / f"{number}.png"), ((grey * (high // 255)) >> (3 - number)).astype(np.uint16))
+    images = open_image_sequence(folder, fps=1.0)
+    for number in range(4):
+        assert np.abs(images[number].astype(int) - (grey.astype(int) >> (3 - number))).max() <= 2
+
+
 def test_a_file_of_times_beside_the_images_is_used(tmp_path: Path) -> None:
     write(tmp_path, "1.png", "2.png")
     (tmp_path / "times.txt").write_text("5.0\n7.5\n")

@@ -140,6 +140,16 @@ def toml(change: Callable[[str], str]) -> Callable[[Path], object]:
 OWN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no TOML": (toml(lambda t: t + "= 3"), r"camera.toml: expected TOML, found .*correct that line"),
     "no fx": (toml(lambda t: t.replace("fx", "f", 1)), r"camera.toml: expected only fx, .*found 'f'"),
+    "a key of another name": (
+        toml(lambda t: 'images = "left"\n' + t),
+        r"found 'images' \(did you mean left\?\)",
+    ),
+    "a key with a slip of the pen": (toml(lambda t: "basline = 0.1\n" + t), r"'basline' \(did you mean baseline\?\)"),
+    "a key in capital letters": (toml(lambda t: t.replace("cx", "Cx", 1)), r"found 'Cx' \(did you mean cx\?\)"),
+    "a key of the right camera": (
+        toml(lambda t: t.replace("T_left_right", "T_c1_c2")),
+        r"\[right_camera\] expected only .*'T_c1_c2' \(did you mean T_left_right\?\)",
+    ),
     "a word for a number": (
         toml(lambda t: t.replace("fx = 200.0", "fx = 'wide'", 1)),
         r"expected a number fx, found 'wide'",
@@ -152,7 +162,7 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
     "two answers": (toml(lambda t: "baseline = 0.1\n" + t), r"expected baseline or \[right_camera\], found both"),
     "coefficients missing": (
         toml(lambda t: t.replace("-0.28, ", "", 1)),
-        r"expected 4 or 5 coefficients of radtan, found 3",
+        r"expected 4, 5, 8, 12 or 14 coefficients of radtan, found 3",
     ),
     "a rotation that is none": (
         toml(lambda t: t.replace("T_left_right = [[0", "T_left_right = [[5", 1)),

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from slam.datasets.camera_toml import read_camera_toml
 from slam.datasets.formats.euroc import read_sensor_yaml
-from slam.datasets.formats.rosbag_file import ENCODINGS, decode_image
+from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image
 from slam.datasets.formats.timestamped_lists import (
     CSV_NANOSECONDS,
     SPACE_SEPARATED_SECONDS,

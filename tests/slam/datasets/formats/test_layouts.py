@@ -10,8 +10,8 @@ import pytest
 from slam.cli import app
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.registry import FORMATS, detect_format, open_dataset, open_images
-from slam.datasets.formats.rosbag_dataset import choose_topics
 from slam.datasets.formats.rosbag_file import Bag
+from slam.datasets.formats.rosbag_topics import choose_topics
 from slam.datasets.prefetch import prefetch
 from slam.io.metrics import read_metrics, write_metrics
 from slam.io.trajectory_files import write_kitti, write_tum
