@@ -21,7 +21,7 @@ QUARANTINE = {
     "gtsam": ("slam/pose_graph/",),
     "rerun": ("slam/viewer/",),
     "open3d": ("slam/mapping/", "slam/simulation/"),
-    "pykitti": ("slam/datasets/formats/kitti",),
+    "pykitti": (),
     "rosbags": ("slam/datasets/formats/rosbag_file",),
     "yaml": ("slam/datasets/calibration_yaml",),
     "faiss": ("place_recognition/",),

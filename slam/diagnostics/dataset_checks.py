@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.static_regions import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
-from slam.datasets.formats.registry import FORMATS, detect_format
+from slam.datasets.formats.registry import FORMATS, detect_format, open_images
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -100,7 +100,7 @@ def _check_left(spec: DatasetSpec, name: str, trouble: str, progress: Progress) 
 def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Progress) -> list[Finding]:
     """Check the left images of a dataset that cannot be opened for SLAM."""
     try:
-        images = FORMATS[name].open_images(replace(spec, left_only=True))
+        images = open_images(replace(spec, format=name))
     except DataError as error:
         if str(error) == trouble:
             return [report_fault("opening", trouble, ALL_USES)]

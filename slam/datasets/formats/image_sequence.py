@@ -149,10 +149,13 @@ def _check_name(path: Path) -> None:
 def read_times(path: Path, count: int) -> tuple[Array, tuple[str, ...]]:
     """Read `count` increasing times, one per line: seconds (N,), and a remark if the file has another unit.
 
+    TUM's monocular data set and 4Seasons have three numbers in a line: number of the image, time and exposure.
+
     Raises:
         DataError: the file is missing, has another number of times, or they do not increase.
     """
-    ticks = read_numbers(path, 1)[:, 0]
+    first = next((line.split() for line in read_lines(path) if line.strip() and line.strip()[0] != "#"), [])
+    ticks = read_numbers(path, 3 if len(first) == 3 else 1)[:, 1 if len(first) == 3 else 0]
     if len(ticks) != count:
         raise DataError(
             f"{path}: expected {count} times, one for each image, found {len(ticks)}; copy the whole recording again"

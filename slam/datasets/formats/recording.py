@@ -322,12 +322,17 @@ def read_size(images: Images) -> Size:
         DataError: it cannot be read, or is too small.
     """
     height, width = images[0].shape
-    if min(width, height) < _MIN_SIDE_PX:
-        raise DataError(
-            f"{images.where(0)}: images too small, expected at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX} pixels, found"
-            f" {width} x {height}; record or export larger ones"
-        )
+    check_size(images.where(0), (width, height))
     return width, height
+
+
+def check_size(where: str, size: Size) -> None:
+    """Raise DataError if images of a size (width, height) are too small; `where` is a file for the message."""
+    if min(size) < _MIN_SIDE_PX:
+        raise DataError(
+            f"{where}: images too small, expected at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX} pixels, found"
+            f" {size[0]} x {size[1]}; record or export larger ones"
+        )
 
 
 def rectify_left(

@@ -25,7 +25,7 @@ from slam.datasets.formats.kitti_files import is_kitti
 from slam.datasets.formats.kitti_raw import is_kitti_raw, open_kitti_raw, open_kitti_raw_images
 from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
-from slam.datasets.formats.recording import ImageDataset
+from slam.datasets.formats.recording import ImageDataset, check_size
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
 from slam.datasets.formats.rosbag_file import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
@@ -159,7 +159,10 @@ def open_images(spec: DatasetSpec) -> ImageDataset:
     They are undistorted if there is a calibration; none is needed.
 
     Raises:
-        DataError: the images are missing, damaged or inconsistent.
+        DataError: the images are missing, damaged, inconsistent or too small.
         ConfigError: the format does not exist.
     """
-    return FORMATS[detect_format(spec)].open_images(replace(spec, left_only=True))
+    images = FORMATS[detect_format(spec)].open_images(replace(spec, left_only=True))
+    height, width = images[0].shape
+    check_size(str(spec.path), (width, height))
+    return images

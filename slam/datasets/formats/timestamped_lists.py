@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.formats.image_sequence import ImageSequence
-from slam.datasets.time_sync import describe_lines, order_by_time
+from slam.datasets.formats.image_sequence import ImageSequence, list_images
+from slam.datasets.time_sync import describe_lines, order_by_time, short_name
 from slam.errors import DataError
 from slam.io.files import read_lines
 
@@ -52,7 +52,22 @@ def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageS
         raise DataError(f"{path}: expected the image {missing}, which it lists, found none; unpack it again")
     if not files:
         raise DataError(f"{path}: expected a time in each line, found none; export it again")
-    return ImageSequence(path.parent.name, files, ordered.seconds, remarks=ordered.remarks)
+    listed = {folder / row[1] for row in cells}
+    return ImageSequence(
+        path.parent.name, files, ordered.seconds, remarks=(*ordered.remarks, *_describe_unlisted(path, listed))
+    )
+
+
+def _describe_unlisted(path: Path, listed: set[Path]) -> list[str]:
+    """Remarks about images in the folders of a list that it does not name; beside the list there may be any others."""
+    folders = sorted({file.parent for file in listed} - {path.parent})
+    unlisted = {folder: [file for file in list_images(folder) if file not in listed] for folder in folders}
+    return [
+        f"{short_name(path)}: {len(files)} images in {folder.name} are not listed and left out, the first is"
+        f" {files[0].name}"
+        for folder, files in unlisted.items()
+        if files
+    ]
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ _OPENLORIS_REMARK = (
 
 def is_tum_rgbd(folder: Path) -> bool:
     """Whether a folder is one sequence in this layout."""
-    return any((folder / name).is_file() for name in _LISTS)
+    return (folder / "rgb.txt").is_file() or ((folder / "color.txt").is_file() and (folder / "color").is_dir())
 
 
 def _list(folder: Path) -> Path:

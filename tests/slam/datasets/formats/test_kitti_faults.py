@@ -209,6 +209,11 @@ def test_times_of_another_unit_become_seconds_with_a_remark(root: Path, folder: 
         assert f"times.txt: the times are read as {unit}" in drive.remarks[0]
 
 
+def test_times_between_a_number_and_an_exposure_are_read(root: Path, folder: Path) -> None:
+    times("".join(f"{k:05d} {1.4e9 + 0.1 * k:.3f} 12.5\n" for k in range(3)))(folder)
+    np.testing.assert_allclose(open_kitti(root).timestamps, 1.4e9 + 0.1 * np.arange(3), atol=1e-6)
+
+
 def test_a_time_that_goes_back_is_named_with_its_line(root: Path, folder: Path) -> None:
     times("# seconds\n\n0\n2\n1\n")(folder)
     with pytest.raises(DataError, match=r"found 1.0 after 2.0 in line 5; correct the line, or remove the file and giv"):

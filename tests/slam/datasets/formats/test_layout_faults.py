@@ -285,7 +285,7 @@ def test_an_unknown_format_is_a_configuration_error(tmp_path: Path) -> None:
 
 def test_image_datasets_without_calibration_are_refused_for_slam(tmp_path: Path) -> None:
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"CAMERA1_{k}.5_left.jpg"), np.zeros((8, 8), np.uint8))
+        cv2.imwrite(str(tmp_path / f"CAMERA1_{k}.5_left.jpg"), np.zeros((16, 16), np.uint8))
     with pytest.raises(
         DataError, match=r"expected a calibration, found images of places alone; use it with revisit places"
     ):
