@@ -43,6 +43,7 @@ _ROS_NAMES = {
     "rectification_matrix": "r",
     "projection_matrix": "p",
 }
+_SIZE = ("width", "height")
 _ORB_SLAM_MODELS = {"KannalaBrandt8": "equidistant"}
 
 
@@ -157,9 +158,9 @@ def _from_orb_slam(path: Path, table: Table) -> CameraToml | None:
     if not names:
         return None
     left, *others = (_orb_slam_model(table, name) for name in names)
-    size = tuple(int(parse_numbers(table, f"Camera.{n}", 1)[0]) for n in ("width", "height") if f"Camera.{n}" in table)
+    width, height = (int(parse_numbers(table, f"Camera.{n}", 1)[0]) if f"Camera.{n}" in table else 0 for n in _SIZE)
     fps = parse_numbers(table, "Camera.fps", 1)[0] if "Camera.fps" in table else None
-    camera = CameraToml(path, left, fps=fps, size=size if len(size) == len(("width", "height")) else (0, 0))
+    camera = CameraToml(path, left, fps=fps, size=(width, height) if width and height else (0, 0))
     pose = next((table[name] for name in ("Stereo.T_c1_c2", "Tlr") if name in table), None)
     if pose is not None:
         numbers = _numbers_of(pose, "Stereo.T_c1_c2")
