@@ -43,6 +43,7 @@ _ROS_NAMES = {
     "rectification_matrix": "r",
     "projection_matrix": "p",
 }
+_SIZE = ("width", "height")
 _ORB_SLAM_MODELS = {"KannalaBrandt8": "equidistant"}
 
 
@@ -157,9 +158,9 @@ def _from_orb_slam(path: Path, table: Table) -> CameraToml | None:
     if not names:
         return None
     left, *others = (_orb_slam_model(table, name) for name in names)
-    size = tuple(int(parse_numbers(table, f"Camera.{n}", 1)[0]) for n in ("width", "height") if f"Camera.{n}" in table)
+    width, height = (int(parse_numbers(table, f"Camera.{n}", 1)[0]) if f"Camera.{n}" in table else 0 for n in _SIZE)
     fps = parse_numbers(table, "Camera.fps", 1)[0] if "Camera.fps" in table else None
-    camera = CameraToml(path, left, fps=fps, size=size if len(size) == len(("width", "height")) else (0, 0))
+    camera = CameraToml(path, left, fps=fps, size=(width, height) if width and height else (0, 0))
     pose = next((table[name] for name in ("Stereo.T_c1_c2", "Tlr") if name in table), None)
     if pose is not None:
         numbers = _numbers_of(pose, "Stereo.T_c1_c2")
@@ -246,8 +247,9 @@ def _opencv_model(table: Table, side: tuple[str, ...]) -> CameraModel | None:
     K = _matrix(table, _named(_K_NAMES, side), 9)
     if K is None:
         return None
-    D = _matrix(table, _named(_D_NAMES, side), None)
-    coefficients = () if D is None else tuple(D.tolist())
+    plain = _plain(table)
+    D = next((name for name in _named(_D_NAMES, side) if name in plain), None)
+    coefficients = () if D is None else _numbers_of(plain[D], D)
     is_fisheye = str(_plain(table).get("fisheyemodel", "0")).lower() in ("1", "true")
     model = "fisheye" if is_fisheye else str(_plain(table).get("distortionmodel", "plumb_bob"))
     if not any(coefficients) and model not in ("fisheye", "equidistant"):
@@ -276,14 +278,16 @@ def _plain(table: Table) -> dict[str, Any]:
     return {re.sub(r"[^a-z0-9]", "", name.lower()): value for name, value in table.items()}
 
 
-def _matrix(table: Table, names: tuple[str, ...], count: int | None) -> Array | None:
-    """Numbers (count,) of the first of some matrices; None if there is none, or it has another size."""
+def _matrix(table: Table, names: tuple[str, ...], count: int) -> Array | None:
+    """Numbers (count,) of the first of some matrices; None if there is none: other files may use the same names."""
     plain = _plain(table)
     for name in names:
-        if isinstance(plain.get(name), dict | list):
-            numbers = _numbers_of(plain[name], name)
-            if count is None or len(numbers) == count:
-                return np.array(numbers)
+        try:
+            numbers = _numbers_of(plain.get(name), name)
+        except ValueError:
+            continue
+        if len(numbers) == count:
+            return np.array(numbers)
     return None
 
 

@@ -155,7 +155,7 @@ def read_camera_toml(path: Path, find_other: Callable[[], CameraToml | None] = l
 def _camera_file(path: Path, table: dict[str, Any], other: CameraToml | None) -> CameraToml:
     _reject_unknown_keys(table, _KEYS)
     texts = {key: _text(table[key], key) for key in _TEXT_KEYS if key in table}
-    truth = texts.pop("ground_truth", None)
+    left, right_name, truth = (texts.get(key) for key in _TEXT_KEYS)
     right = table.get("right_camera")
     if right is not None and "baseline" in table:
         raise ValueError("expected baseline or [right_camera], found both")
@@ -164,15 +164,16 @@ def _camera_file(path: Path, table: dict[str, Any], other: CameraToml | None) ->
         raise ValueError(f"expected fps in images per second, found {fps:g}")
     ground_truth = None if truth is None else path.parent / truth
     if other is not None:
-        return replace(other, fps=fps or other.fps, ground_truth=ground_truth, **texts)
+        return replace(other, fps=fps or other.fps, left=left, right=right_name, ground_truth=ground_truth)
     return CameraToml(
         path,
         _camera_model(table),
         baseline_m=_positive(table, "baseline"),
         right_camera=None if right is None else _right_camera(right),
         fps=fps,
+        left=left,
+        right=right_name,
         ground_truth=ground_truth,
-        **texts,
     )
 
 

@@ -127,9 +127,8 @@ def _remarks_of_choice(bag: Bag, topics: CameraTopics, used: CameraTopics) -> tu
     if topics == used:
         return ()
     faults = "".join(f"; {topic}: {fault}" for topic, fault in bag.rejected.items())
-    return (
-        f"neither CameraInfo (P of both cameras) nor {CAMERA_TOML} has a baseline: the left camera alone is used{faults}",
-    )
+    trouble = f"neither CameraInfo (P of both cameras) nor {CAMERA_TOML} has a baseline"
+    return (f"{trouble}: the left camera alone is used{faults}",)
 
 
 def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:

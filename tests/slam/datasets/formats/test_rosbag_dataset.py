@@ -183,6 +183,24 @@ def test_the_calibration_of_another_camera_is_not_used(tmp_path: Path, info: str
 
 
 @pytest.mark.parametrize(
+    ("info", "topics"),
+    [
+        ("/rig/camera_info", ("/rig/front/image_raw", "/rig/rear/image_raw")),
+        ("/rig/depth_camera_info", ("/rig/front/image_raw",)),
+        ("/cam/camera_info", ("/cam/image_front", "/cam/image_rear")),
+    ],
+)
+def test_a_calibration_that_may_be_of_several_cameras_is_of_none(
+    tmp_path: Path, info: str, topics: tuple[str, ...]
+) -> None:
+    messages = Messages().add(info, Info().message(), START)
+    for topic in topics:
+        messages.images(topic, STEPS)
+    with pytest.raises(DataError, match=rf"expected a CameraInfo for {topics[0]}, found {info} of other cameras"):
+        open_dataset(DatasetSpec(messages.write(tmp_path / "drive.bag"), topics=topics[:1]))
+
+
+@pytest.mark.parametrize(
     ("info", "topic"),
     [
         ("/cam/camera_info", "/cam/image_raw"),
