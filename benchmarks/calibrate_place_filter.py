@@ -21,7 +21,7 @@ from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
 from place_recognition.recognizer import NullMatrixSink, ObservedImage, Proposals
 from place_recognition.verification.candidate_verification import CandidateVerificationConfig, verify_candidates
 from place_recognition.verification.present_view import PresentView
-from slam.datasets.formats.image_sequence import open_image_sequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.evaluation.revisit_truth_files import read_revisit_truth
 
 EVIDENCE_BINS = (0.0, 0.01, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 100.0, np.inf)

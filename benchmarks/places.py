@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
-from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
+from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.evaluation.place_metrics import evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth, check_truth_size, read_revisit_truth
 from slam.pipeline.place_recognition import PlaceRecognitionRun, RecognizerFactory, run_recognizer, stage_times

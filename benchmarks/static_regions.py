@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig
-from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
+from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.evaluation.place_metrics import evaluate_places
 from slam.pipeline.place_recognition import RecognizerFactory, run_recognizer
 

@@ -20,7 +20,8 @@ from rich.console import Console
 
 from place_recognition.paradigms.registry import PARADIGMS
 from slam.apps.places import PlacesOptions, recognize_images
-from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
+from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.errors import DataError, RevisitError
 from slam.evaluation.revisit_truth_files import RevisitTruth, check_truth_size, read_revisit_truth

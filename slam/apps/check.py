@@ -35,8 +35,8 @@ def format_table(inspection: Inspection) -> Group:
 
 
 def _format_use(inspection: Inspection, use: StrEnum) -> str:
-    reasons = inspection.reasons_against(use)
-    return f"{use}: will not work: {escape('; '.join(reasons))}" if reasons else f"{use}: will work"
+    topics = dict.fromkeys(finding.topic for finding in inspection.findings if use in finding.forbids)
+    return f"{use}: will not work: see {escape(', '.join(topics))} above" if topics else f"{use}: will work"
 
 
 def format_json(inspection: Inspection) -> str:

@@ -20,7 +20,7 @@ PARADIGM_NAMES = (
 PRESET_NAMES = "default, published"
 FEATURE_NAMES = "surf, surf-oriented, sift, orb, brief"
 BACK_END_NAMES = "none, huber, dcs, switchable, gnc, pcm, pcm+gnc"
-FORMAT_NAMES = "kitti, euroc, tum-rgbd, own-camera, bag, malaga, new-college, city-centre, images"
+FORMAT_NAMES = "kitti, kitti-raw, euroc, tum-rgbd, own-camera, bag, malaga, new-college, city-centre, images"
 
 # Groups of options in the help of commands that have many.
 INPUT, RECOGNITION, BACK_END, OUTPUT = "Input", "Place recognition", "Odometry and back end", "Output"

@@ -20,8 +20,10 @@ For an unrectified pair, a table with the right camera replaces the baseline:
     T_left_right = [[...], [...], [...], [...]]     # its pose in the left camera's frame, metres
 """
 
+import difflib
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,19 @@ _INTRINSICS = ("fx", "fy", "cx", "cy")
 _CAMERA_KEYS = (*_INTRINSICS, "model", "distortion")
 _TEXT_KEYS = ("left", "right", "ground_truth")
 _KEYS = (*_CAMERA_KEYS, "baseline", "fps", *_TEXT_KEYS, "right_camera")
+# What users write instead, where the known key is spelt quite differently.
+_SYNONYMS = {
+    **dict.fromkeys(("images", "image", "images_left", "folder", "video", "topic"), "left"),
+    **dict.fromkeys(("rate", "hz", "frequency"), "fps"),
+    **dict.fromkeys(("f", "focal", "focal_length"), "fx"),
+    **dict.fromkeys(("coefficients", "d", "distortion_coefficients"), "distortion"),
+    **dict.fromkeys(("poses", "truth", "trajectory"), "ground_truth"),
+    **dict.fromkeys(("extrinsics", "pose", "t_c1_c2"), "T_left_right"),
+    "images_right": "right",
+    "b": "baseline",
+    "distortion_model": "model",
+    "cam1": "right_camera",
+}
 _MAX_NAME_BYTES = 255  # of a file name in Linux's file systems
 _MAX_TRANSLATION = 1e6  # m, of a pose in a calibration: more is damage
 
@@ -62,7 +77,7 @@ class RightCamera:
 
 @dataclass(frozen=True)
 class CameraToml:
-    """Contents of a `camera.toml`.
+    """Contents of a `camera.toml`, or of another file with the same numbers.
 
     Attributes:
         path: file that was read.
@@ -72,6 +87,9 @@ class CameraToml:
         fps: images per second, or None.
         left, right: names of folders, video files or topics; None to find them.
         ground_truth: file of poses, or None.
+        size: width and height of the images that were calibrated, pixels; zeros if unknown.
+        topics: image topics of the cameras in a bag, if the file names them.
+        remarks: notes for the user.
     """
 
     path: Path
@@ -82,6 +100,9 @@ class CameraToml:
     left: str | None = None
     right: str | None = None
     ground_truth: Path | None = None
+    size: Size = (0, 0)
+    topics: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def is_pair(self) -> bool:
@@ -94,6 +115,11 @@ class CameraToml:
         Raises:
             DataError: the calibration contradicts itself.
         """
+        if self.size not in (size, (0, 0)):
+            raise DataError(
+                f"{self.path}: expected images of {self.size[0]} x {self.size[1]}, found {size[0]} x {size[1]};"
+                f" calibrate images of this size, or write their fx, fy, cx and cy into {CAMERA_TOML}"
+            )
         try:
             if self.right_camera is not None:
                 return rectify_pair(self.model, self.right_camera.model, self.right_camera.T_left_right, size)
@@ -104,8 +130,12 @@ class CameraToml:
             raise DataError(f"{self.path}: {error}; calibrate again or correct the numbers") from None
 
 
-def read_camera_toml(path: Path) -> CameraToml:
+def read_camera_toml(path: Path, find_other: Callable[[], CameraToml | None] = lambda: None) -> CameraToml:
     """Read a `camera.toml`.
+
+    Args:
+        path: file to read.
+        find_other: finds the calibration in another file, which is used if this one has no calibration.
 
     Raises:
         DataError: the file is missing or is not TOML, a key is missing or unknown, or a value is invalid.
@@ -114,38 +144,44 @@ def read_camera_toml(path: Path) -> CameraToml:
         table = tomllib.loads("\n".join(read_lines(path)))
     except (ValueError, RecursionError) as error:  # also raised for numbers with too many digits and for deep nesting
         raise DataError(f"{path}: expected TOML, found {error}; correct that line") from None
+    has_cameras = any(key in table for key in (*_CAMERA_KEYS, "baseline", "right_camera"))
+    other = None if has_cameras else find_other()
     try:
-        return _camera_file(path, table)
+        return _camera_file(path, table, other)
     except ValueError as error:
         raise DataError(f"{path}: {error}; correct it, see docs/drives.md") from None
 
 
-def _camera_file(path: Path, table: dict[str, Any]) -> CameraToml:
+def _camera_file(path: Path, table: dict[str, Any], other: CameraToml | None) -> CameraToml:
     _reject_unknown_keys(table, _KEYS)
     texts = {key: _text(table[key], key) for key in _TEXT_KEYS if key in table}
-    truth = texts.pop("ground_truth", None)
+    left, right_name, truth = (texts.get(key) for key in _TEXT_KEYS)
     right = table.get("right_camera")
     if right is not None and "baseline" in table:
         raise ValueError("expected baseline or [right_camera], found both")
     fps = _positive(table, "fps")
     if fps is not None and not is_valid_fps(fps):
         raise ValueError(f"expected fps in images per second, found {fps:g}")
+    ground_truth = None if truth is None else path.parent / truth
+    if other is not None:
+        return replace(other, fps=fps or other.fps, left=left, right=right_name, ground_truth=ground_truth)
     return CameraToml(
         path,
         _camera_model(table),
         baseline_m=_positive(table, "baseline"),
         right_camera=None if right is None else _right_camera(right),
         fps=fps,
-        ground_truth=None if truth is None else path.parent / truth,
-        **texts,
+        left=left,
+        right=right_name,
+        ground_truth=ground_truth,
     )
 
 
 def _right_camera(table: object) -> RightCamera:
     if not isinstance(table, dict):
         raise ValueError(f"expected a table [right_camera], found {str(table)[:60]!r}")
-    _reject_unknown_keys(table, (*_CAMERA_KEYS, "T_left_right"))
     try:
+        _reject_unknown_keys(table, (*_CAMERA_KEYS, "T_left_right"))
         return RightCamera(_camera_model(table), parse_pose(table.get("T_left_right"), "T_left_right"))
     except ValueError as error:
         raise ValueError(f"[right_camera] {error}") from None
@@ -211,4 +247,12 @@ def _text(value: object, name: str) -> str:
 def _reject_unknown_keys(table: dict[str, Any], known: tuple[str, ...]) -> None:
     others = sorted(set(table) - set(known))
     if others:
-        raise ValueError(f"expected only {', '.join(known)}, found {others[0][:60]!r}")
+        raise ValueError(f"expected only {', '.join(known)}, found {others[0][:60]!r}{_suggestion(others[0], known)}")
+
+
+def _suggestion(key: str, known: tuple[str, ...]) -> str:
+    """Question whether the nearest known key was meant; empty if none is near."""
+    lower = key.lower()
+    near = difflib.get_close_matches(lower, [name.lower() for name in known], 1)
+    meant = next((name for name in known if [name.lower()] == near), _SYNONYMS.get(lower))
+    return f" (did you mean {meant}?)" if meant in known else ""

@@ -114,6 +114,7 @@ class DatasetSpec:
         format: name of a format in `slam.datasets.formats.registry.FORMATS`; None to detect it.
         fps: images per second, for recordings without timestamps.
         topics: image topics of a bag, the left camera's first; empty to find them.
+        left_only: whether the left camera alone is read, so that nothing about a right one matters.
 
     Raises:
         ConfigError: `fps` is not a frame rate, or there are more than two topics.
@@ -124,6 +125,7 @@ class DatasetSpec:
     format: str | None = None
     fps: float | None = None
     topics: tuple[str, ...] = ()
+    left_only: bool = False
 
     def __post_init__(self) -> None:
         if self.fps is not None and not is_valid_fps(self.fps):
@@ -133,7 +135,7 @@ class DatasetSpec:
 
     def as_metrics(self) -> dict[str, object]:
         """Return the fields that were given, for metrics.json."""
-        return {name: value for name, value in asdict(self).items() if value not in (None, ())}
+        return {name: value for name, value in asdict(self).items() if value not in (None, (), False)}
 
     @classmethod
     def from_metrics(cls, fields: Mapping[str, Any]) -> "DatasetSpec":

@@ -1,7 +1,8 @@
 """Intrinsics and distortion models of cameras, and the maps that undistort their images.
 
-The models are OpenCV's: `radtan` (Brown 1966: k1 k2 p1 p2 [k3]), `rational` (k1 k2 p1 p2 k3 .. k6), and `equidistant`
-(Kannala, Brandt 2006: k1 .. k4) for fisheye lenses.
+The models are OpenCV's: `radtan` (Brown 1966: k1 k2 p1 p2 [k3]), `rational` (k1 k2 p1 p2 k3 .. k6, then four of a thin
+prism and two of a tilted sensor), and `equidistant` (Kannala, Brandt 2006: k1 .. k4) for fisheye lenses. The first two
+are one model: coefficients that are not given are zero.
 """
 
 from dataclasses import dataclass
@@ -13,14 +14,18 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+_OPENCV_COUNTS = (4, 5, 8, 12, 14)  # of coefficients that OpenCV takes
+
 # Names that calibration tools and ROS give to the models, with the numbers of coefficients that they may have.
 DISTORTION_MODELS = {
     "none": (0,),
-    "radtan": (4, 5),
-    "plumb_bob": (4, 5),
-    "radial-tangential": (4, 5),
-    "rational": (8,),
-    "rational_polynomial": (8,),
+    "radtan": _OPENCV_COUNTS,
+    "plumb_bob": _OPENCV_COUNTS,
+    "radial-tangential": _OPENCV_COUNTS,
+    "brown_conrady": _OPENCV_COUNTS,
+    "rational": _OPENCV_COUNTS,
+    "rational_polynomial": _OPENCV_COUNTS,
+    "thin_prism": _OPENCV_COUNTS,
     "equidistant": (4,),
     "fisheye": (4,),
 }
@@ -62,7 +67,8 @@ class CameraModel:
         if model not in DISTORTION_MODELS:
             raise ValueError(f"expected one of the models {', '.join(DISTORTION_MODELS)}, found {model!r}")
         if found not in DISTORTION_MODELS[model]:
-            counts = " or ".join(map(str, DISTORTION_MODELS[model]))
+            *others, last = map(str, DISTORTION_MODELS[model])
+            counts = f"{', '.join(others)} or {last}" if others else last
             raise ValueError(f"expected {counts} coefficients of {model}, found {found}")
 
     @property

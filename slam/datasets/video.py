@@ -17,7 +17,12 @@ from slam.errors import DataError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-VIDEO_SUFFIXES = frozenset((".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv"))
+# Bare streams of images: FFmpeg invents their times.
+_STREAM_SUFFIXES = frozenset((".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg", ".m1v", ".m2v"))
+VIDEO_SUFFIXES = _STREAM_SUFFIXES | {
+    *(".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv", ".asf", ".flv", ".3gp", ".3g2"),
+    *(".mts", ".m2ts", ".ts", ".vob", ".mxf", ".ogv", ".divx", ".qt", ".y4m", ".dv"),
+}
 # One cursor follows the current frame, the other reads the matched images of loops again.
 _MAX_CURSORS = 2
 _DEFAULT_FPS = 30.0  # of a video without frame times and without a frame rate
@@ -85,11 +90,21 @@ class Video:
     Attributes:
         path: video file.
         timestamps: (N,) seconds since the beginning of the video, increasing.
+        has_times: whether the file holds these times; if not, they follow from a constant rate.
     """
 
     path: Path
     timestamps: Array
+    has_times: bool
     _reader: SequentialReader
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A note about times that are assumed."""
+        if self.has_times or len(self) < 2:
+            return ()
+        fps = 1 / (self.timestamps[1] - self.timestamps[0])
+        return (f"{self.path.name} holds no times: {fps:g} images a second are assumed; give --fps",)
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -129,13 +144,15 @@ def open_video(path: Path) -> Video:
     if not times_s:
         raise DataError(f"{path}: expected a video, found no image that can be decoded; copy it again or convert it")
     stamps = np.array(times_s)
-    has_times = bool((np.diff(stamps) > 0).all())  # some containers store no frame times
-    times = stamps if has_times else np.arange(len(stamps)) / (fps if 0 < fps < np.inf else _DEFAULT_FPS)
-    return Video(path, times, SequentialReader(lambda index: _decode_from(path, stamps if has_times else None, index)))
+    can_seek = bool((np.diff(stamps) > 0).all())  # some containers store no frame times
+    times = stamps if can_seek else np.arange(len(stamps)) / (fps if 0 < fps < np.inf else _DEFAULT_FPS)
+    reader = SequentialReader(lambda index: _decode_from(path, stamps if can_seek else None, index))
+    return Video(path, times, can_seek and path.suffix.lower() not in _STREAM_SUFFIXES, reader)
 
 
 def _open_capture(path: Path) -> cv2.VideoCapture:
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    # An absolute path: FFmpeg takes what stands before a colon for a protocol, as in 12:30.mp4.
+    capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise DataError(f"{path}: expected a video, found a file that cannot be decoded; copy it again or convert it")
     return capture

@@ -1,7 +1,7 @@
 """Checks of a dataset: opens it, reads some of its images, and collects the findings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from place_recognition.image_processing.static_regions import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
-from slam.datasets.formats.registry import FORMATS, detect_format
+from slam.datasets.formats.registry import FORMATS, detect_format, open_images
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -78,16 +78,30 @@ def inspect_dataset(spec: DatasetSpec, progress: Progress) -> Inspection:
     try:
         dataset = FORMATS[name].open_dataset(spec)
     except DataError as error:
-        findings = _check_images_alone(spec, name, str(error), progress)
+        findings = _check_left(spec, name, str(error), progress)
     else:
-        findings = _check_dataset(dataset, progress)
+        findings = _check_dataset(dataset, lambda: _open_left(spec, name), progress)
     return Inspection(str(spec.path), name, tuple(findings))
+
+
+def _open_left(spec: DatasetSpec, name: str) -> Dataset:
+    return FORMATS[name].open_dataset(replace(spec, left_only=True))
+
+
+def _check_left(spec: DatasetSpec, name: str, trouble: str, progress: Progress) -> list[Finding]:
+    """Check the left camera of a dataset whose two cameras cannot be opened together."""
+    try:
+        left = _open_left(spec, name)
+    except DataError:
+        return _check_images_alone(spec, name, trouble, progress)
+    findings = _check_dataset(left, lambda: left, progress)
+    return [report_fault("second camera", trouble, (Use.STEREO,)), *(f for f in findings if f.topic != "second camera")]
 
 
 def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Progress) -> list[Finding]:
     """Check the left images of a dataset that cannot be opened for SLAM."""
     try:
-        images = FORMATS[name].open_images(spec)
+        images = open_images(replace(spec, format=name))
     except DataError as error:
         if str(error) == trouble:
             return [report_fault("opening", trouble, ALL_USES)]
@@ -100,23 +114,38 @@ def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Pr
         *_check_samples(seen),
         *times,
         _check_ground_truth(images),
+        *_report_remarks(images),
     ]
 
 
-def _check_dataset(dataset: Dataset, progress: Progress) -> list[Finding]:
-    def read(index: int) -> tuple[Image, Image | None]:
-        frame = dataset[index]
-        return frame.left, frame.right
-
-    seen = _sample(len(dataset), read, progress)
-    findings = [_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"), *_check_samples(seen)]
+def _check_dataset(dataset: Dataset, open_left: Callable[[], Dataset], progress: Progress) -> list[Finding]:
+    seen = _sample(len(dataset), _reader(dataset), progress)
+    findings = []
+    if seen.fault and dataset.has_right:  # perhaps of the right camera, which --mono and places do not need
+        left, pairs = open_left(), seen.pairs
+        trouble, seen = seen.fault, _sample(len(left), _reader(left), progress)
+        seen.pairs = pairs
+        findings = [] if seen.fault else [report_fault("right images", trouble, (Use.STEREO,))]
+    findings.append(_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"))
+    findings += _check_samples(seen)
     findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
     if dataset.has_right:
         findings += [check_rectification(seen.pairs), check_pair_brightness(seen.pairs)]
     else:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
-    findings.append(_check_ground_truth(dataset))
-    return [*findings, *(report_warning("left out", remark) for remark in dataset.remarks)]
+    return [*findings, _check_ground_truth(dataset), *_report_remarks(dataset)]
+
+
+def _report_remarks(dataset: Dataset | ImageDataset) -> list[Finding]:
+    return [report_warning("left out", remark) for remark in dataset.remarks]
+
+
+def _reader(dataset: Dataset) -> Callable[[int], tuple[Image, Image | None]]:
+    def read(index: int) -> tuple[Image, Image | None]:
+        frame = dataset[index]
+        return frame.left, frame.right
+
+    return read
 
 
 def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Samples:
@@ -164,10 +193,7 @@ def _check_count(count: int, things: str) -> Finding:
 
 
 def _check_ground_truth(dataset: Dataset | ImageDataset) -> Finding:
-    try:
-        poses = dataset.ground_truth
-    except DataError as error:
-        return report_warning("ground truth", str(error))
+    poses = dataset.ground_truth
     if poses is None:
         return report_ok("ground truth", "none: errors will not be known", metres=None)
     metres = float(path_length(poses))

@@ -21,6 +21,7 @@ _USUAL_VIEW_DEG, _POSSIBLE_VIEW_DEG = (35.0, 120.0), (5.0, 170.0)  # horizontal 
 _MAX_USUAL_OFFSET, _MAX_POSSIBLE_OFFSET = 0.12, 0.5
 _MAX_ASPECT_DIFFERENCE = 0.05  # of fx / fy from 1
 _USUAL_BASELINE_M = (0.03, 2.0)
+_UNITS_M = {"centimetres": 0.01, "millimetres": 0.001}  # that calibrations are made in
 _FEATURES, _MAX_RATIO, _MAX_EPIPOLAR_PX = 1000, 0.8, 2.0  # SIFT features, Lowe's ratio, distance of an inlier
 _MIN_IMAGE_MATCHES = 8  # that determine a fundamental matrix
 _MIN_MATCHES = 50  # in all pairs together, for a median
@@ -97,8 +98,23 @@ def _check_baseline(camera: StereoCamera) -> Finding:
     low, high = _USUAL_BASELINE_M
     text = f"baseline {camera.baseline:.3f} m"
     if not low <= camera.baseline <= high:
-        return report_warning("baseline", f"{text}: unusual; is it in metres?", metres=camera.baseline)
+        return report_warning(
+            "baseline", f"{text}: unusual; is it in metres?{_guess_unit(camera)}", metres=camera.baseline
+        )
     return report_ok("baseline", text, metres=camera.baseline)
+
+
+def _guess_unit(camera: StereoCamera) -> str:
+    """What an unusual baseline would be if it were given in another unit, and the remedy; empty if unusual too.
+
+    A projection matrix holds -fx times the baseline; some hold the baseline itself in that place.
+    """
+    low, high = _USUAL_BASELINE_M
+    readings = {f"{unit} were given": camera.baseline * metres for unit, metres in _UNITS_M.items()}
+    if camera.baseline < low:
+        readings = {"P[3] is the baseline itself, not -fx times it": camera.baseline * camera.fx}
+    usual = [f"{metres:.3f} m if {case}" for case, metres in readings.items() if low <= metres <= high]
+    return f" It is {' or '.join(usual)}: correct the calibration" if usual else ""
 
 
 def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 _MODULES = [
     "slam.benchmark.sweep_config", "slam.config", "slam.datasets", "slam.evaluation.revisit_truth_files",
     "slam.apps.train", "slam.io.ply", "slam.simulation.scenario.vehicle_path", "slam.io",
-    "place_recognition.evaluation", "place_recognition.vocabulary.vocabulary_file", "pykitti", "rosbags", "tomllib",
+    "place_recognition.evaluation", "place_recognition.vocabulary.vocabulary_file", "rosbags", "tomllib",
     "yaml", "json", "csv",
 ]  # fmt: skip
 

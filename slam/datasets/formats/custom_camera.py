@@ -1,20 +1,28 @@
 """Datasets of a custom camera: folders of images or video files, with a calibration in `camera.toml`.
 
 `{camera.toml, *.png}` or `{camera.toml, left/*.png, right/*.png}`; video files may replace the folders. `times.txt`
-beside the images holds their times, seconds, if their rate is not constant. The `camera.toml` of a single video is in
-its folder.
+beside the images holds their times, seconds, if their rate is not constant; names that are dates in seconds or
+nanoseconds are times too. The `camera.toml` of a single video is in its folder.
 """
 
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
+from slam.datasets.calibration_yaml import find_calibration
+from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
-from slam.datasets.formats.image_sequence import ImageSequence, list_images, open_image_sequence, read_times
+from slam.datasets.formats.camera_streams import find_times, open_camera_images, open_pair, open_stream
+from slam.datasets.formats.image_sequence import (
+    IMAGE_SUFFIXES,
+    list_images,
+    open_image_folder,
+)
+from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.recording import (
-    CameraStream,
     ImageDataset,
     LeftImages,
     RawRecording,
@@ -22,8 +30,10 @@ from slam.datasets.formats.recording import (
     UncalibratedImages,
     build_dataset,
     read_ground_truth,
+    rectify_left,
 )
-from slam.datasets.video import VIDEO_SUFFIXES, Video, is_video, open_video
+from slam.datasets.rectification import Rectification, Size
+from slam.datasets.video import VIDEO_SUFFIXES, is_video
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
@@ -36,6 +46,8 @@ PAIR_NAMES = (
     ("image_left", "image_right"),
     ("cam_l", "cam_r"),
 )
+_MAX_STRAY_IMAGES = 9  # beside folders of images or videos: previews and plots, no recording
+_MAX_SHOWN = 6  # names in an error message
 
 
 def camera_toml_path(path: Path) -> Path:
@@ -60,68 +72,69 @@ def open_custom_camera(spec: DatasetSpec) -> RectifiedDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     path = camera_toml_path(spec.path)
-    if not path.is_file():
-        raise DataError(
-            f"{path}: expected the calibration of the camera, found none; write it: fx, fy, cx, cy, and baseline for a"
-            " pair (docs/drives.md)"
-        )
-    settings = read_camera_toml(path)
-    return build_dataset(_raw_recording(spec, settings), settings.rectification)
+    settings = find_calibration(path.parent)
+    if settings is None:
+        known = describe_known_layout(spec.path)
+        remedy = known or "write it: fx, fy, cx, cy, and baseline for a pair (docs/drives.md)"
+        raise DataError(f"{path}: expected the calibration of the camera, found none; {remedy}")
+    return build_dataset(_raw_recording(spec, settings), rectification_of(settings, spec.left_only))
+
+
+def rectification_of(settings: CameraToml, left_only: bool) -> Callable[[Size], Rectification]:
+    """Rectification of a camera file, for which nothing about the right camera matters if the left alone is used."""
+    if not left_only:
+        return settings.rectification
+    return rectify_left(settings.rectification, replace(settings, right_camera=None, baseline_m=None).rectification)
 
 
 def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
-    """Open the left camera's images; they are undistorted if there is a `camera.toml`.
+    """Open the left camera's images; they are undistorted if there is a calibration.
 
     Raises:
-        DataError: there are no images, or the `camera.toml` is invalid.
+        DataError: there are no images, or the calibration is invalid.
     """
-    if camera_toml_path(spec.path).is_file():
-        return LeftImages.of(open_custom_camera(spec))
-    if list_images(spec.path):
-        return open_image_sequence(spec.path, fps=spec.fps)
+    if find_calibration(camera_toml_path(spec.path).parent) is not None:
+        return LeftImages.of(open_custom_camera(replace(spec, left_only=True)))
     path = _find_cameras(spec.path)[0]
     if path is None:
         raise _no_camera_error(spec.path)
-    images = open_video(path) if is_video(path) else _image_folder(path)
-    times = _find_times(path, images, spec.fps)
-    return UncalibratedImages(spec.path.absolute().name, images, times)
+    if path == spec.path and path.is_dir():
+        return open_image_folder(path, spec.fps)
+    images = open_camera_images(path)
+    times = find_times(path, images, spec.fps)
+    return UncalibratedImages(spec.path.absolute().name, images, times.seconds, remarks=times.remarks)
 
 
 def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     left, right = _cameras(spec.path, settings)
-    remarks: tuple[str, ...] = ()
-    if right is not None and not settings.is_pair:
-        right, remarks = None, (f"{settings.path.name} has no baseline: the left camera alone is used",)
+    remarks = settings.remarks
+    if spec.left_only:
+        right = None
+    elif right is not None and not settings.is_pair:
+        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: the left camera alone is used")
     elif right is None and settings.is_pair:
-        remarks = (f"{settings.path.name} describes two cameras, there are images of one",)
+        remarks = (
+            *remarks,
+            f"{settings.path.name} describes two cameras, there are images of one",
+        )
     fps = spec.fps or settings.fps
-    left_stream = open_stream(left, fps)
+    left_stream, right_stream = (open_stream(left, fps), None) if right is None else open_pair(left, right, fps)
     return RawRecording(
         name=spec.path.absolute().name,
         left=left_stream,
-        right=None if right is None else _open_right_stream(right, fps, left.name, len(left_stream.timestamps)),
+        right=right_stream,
         ground_truth=None if settings.ground_truth is None else read_ground_truth(settings.ground_truth, left_stream),
         remarks=remarks,
     )
-
-
-def _open_right_stream(path: Path, fps: float | None, left_name: str, left_count: int) -> CameraStream:
-    stream = open_stream(path, fps)
-    count, has_times = len(stream.timestamps), not path.is_dir() or (path / "times.txt").is_file()
-    # Without times of its own, one missing image would shift all later ones to the wrong partner.
-    if not has_times and count != left_count:
-        raise DataError(f"{path}: expected {left_count} images as in {left_name}, found {count}; copy it again")
-    return stream
 
 
 def _cameras(path: Path, settings: CameraToml) -> tuple[Path, Path | None]:
     """Folders or video files of the left and the right camera: those that the settings name, else the usual ones."""
     found = _find_cameras(path)
     left = _find_by_name(settings, settings.left) if settings.left else found[0]
-    right = _find_by_name(settings, settings.right) if settings.right else found[1]
     if left is None:
         raise _no_camera_error(path)
-    return left, right
+    return left, settings.path.parent / settings.right if settings.right else found[1]
 
 
 def _find_by_name(settings: CameraToml, name: str) -> Path:
@@ -132,21 +145,41 @@ def _find_by_name(settings: CameraToml, name: str) -> Path:
 
 
 def _no_camera_error(path: Path) -> DataError:
+    known = describe_known_layout(path)
+    if known:
+        return DataError(f"{path}: expected the images of a known camera, found {describe_contents(path)}; {known}")
     names = ", ".join(pair[0] for pair in PAIR_NAMES)
     return DataError(
-        f"{path}: expected images, one video, or a folder or video called {names}, found none; name it as left in"
-        f" {CAMERA_TOML}"
+        f"{path}: expected images, one video, or a folder or video called {names}, found {describe_contents(path)};"
+        f" name it as left in {CAMERA_TOML}, or convert it (images: {_list(IMAGE_SUFFIXES)}; videos:"
+        f" {_list(VIDEO_SUFFIXES)})"
     )
 
 
+def _list(suffixes: Iterable[str]) -> str:
+    return " ".join(sorted(suffixes))
+
+
+def describe_contents(folder: Path) -> str:
+    """Names of some folders and files of a folder, for error messages; of many files of one suffix, one."""
+    shown = {item.name if item.is_dir() else item.suffix.lower(): item for item in sorted(folder.iterdir())}
+    names = [f"{item.name}/" if item.is_dir() else item.name for item in shown.values() if item.name[0] != "."]
+    return ", ".join(names[:_MAX_SHOWN]) + (", ..." if len(names) > _MAX_SHOWN else "") or "nothing"
+
+
 def _find_cameras(path: Path) -> tuple[Path | None, Path | None]:
-    if path.is_file() or list_images(path):
+    """Left and right camera by the usual names, else the only camera; a few pictures beside them are not a camera."""
+    own = list_images(path)
+    if path.is_file():
         return path, None
-    named = {item.stem if is_video(item) else item.name: item for item in _list_media(path)}
+    others = [item for item in sorted(path.iterdir()) if is_video(item) or list_images(item)]
+    named = {item.stem if is_video(item) else item.name: item for item in others}
     for left, right in PAIR_NAMES:
-        if left in named:
+        if left in named and (is_video(named[left]) or len(list_images(named[left])) >= len(own)):
             return named[left], named.get(right)
-    return (next(iter(named.values())), None) if len(named) == 1 else (None, None)
+    if own and (len(own) > _MAX_STRAY_IMAGES or not others):
+        return path, None
+    return (others[0], None) if len(others) == 1 else (None, None)
 
 
 def _list_media(folder: Path) -> list[Path]:
@@ -154,41 +187,3 @@ def _list_media(folder: Path) -> list[Path]:
     if list_images(folder):
         return [folder]
     return [item for item in sorted(folder.iterdir()) if is_video(item) or list_images(item)]
-
-
-def open_stream(path: Path, fps: float | None) -> CameraStream:
-    """Open a folder of images or a video file with its times.
-
-    Args:
-        path: folder or video file.
-        fps: images per second, where there is no `times.txt`; None to use a video's own times.
-
-    Raises:
-        DataError: there are no images, or their times are unknown.
-    """
-    images = open_video(path) if path.suffix.lower() in VIDEO_SUFFIXES else _image_folder(path)
-    times = _find_times(path, images, fps)
-    if times is None:
-        raise DataError(
-            f"{path}: expected the times of {len(images)} images, found no times.txt; give --fps, or fps in"
-            f" {CAMERA_TOML}"
-        )
-    return CameraStream(images, times)
-
-
-def _image_folder(folder: Path) -> ImageSequence:
-    files = list_images(folder)
-    if not files:
-        raise DataError(f"{folder}: expected images or a video, found none; check the name")
-    return ImageSequence(folder.absolute().name, files, None)
-
-
-def _find_times(path: Path, images: ImageSequence | Video, fps: float | None) -> Array | None:
-    """Times (N,) from `times.txt`, else from the frame rate, else from the video itself; else None."""
-    places = [path / "times.txt", path.parent / "times.txt"] if path.is_dir() else [path.with_suffix(".txt")]
-    file = next((place for place in places if place.is_file()), None)
-    if file is not None:
-        return read_times(file, len(images))
-    if fps is not None:
-        return np.arange(len(images)) / fps
-    return images.timestamps

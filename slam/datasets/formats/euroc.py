@@ -1,25 +1,26 @@
 """Datasets in the layout of EuRoC MAV (Burri et al., IJRR 35(10) 2016), which TUM-VI and others use too.
 
 `[NAME/]mav0/{cam0, cam1}/{data.csv, sensor.yaml, data/<nanoseconds>.png}`: the pair is not rectified; `sensor.yaml`
-holds each camera's calibration and its pose in the vehicle. `mav0/state_groundtruth_estimate0/data.csv` holds the
-vehicle's poses.
+holds each camera's calibration and its pose in the vehicle. `mav0/state_groundtruth_estimate0/data.csv`, in TUM-VI
+`mav0/mocap0/data.csv`, holds the vehicle's poses.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.datasets.camera_toml import parse_pose
+from slam.datasets.calibration_yaml import find_calibration, parse_numbers, read_yaml
+from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, parse_pose
 from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
+from slam.datasets.formats.custom_camera import rectification_of
+from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_timed_poses
 from slam.datasets.formats.recording import (
     CameraStream,
-    GroundTruthTrajectory,
     ImageDataset,
     LeftImages,
     RawRecording,
@@ -27,17 +28,16 @@ from slam.datasets.formats.recording import (
     UncalibratedImages,
     build_dataset,
     read_stream,
+    rectify_left,
 )
-from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS, read_timestamped_rows
+from slam.datasets.formats.timestamped_lists import CSV_NANOSECONDS
 from slam.datasets.rectification import Rectification, Size, rectify_pair, rectify_parallel
 from slam.errors import DataError
-from slam.io.files import read_lines
-from slam.io.trajectory_files import check_positions
 
 Array = NDArray[np.float64]
 
-_GROUND_TRUTH = "state_groundtruth_estimate0"
-_MIN_QUATERNION_NORM = 1e-6  # shorter ones have no direction
+# Folders of the vehicle's poses, of EuRoC and of TUM-VI.
+_GROUND_TRUTH = ("state_groundtruth_estimate0", "mocap0")
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,44 @@ def open_euroc(spec: DatasetSpec) -> RectifiedDataset:
     """
     folder = _folder(spec)
     cameras = _cameras(folder)
-    left = read_sensor_yaml(cameras / "cam0" / "sensor.yaml")
-    right = read_sensor_yaml(cameras / "cam1" / "sensor.yaml") if (cameras / "cam1" / "data.csv").is_file() else None
+    if not (cameras / "cam0" / "sensor.yaml").is_file():
+        return _open_with_other_calibration(spec, folder)
+    left, has_right = read_sensor_yaml(cameras / "cam0" / "sensor.yaml"), (cameras / "cam1" / "data.csv").is_file()
     recording = RawRecording(
         name=folder.absolute().name,
         left=_stream(cameras / "cam0"),
-        right=None if right is None else _stream(cameras / "cam1"),
-        ground_truth=_read_ground_truth(cameras / _GROUND_TRUTH / "data.csv", left),
+        right=_stream(cameras / "cam1") if has_right and not spec.left_only else None,
+        ground_truth=_read_ground_truth(cameras, left),
     )
-    return build_dataset(recording, lambda size: _rectify(left, right, size))
+
+    def rectify_one(size: Size) -> Rectification:
+        return _rectify(left, None, size)
+
+    def rectify_both(size: Size) -> Rectification:
+        return _rectify(left, read_sensor_yaml(cameras / "cam1" / "sensor.yaml"), size)
+
+    if not has_right:
+        return build_dataset(recording, rectify_one)
+    return build_dataset(recording, rectify_left(rectify_both, rectify_one) if spec.left_only else rectify_both)
+
+
+def _open_with_other_calibration(spec: DatasetSpec, folder: Path) -> RectifiedDataset:
+    """Open a sequence without `sensor.yaml`; its poses are of the vehicle, whose camera's place is then unknown."""
+    cameras, settings = _cameras(folder), _find_calibration(folder)
+    if settings is None:
+        raise DataError(
+            f"{cameras / 'cam0' / 'sensor.yaml'}: expected this file, found none; copy it there, or write"
+            f" {folder / CAMERA_TOML} (of TUM-VI the numbers are in dso/camchain.yaml)"
+        )
+    has_right = settings.is_pair and not spec.left_only and (cameras / "cam1" / "data.csv").is_file()
+    right = _stream(cameras / "cam1") if has_right else None
+    recording = RawRecording(folder.absolute().name, _stream(cameras / "cam0"), right, remarks=settings.remarks)
+    return build_dataset(recording, rectification_of(settings, spec.left_only))
+
+
+def _find_calibration(folder: Path) -> CameraToml | None:
+    """The calibration beside `mav0`, else that in the folder in which TUM-VI has Kalibr's; None if there is none."""
+    return find_calibration(folder) or (find_calibration(folder / "dso") if (folder / "dso").is_dir() else None)
 
 
 def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
@@ -86,10 +115,10 @@ def open_euroc_images(spec: DatasetSpec) -> ImageDataset:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     folder = _folder(spec)
-    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file():
+    if (_cameras(folder) / "cam0" / "sensor.yaml").is_file() or _find_calibration(folder) is not None:
         return LeftImages.of(open_euroc(spec))
     stream = _stream(_cameras(folder) / "cam0")
-    return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps)
+    return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps, remarks=stream.remarks)
 
 
 def _folder(spec: DatasetSpec) -> Path:
@@ -114,19 +143,14 @@ def _rectify(left: EurocCamera, right: EurocCamera | None, size: Size) -> Rectif
         raise DataError(f"{left.path}: {error}; correct it or the one of cam1") from None
 
 
-def _read_ground_truth(path: Path, left: EurocCamera) -> GroundTruthTrajectory | None:
-    if not path.is_file():
+def _read_ground_truth(cameras: Path, left: EurocCamera) -> GroundTruthTrajectory | None:
+    path = next(
+        (cameras / name / "data.csv" for name in _GROUND_TRUTH if (cameras / name / "data.csv").is_file()), None
+    )
+    if path is None:
         return None
-    rows = read_timestamped_rows(path, CSV_NANOSECONDS, 8)  # time, position, quaternion with w first
-    with np.errstate(over="ignore"):  # a norm that overflows is refused below
-        lengths = np.linalg.norm(rows[:, 4:], axis=1)
-    if (lengths < _MIN_QUATERNION_NORM).any() or not np.isfinite(lengths).all():
-        raise DataError(f"{path}: expected unit quaternions in columns 5 to 8, found others; copy the file again")
-    check_positions(path, rows[:, 1:4])
-    T_world_body = np.repeat(np.eye(4)[None], len(rows), axis=0)
-    T_world_body[:, :3, :3] = Rotation.from_quat(rows[:, [5, 6, 7, 4]]).as_matrix()
-    T_world_body[:, :3, 3] = rows[:, 1:4]
-    return GroundTruthTrajectory(rows[:, 0], T_world_body @ left.T_body_camera)
+    T_world_body = read_timed_poses(path, CSV_NANOSECONDS, (5, 6, 7, 4))  # a quaternion with w first
+    return replace(T_world_body, poses=T_world_body.poses @ left.T_body_camera)
 
 
 def read_sensor_yaml(path: Path) -> EurocCamera:
@@ -135,36 +159,16 @@ def read_sensor_yaml(path: Path) -> EurocCamera:
     Raises:
         DataError: the file is missing or is not YAML, or a value is missing or invalid.
     """
-    import yaml  # imported here because only this format needs it
-
-    text = "\n".join(line for line in read_lines(path) if not line.startswith("%YAML"))
     try:
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise ValueError("aliases, which can expand a few lines to billions")
-        table = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise DataError(f"{path}: expected YAML, found {str(error)[:200]}; copy the file again") from None
-    try:
-        return _sensor(path, table if isinstance(table, dict) else {})
+        return _sensor(path, read_yaml(path))
     except ValueError as error:
         raise DataError(f"{path}: {error}; copy the file again or correct it") from None
 
 
-def _sensor(path: Path, table: dict[Any, Any]) -> EurocCamera:
+def _sensor(path: Path, table: dict[str, Any]) -> EurocCamera:
     pose = table.get("T_BS")
     T_body_camera = parse_pose(pose.get("data") if isinstance(pose, dict) else pose, "T_BS")
-    fx, fy, cx, cy = _numbers(table, "intrinsics", 4)
-    coefficients = _numbers(table, "distortion_coefficients")
+    fx, fy, cx, cy = parse_numbers(table, "intrinsics", 4)
+    coefficients = parse_numbers(table, "distortion_coefficients")
     model = str(table.get("distortion_model", "radial-tangential")) if coefficients else "none"
     return EurocCamera(path, CameraModel(fx, fy, cx, cy, model, coefficients), T_body_camera)
-
-
-def _numbers(table: dict[Any, Any], name: str, count: int | None = None) -> tuple[float, ...]:
-    value: Any = table.get(name, [] if count is None else None)
-    try:
-        numbers = tuple(map(float, value))
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"expected a list of numbers {name}, found {str(value)[:60]}") from None
-    if count is not None and len(numbers) != count:
-        raise ValueError(f"expected {count} numbers {name}, found {len(numbers)}")
-    return numbers

@@ -1,10 +1,6 @@
-"""Datasets in the layout of the KITTI odometry benchmark (Geiger et al., CVPR 2012).
+"""Datasets in the layout of the KITTI odometry benchmark (Geiger et al., CVPR 2012)."""
 
-pykitti parses the calibration file. Its `odometry` class is not used: it needs the laser's `Tr`, which is missing if
-only the images were unpacked; it prints a message if ground truth is missing; and it rounds times to microseconds.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +10,25 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
-from slam.datasets.formats.image_sequence import read_grey, read_times
-from slam.datasets.formats.kitti_files import StereoFiles, find_images, find_poses, find_sequence
+from slam.datasets.formats.ground_truth import read_one_pose_per_image
+from slam.datasets.formats.image_sequence import (
+    ImageSequence,
+    open_image_folder,
+    read_grey,
+    read_or_count_times,
+    read_times,
+)
+from slam.datasets.formats.kitti_files import (
+    StereoFiles,
+    find_images,
+    find_poses,
+    find_sequence,
+    is_kitti,
+    read_calibration_lines,
+)
+from slam.datasets.formats.recording import read_size
 from slam.datasets.rectification import NOMINAL_BASELINE_M
 from slam.errors import DataError
-from slam.io.trajectory_files import read_kitti
 
 Array = NDArray[np.float64]
 
@@ -41,6 +51,7 @@ class KittiDataset:
         ground_truth: T_world_camera (N, 4, 4), metres, of the left camera of `files`; world is its first
             pose, whatever the origin of the file. None where there is no file.
         files: paths of the images.
+        remarks: notes about times and ground truth.
     """
 
     name: str
@@ -48,16 +59,12 @@ class KittiDataset:
     timestamps: Array
     ground_truth: Array | None
     files: StereoFiles
+    remarks: tuple[str, ...] = ()
 
     @property
     def has_right(self) -> bool:
         """Whether there is a right image for each left image."""
         return self.files.right is not None
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Empty: no image of a KITTI sequence is left out."""
-        return ()
 
     def __len__(self) -> int:
         return len(self.files.left)
@@ -89,53 +96,78 @@ class KittiDataset:
         return image
 
 
-def open_kitti(root: Path, sequence: str | None = None) -> KittiDataset:
+def open_kitti(root: Path, sequence: str | None = None, left_only: bool = False) -> KittiDataset:
     """Open a sequence and check all files but the images themselves.
 
     Args:
         root: folder in KITTI odometry layout, or the folder of one sequence.
         sequence: name of the sequence ("00"); None where there is only one.
+        left_only: whether right images and their calibration are not looked at.
 
     Raises:
         DataError: a file is missing, damaged or inconsistent with the others.
     """
     folder = find_sequence(root, sequence)
-    files = find_images(folder)
-    P_left, P_right = _read_projections(folder / "calib.txt", files)
-    height, width = read_grey(files.left[0]).shape
-    return KittiDataset(
-        name=folder.absolute().name,
-        camera=_stereo_camera(P_left, P_right, (width, height)),
-        timestamps=read_times(folder / "times.txt", len(files.left)),
-        ground_truth=_read_ground_truth(folder, files, P_left),
-        files=files,
-    )
+    files = find_images(folder, left_only)
+    name, path = folder.absolute().name, folder / "calib.txt"
+    P_left, P_right = read_projections(path, [f"P{camera}" for camera in files.cameras], files.right is not None)
+    size = read_size(ImageSequence(name, files.left, None))
+    timestamps, time_remarks = read_times(folder / "times.txt", len(files.left))
+    ground_truth, truth_remarks = _read_ground_truth(folder, files, P_left)
+    camera = stereo_camera(P_left, P_right, size)
+    return KittiDataset(name, camera, timestamps, ground_truth, files, (*time_remarks, *truth_remarks))
 
 
-def _read_projections(path: Path, files: StereoFiles) -> tuple[Array, Array]:
-    import pykitti.utils  # imported here because it imports pandas, which is slow
+def open_image_sequence(source: Path, sequence: str | None = None, fps: float | None = None) -> ImageSequence:
+    """Open a folder of images, or the left images of a KITTI sequence: here they need no calibration and no right ones.
 
+    Args:
+        source: folder in KITTI odometry layout, or of images in the natural order of their names.
+        sequence: name of the KITTI sequence; None where there is only one.
+        fps: images per second, where there is no `times.txt`; None if no timestamps are needed.
+
+    Raises:
+        DataError: there are no images, their times do not fit them, or `fps` is not a frame rate.
+    """
+    if not is_kitti(source):
+        return open_image_folder(source, fps)
+    folder = find_sequence(source, sequence)
+    files = find_images(folder, left_only=True).left
+    times, remarks = read_or_count_times(folder / "times.txt", len(files), fps)
+    poses = find_poses(folder)
+    truth, truth_remarks = (None, ()) if poses is None else read_one_pose_per_image(poses, len(files))
+    return ImageSequence(folder.absolute().name, files, times, truth, (*remarks, *truth_remarks))
+
+
+def read_projections(path: Path, names: Sequence[str], is_pair: bool) -> tuple[Array, Array]:
+    """Read the projection matrices (3, 4) of the left and the right camera of a rectified pair.
+
+    Args:
+        path: calibration file.
+        names: of the two lines, the left camera's first.
+        is_pair: whether the right camera is used; if not, its line may be missing or wrong.
+
+    Raises:
+        DataError: the file is missing, or does not describe a rectified pair.
+    """
+    lines = read_calibration_lines(path)
+    P_left = _projection(path, names[0], lines)
     try:
-        lines = pykitti.utils.read_calib_file(str(path))
-    except OSError as error:
-        raise DataError(f"{path}: expected the calibration, found {error.strerror}; unpack it there") from None
-    except ValueError:
-        raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found others; remove them") from None
-    left, right = (f"P{camera}" for camera in files.cameras)
-    P_left = _projection(path, left, lines)
-    if files.right is None and right not in lines:
-        return P_left, P_left - _VIRTUAL_BASELINE * P_left[0, 0]
-    P_right = _projection(path, right, lines)
-    _check_pair(path, files.cameras, P_left, P_right)
+        P_right = _projection(path, names[1], lines)
+        _check_pair(path, names, P_left, P_right)
+    except DataError:
+        if is_pair:
+            raise
+        P_right = P_left - _VIRTUAL_BASELINE * P_left[0, 0]
     return P_left, P_right
 
 
-def _check_pair(path: Path, cameras: tuple[int, int], P_left: Array, P_right: Array) -> None:
+def _check_pair(path: Path, names: Sequence[str], P_left: Array, P_right: Array) -> None:
     if not np.allclose(P_left[:, :3], P_right[:, :3], rtol=_MAX_INTRINSICS_DIFFERENCE):
-        raise DataError(f"{path}: expected the same intrinsics in P{cameras[0]} and P{cameras[1]}; rectify the images")
+        raise DataError(f"{path}: expected the same intrinsics in {names[0]} and {names[1]}; rectify the images")
     if P_left[0, 3] <= P_right[0, 3]:
         raise DataError(
-            f"{path}: expected P{cameras[1]} to the right of P{cameras[0]} (4th number smaller), found"
+            f"{path}: expected {names[1]} to the right of {names[0]} (4th number smaller), found"
             f" {P_right[0, 3]:g} and {P_left[0, 3]:g}; swap the cameras or correct the sign"
         )
 
@@ -154,7 +186,8 @@ def _projection(path: Path, name: str, lines: dict[str, Array]) -> Array:
     return P
 
 
-def _stereo_camera(P_left: Array, P_right: Array, size: tuple[int, int]) -> StereoCamera:
+def stereo_camera(P_left: Array, P_right: Array, size: tuple[int, int]) -> StereoCamera:
+    """Return the camera of a pair of projection matrices (3, 4) and an image size (width, height)."""
     fx = float(P_left[0, 0])
     return StereoCamera(
         fx=fx,
@@ -167,17 +200,14 @@ def _stereo_camera(P_left: Array, P_right: Array, size: tuple[int, int]) -> Ster
     )
 
 
-def _read_ground_truth(folder: Path, files: StereoFiles, P_left: Array) -> Array | None:
+def _read_ground_truth(folder: Path, files: StereoFiles, P_left: Array) -> tuple[Array | None, tuple[str, ...]]:
     path = find_poses(folder)
     if path is None:
-        return None
-    T_file_camera0 = read_kitti(path)
-    if len(T_file_camera0) != len(files.left):
-        raise DataError(
-            f"{path}: expected {len(files.left)} poses, one for each image, found {len(T_file_camera0)};"
-            " copy the file that belongs to this sequence or remove it"
-        )
+        return None, ()
+    T_file_camera0, remarks = read_one_pose_per_image(path, len(files.left))
+    if T_file_camera0 is None:
+        return None, remarks
     # P_left = K [I | t] takes points of camera 0, so the left camera of the pair is at -K^-1 (K t) in camera 0's frame.
     T_camera0_left = se3.pose(np.eye(3), -np.linalg.solve(P_left[:, :3], P_left[:, 3]).astype(float))
     T_file_left = T_file_camera0 @ T_camera0_left
-    return se3.inverse(T_file_left[0]) @ T_file_left
+    return se3.inverse(T_file_left[0]) @ T_file_left, remarks

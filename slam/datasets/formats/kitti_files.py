@@ -6,11 +6,15 @@ odometry devkit.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slam.datasets.formats.image_sequence import IMAGE_SUFFIXES, list_images
 from slam.errors import DataError
+from slam.io.files import read_lines
 
 # KITTI's numbers of the left and right cameras. The grey pair is preferred because it needs no conversion.
 _PAIRS = ((0, 1), (2, 3))
@@ -23,12 +27,18 @@ class StereoFiles:
     Attributes:
         cameras: KITTI's numbers of the left and right camera, (0, 1) grey or (2, 3) colour.
         left: N paths, in order.
-        right: N paths with the same names, or None in a sequence with one camera.
+        right: N paths with the same numbers, or None in a sequence with one camera.
     """
 
     cameras: tuple[int, int]
     left: tuple[Path, ...]
     right: tuple[Path, ...] | None
+
+
+def is_kitti(root: Path) -> bool:
+    """Whether a folder is in this layout, or the folder of one sequence."""
+    folders = (root, root / "sequences", root / "dataset" / "sequences")
+    return any(_has_images(folder) for folder in folders) or bool(sequence_names(root))
 
 
 def find_sequence(root: Path, sequence: str | None) -> Path:
@@ -74,44 +84,67 @@ def find_poses(sequence: Path) -> Path | None:
     return next((path for path in places if path.is_file()), None)
 
 
-def find_images(sequence: Path) -> StereoFiles:
+def find_images(sequence: Path, left_only: bool = False) -> StereoFiles:
     """Find the images of a sequence: the grey pair, else the colour pair, else the left images of either.
+
+    Args:
+        sequence: folder of the sequence.
+        left_only: whether right images are not looked at.
 
     Raises:
         DataError: there are no images, their numbering has gaps, or left and right numbers differ.
     """
     present = [pair for pair in _PAIRS if (sequence / f"image_{pair[0]}").is_dir()]
     present.sort(key=lambda pair: not (sequence / f"image_{pair[1]}").is_dir())  # a pair before a single camera
-    if present:
-        left, right = (sequence / f"image_{camera}" for camera in present[0])
-        return _stereo_files(present[0], left, right)
-    raise DataError(f"{sequence}: expected the folder image_0 or image_2, found neither; unpack the images there")
+    if not present:
+        raise DataError(f"{sequence}: expected the folder image_0 or image_2, found neither; unpack the images there")
+    left, right = (sequence / f"image_{camera}" for camera in present[0])
+    left_files = _consecutive_images(left)
+    if left_only or not right.is_dir():
+        return StereoFiles(present[0], left_files, None)
+    right_files = _consecutive_images(right)
+    _check_partners(left_files, right_files)
+    return StereoFiles(present[0], left_files, right_files)
 
 
-def _stereo_files(cameras: tuple[int, int], left: Path, right: Path) -> StereoFiles:
-    left_files = _numbered_images(left)
-    if not right.is_dir():
-        return StereoFiles(cameras, left_files, None)
-    right_files = _numbered_images(right)
-    if len(right_files) != len(left_files):
+def _check_partners(left: tuple[Path, ...], right: tuple[Path, ...]) -> None:
+    left_folder, right_folder = left[0].parent, right[0].parent
+    if len(right) != len(left):
         raise DataError(
-            f"{right}: expected {len(left_files)} images as in {left.name}, found {len(right_files)};"
-            " copy the missing ones or remove the folder to use one camera"
+            f"{right_folder}: expected {len(left)} images as in {left_folder.name}, found {len(right)};"
+            " copy the missing ones, or use the left camera alone with --mono"
         )
-    for one, other in zip(left_files, right_files, strict=True):
+    for one, other in zip(left, right, strict=True):
         if int(one.stem) != int(other.stem):
-            raise DataError(f"{right}: expected {one.name} as in {left.name}, found {other.name}; unpack both again")
-    return StereoFiles(cameras, left_files, right_files)
+            raise DataError(
+                f"{right_folder}: expected {one.name} as in {left_folder.name}, found {other.name}; unpack both again"
+            )
 
 
-def _numbered_images(folder: Path) -> tuple[Path, ...]:
-    files = [file for file in folder.glob("*.png") if not file.name.startswith(".")]
+def numbered_images(folder: Path) -> tuple[Path, ...]:
+    """Images of a folder whose names are numbers, in their order.
+
+    Raises:
+        DataError: there are none, a name is no number, or a number occurs twice.
+    """
+    files = list_images(folder)
     if not files:
-        raise DataError(f"{folder}: expected images 000000.png, 000001.png, ..., found none; unpack the images there")
+        raise DataError(
+            f"{folder}: expected images 000000.png, 000001.png, ... (or {', '.join(sorted(IMAGE_SUFFIXES))}), found"
+            " none; unpack the images there"
+        )
     for file in sorted(files):
         if not file.stem.isdecimal():
             raise DataError(f"{file}: expected a name like 000000.png; rename or remove this image")
-    files.sort(key=lambda file: int(file.stem))
+    by_number = sorted(files, key=lambda file: int(file.stem))
+    for one, other in pairwise(by_number):
+        if int(one.stem) == int(other.stem):
+            raise DataError(f"{folder}: expected each number once, found {one.name} and {other.name}; remove one set")
+    return tuple(by_number)
+
+
+def _consecutive_images(folder: Path) -> tuple[Path, ...]:
+    files = numbered_images(folder)
     steps = np.diff([int(file.stem) for file in files])
     if (steps != 1).any():
         at = int(np.argmax(steps != 1))
@@ -119,7 +152,31 @@ def _numbered_images(folder: Path) -> tuple[Path, ...]:
             f"{folder}: expected images without gaps in their numbers, found {files[at + 1].name} after"
             f" {files[at].name}; copy the missing images or renumber"
         )
-    return tuple(files)
+    return files
+
+
+def read_calibration_lines(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Read the lines 'NAME: numbers' of a calibration file of KITTI; lines with words or nothing are passed over.
+
+    Raises:
+        DataError: the file is missing, or a line has no name.
+    """
+    found = {}
+    lines = [(number, line) for number, line in enumerate(read_lines(path), start=1) if line.strip()]
+    if not lines:
+        raise DataError(f"{path}: expected only lines such as 'P0: 12 numbers', found none; copy the calibration again")
+    for number, line in lines:
+        name, colon, words = line.partition(":")
+        if not colon:
+            raise DataError(
+                f"{path}, line {number}: expected only lines such as 'P0: 12 numbers', found {line.strip()[:40]!r};"
+                " remove the line"
+            )
+        try:
+            found[name.strip()] = np.array(words.split(), np.float64)
+        except ValueError:
+            continue  # such as the time of the calibration
+    return found
 
 
 def _sequences(root: Path) -> dict[str, Path]:

@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
-from slam.datasets.formats.timestamped_lists import ListFormat, check_increasing, read_image_list
+from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_pose_file
+from slam.datasets.formats.timestamped_lists import ListFormat, read_image_list
 from slam.datasets.rectification import ImageMap, Rectification, Size
 from slam.datasets.time_sync import MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
 from slam.errors import DataError
-from slam.io.trajectory_files import read_trajectory
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+_MIN_SIDE_PX = 16  # in smaller images there is nothing to follow or to recognise
 
 
 class Images(Protocol):
@@ -55,6 +57,11 @@ class ImageDataset(Protocol):
     @property
     def ground_truth(self) -> Array | None:
         """T_world_camera (N, 4, 4), metres, or None where it is unknown."""
+        ...
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes for the user about what was left out and assumed on opening."""
         ...
 
     def __len__(self) -> int: ...
@@ -93,16 +100,18 @@ class CameraStream:
     Attributes:
         images: N images.
         timestamps: (N,) seconds, increasing.
+        remarks: notes for the user about the times.
     """
 
     images: Images
     timestamps: Array
+    remarks: tuple[str, ...] = ()
 
     def subset(self, indices: NDArray[np.int64]) -> "CameraStream":
         """Return the images of some indices (K,), increasing."""
         if len(indices) == len(self.timestamps):
             return self
-        return CameraStream(ImageSubset(self.images, indices), self.timestamps[indices])
+        return replace(self, images=ImageSubset(self.images, indices), timestamps=self.timestamps[indices])
 
 
 def read_stream(path: Path, folder: Path, list_format: ListFormat) -> CameraStream:
@@ -113,37 +122,18 @@ def read_stream(path: Path, folder: Path, list_format: ListFormat) -> CameraStre
     """
     images = read_image_list(path, folder, list_format)
     assert images.timestamps is not None
-    return CameraStream(images, images.timestamps)
-
-
-@dataclass(frozen=True)
-class GroundTruthTrajectory:
-    """Measured poses of the left camera, at times of their own.
-
-    Attributes:
-        timestamps: (M,) seconds, increasing.
-        poses: T_world_camera (M, 4, 4), metres, of the unrectified left camera.
-    """
-
-    timestamps: Array
-    poses: Array
+    return CameraStream(images, images.timestamps, images.remarks)
 
 
 def read_ground_truth(path: Path, left: CameraStream) -> GroundTruthTrajectory:
     """Read poses of the left camera from a TUM file (with times) or a KITTI file (one pose for each image).
 
+    A damaged file, or a KITTI file with another number of poses, gives no poses and a remark.
+
     Raises:
-        DataError: the file is missing or damaged, or a KITTI file has another number of poses.
+        DataError: the file is missing.
     """
-    times, poses = read_trajectory(path)
-    if times is None and len(poses) != len(left.timestamps):
-        raise DataError(
-            f"{path}: expected {len(left.timestamps)} poses, one for each image, or poses with times (TUM), found"
-            f" {len(poses)}; export it again"
-        )
-    times = left.timestamps if times is None else times
-    check_increasing(path, times)
-    return GroundTruthTrajectory(times, poses)
+    return read_pose_file(path, left.timestamps)
 
 
 @dataclass(frozen=True)
@@ -262,6 +252,11 @@ class LeftImages:
         """T_world_camera (N, 4, 4), metres, or None."""
         return self.dataset.ground_truth
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes about what was left out and assumed on opening."""
+        return self.dataset.remarks
+
     def __len__(self) -> int:
         return len(self.dataset)
 
@@ -279,12 +274,14 @@ class UncalibratedImages:
         images: N images.
         timestamps: (N,) seconds, increasing, or None.
         ground_truth: T_world_camera (N, 4, 4), metres, or None.
+        remarks: notes about what was left out and assumed on opening.
     """
 
     name: str
     images: Images
     timestamps: Array | None
     ground_truth: Array | None = None
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.images)
@@ -302,11 +299,10 @@ def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectificati
         rectify: computes the rectification for an image size (width, height).
 
     Raises:
-        DataError: no two images were taken at the same time, or the first image cannot be read.
+        DataError: no two images were taken at the same time, or the first image cannot be read or is too small.
     """
     recording = _synchronize(recording)
-    height, width = recording.left.images[0].shape
-    rectification = rectify((width, height))
+    rectification = rectify(read_size(recording.left.images))
     recording, poses = _interpolate_ground_truth(recording, rectification)
     return RectifiedDataset(
         name=recording.name,
@@ -319,11 +315,50 @@ def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectificati
     )
 
 
+def read_size(images: Images) -> Size:
+    """Width and height of the images of a camera, by the first one.
+
+    Raises:
+        DataError: it cannot be read, or is too small.
+    """
+    height, width = images[0].shape
+    check_size(images.where(0), (width, height))
+    return width, height
+
+
+def check_size(where: str, size: Size) -> None:
+    """Raise DataError if images of a size (width, height) are too small; `where` is a file for the message."""
+    if min(size) < _MIN_SIDE_PX:
+        raise DataError(
+            f"{where}: images too small, expected at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX} pixels, found"
+            f" {size[0]} x {size[1]}; record or export larger ones"
+        )
+
+
+def rectify_left(
+    pair: Callable[[Size], Rectification], alone: Callable[[Size], Rectification]
+) -> Callable[[Size], Rectification]:
+    """Return the rectification of a pair for its left camera; that of the left camera alone if the pair has none.
+
+    The left images are then those of a run with both cameras, and no fault of the right one stops them.
+    """
+
+    def rectify(size: Size) -> Rectification:
+        try:
+            return pair(size)
+        except DataError:
+            return alone(size)
+
+    return rectify
+
+
 def _synchronize(recording: RawRecording) -> RawRecording:
     """Keep the images that have a partner in the other camera."""
     left, right = recording.left, recording.right
+    recording = replace(recording, remarks=(*recording.remarks, *left.remarks))
     if right is None:
         return recording
+    recording = replace(recording, remarks=(*recording.remarks, *right.remarks))
     pairs = associate_timestamps(left.timestamps, right.timestamps)
     if not len(pairs):
         raise DataError(
@@ -347,8 +382,10 @@ def _interpolate_ground_truth(
     truth, left, right = recording.ground_truth, recording.left, recording.right
     if truth is None:
         return recording, None
+    if not len(truth.poses):
+        return replace(recording, remarks=(*recording.remarks, *truth.remarks)), None
     trajectory = interpolate_poses(left.timestamps, truth.timestamps, truth.poses @ rectification.T_camera_view)
     kept = np.arange(len(left.timestamps))[trajectory.frames]
-    remarks = (*recording.remarks, *([trajectory.remark] if trajectory.remark else []))
+    remarks = (*recording.remarks, *truth.remarks, *([trajectory.remark] if trajectory.remark else []))
     right = None if right is None else right.subset(kept)
     return replace(recording, left=left.subset(kept), right=right, remarks=remarks), trajectory.poses

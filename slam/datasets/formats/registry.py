@@ -6,28 +6,32 @@ by its files: docs/decisions/datasets_by_content.md.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 from slam.datasets.dataset import Dataset, DatasetSpec, contains_dataset, subfolders
 from slam.datasets.formats.custom_camera import (
+    describe_contents,
     has_camera_toml,
     is_custom_camera,
     open_custom_camera,
     open_custom_camera_images,
 )
 from slam.datasets.formats.euroc import is_euroc, open_euroc, open_euroc_images
-from slam.datasets.formats.image_sequence import ImageSequence, open_image_sequence
-from slam.datasets.formats.kitti import open_kitti
-from slam.datasets.formats.kitti_files import sequence_names
+from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.kitti import open_image_sequence, open_kitti
+from slam.datasets.formats.kitti_files import is_kitti
+from slam.datasets.formats.kitti_raw import is_kitti_raw, open_kitti_raw, open_kitti_raw_images
+from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
-from slam.datasets.formats.recording import ImageDataset
+from slam.datasets.formats.recording import ImageDataset, check_size
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
 from slam.datasets.formats.rosbag_file import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
 from slam.errors import ConfigError, DataError
 
+_REMEDY = "check the path; other images must be converted to png, other videos to mp4"
 _CITY_CENTRE_IMAGES = 2474  # fewer .jpg files with numbers may be any recording
 
 
@@ -77,11 +81,6 @@ def _count_up_to(folder: Path, name: re.Pattern[str], limit: int) -> int:
     return len(list(islice(matching, limit)))
 
 
-def _is_kitti(root: Path) -> bool:
-    folders = (root, root / "sequences", root / "dataset" / "sequences")
-    return any((f / "image_0").is_dir() or (f / "image_2").is_dir() for f in folders) or bool(sequence_names(root))
-
-
 # The order matters: formats with the most distinctive files come first, a bare folder of images comes last.
 FORMATS = {
     "bag": DatasetFormat(is_bag, open_bag, open_bag_images),
@@ -89,10 +88,11 @@ FORMATS = {
     "tum-rgbd": DatasetFormat(lambda root: contains_dataset(root, is_tum_rgbd), open_tum_rgbd, open_tum_rgbd_images),
     "own-camera": DatasetFormat(has_camera_toml, open_custom_camera, open_custom_camera_images),
     "kitti": DatasetFormat(
-        _is_kitti,
-        lambda spec: open_kitti(spec.path, spec.sequence),
+        is_kitti,
+        lambda spec: open_kitti(spec.path, spec.sequence, spec.left_only),
         lambda spec: open_image_sequence(spec.path, spec.sequence, spec.fps),
     ),
+    "kitti-raw": DatasetFormat(is_kitti_raw, open_kitti_raw, open_kitti_raw_images),
     "malaga": _images_only(_has_files(r"CAMERA1_[\d.]+_left\.(jpg|png)"), open_malaga),
     "new-college": _images_only(_has_files(r"StereoImages__[\d.]+-left\.(pnm|ppm|pgm|png|jpg)"), open_new_college),
     "city-centre": _images_only(_has_files(r"\d{4}\.jpg", _CITY_CENTRE_IMAGES), open_city_centre),
@@ -115,9 +115,10 @@ def detect_format(spec: DatasetSpec) -> str:
         raise DataError(f"{spec.path}: expected a recording, found nothing; check the path")
     found = next((name for name, candidate in FORMATS.items() if candidate.matches(spec.path)), None)
     if found is None:
+        contents = describe_contents(spec.path) if spec.path.is_dir() else "a file"
         raise DataError(
             f"{spec.path}: expected images or a folder in KITTI layout, found neither, nor a recording of another"
-            f" format ({', '.join(FORMATS)}); check the path"
+            f" format ({', '.join(FORMATS)}), but {contents}; {describe_known_layout(spec.path) or _REMEDY}"
         )
     return found
 
@@ -144,7 +145,7 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
         DataError: as `open_dataset`, or there are no right images and two cameras are needed.
         ConfigError: the format does not exist.
     """
-    dataset = open_dataset(spec)
+    dataset = open_dataset(replace(spec, left_only=mono))
     if not dataset.has_right and not mono:
         raise DataError(
             f"{spec.path}: expected left and right images, found left ones only; use one camera with --mono"
@@ -153,10 +154,15 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
 
 
 def open_images(spec: DatasetSpec) -> ImageDataset:
-    """Open the left camera's images of a dataset. They are undistorted if there is a calibration; none is needed.
+    """Open the left camera's images of a dataset, whatever is wrong with the right camera.
+
+    They are undistorted if there is a calibration; none is needed.
 
     Raises:
-        DataError: the images are missing, damaged or inconsistent.
+        DataError: the images are missing, damaged, inconsistent or too small.
         ConfigError: the format does not exist.
     """
-    return FORMATS[detect_format(spec)].open_images(spec)
+    images = FORMATS[detect_format(spec)].open_images(replace(spec, left_only=True))
+    height, width = images[0].shape
+    check_size(str(spec.path), (width, height))
+    return images

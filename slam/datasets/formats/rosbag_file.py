@@ -1,85 +1,60 @@
 """Reads ROS 1 bags, ROS 2 bags and MCAP files with the pure-Python library `rosbags` (the extra `ros`).
 
-Finds camera topics, reads their messages by index, and decodes them: images to grey values, CameraInfo to calibrations.
-Why not the package `rosbags-image`: docs/decisions/ros_messages.md.
+Finds camera topics and reads their messages by index, in the order of their time stamps.
 """
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.distortion_models import DISTORTION_MODELS, FISHEYE_MODELS, CameraModel
+from slam.datasets.formats.rosbag_messages import (
+    CameraInfo,
+    check_image,
+    decode_image,
+    read_camera_info,
+    read_timestamp,
+)
+from slam.datasets.grey_levels import FULL_RANGE, GreyRange
+from slam.datasets.time_sync import order_timestamps
 from slam.datasets.video import SequentialReader
 from slam.errors import DataError, RevisitError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Indices = NDArray[np.int64]
 
 BAG_SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
+UNFINISHED_SUFFIX = ".active"  # of a ROS 1 bag that is being recorded, or whose recorder was killed
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-# Encodings of sensor_msgs/image_encodings.hpp: type of a value, values per pixel, OpenCV's conversion to grey or None.
-# A Bayer pattern is named by its first two pixels in ROS.
-ENCODINGS = {
-    "mono8": (np.uint8, 1, None),
-    "8UC1": (np.uint8, 1, None),
-    "mono16": (np.uint16, 1, None),
-    "16UC1": (np.uint16, 1, None),
-    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2GRAY),
-    "8UC3": (np.uint8, 3, cv2.COLOR_BGR2GRAY),
-    "rgb8": (np.uint8, 3, cv2.COLOR_RGB2GRAY),
-    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2GRAY),
-    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2GRAY),
-    "bayer_rggb8": (np.uint8, 1, cv2.COLOR_BayerRGGB2GRAY),
-    "bayer_bggr8": (np.uint8, 1, cv2.COLOR_BayerBGGR2GRAY),
-    "bayer_gbrg8": (np.uint8, 1, cv2.COLOR_BayerGBRG2GRAY),
-    "bayer_grbg8": (np.uint8, 1, cv2.COLOR_BayerGRBG2GRAY),
-    "yuv422": (np.uint8, 2, cv2.COLOR_YUV2GRAY_UYVY),
-    "uyvy": (np.uint8, 2, cv2.COLOR_YUV2GRAY_UYVY),
-    "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2),
-    "yuyv": (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2),
+_VIDEO_WORDS = ("Packet", "CompressedVideo")  # in the types of streams from which no single image can be decoded
+
+# What the library says about a recording that was cut off or cannot be read as it is, and what brings it back.
+_REMEDIES = {
+    "not indexed": "type: rosbag reindex {path}",
+    "index looks damaged": "type: rosbag reindex {path}",
+    "profile is not ros2": "convert it to a ROS 1 bag or a ROS 2 bag",
+    "metadata": "type: ros2 bag reindex {path}",
+    "malformed": "type: sqlite3 {path} .recover | sqlite3 recovered.db3",
 }
-
-
-@dataclass(frozen=True)
-class CameraInfo:
-    """Contents of a CameraInfo message.
-
-    Attributes:
-        model: intrinsics and distortion of the raw image.
-        R_view_camera: (3, 3) rotation from the raw to the rectified camera.
-        P: (3, 4) projection matrix of the rectified camera; the last column holds -fx times its offset to the right of
-            the pair's left camera. Zeros if the camera is not rectified.
-        size: width and height of the raw image, pixels; zeros if unknown.
-    """
-
-    model: CameraModel
-    R_view_camera: Array
-    P: Array
-    size: tuple[int, int]
-
-    @property
-    def has_rectification(self) -> bool:
-        """Whether the message defines a rectified camera."""
-        return bool(self.P[0, 0] > 0 and self.P[1, 1] > 0)
-
-    @property
-    def offset_right_m(self) -> float:
-        """Position to the right of the pair's left camera: 0 for the left or a single camera, else the baseline."""
-        return float(-self.P[0, 3] / self.P[0, 0]) if self.has_rectification else 0.0
+_MCAP_REMEDY = "type: mcap recover {path} -o recovered.mcap, or copy it again"
+_REMEDY = "record or copy it again"
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file by its suffix, or the folder of a ROS 2 bag."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() and any(BAG_SUFFIXES & set(item.suffixes) for item in path.iterdir())
-    return path.suffix in BAG_SUFFIXES and path.is_file()
+        suffixes = [set(item.suffixes) for item in path.iterdir()]
+        is_storage = [bool(BAG_SUFFIXES & found) for found in suffixes]
+        # Without metadata.yaml, which a killed recorder does not write, nothing else may be in the folder.
+        return any(is_storage) and ((path / "metadata.yaml").is_file() or all(is_storage))
+    return path.is_file() and (path.suffix in BAG_SUFFIXES or path.suffixes[-2:] == [".bag", UNFINISHED_SUFFIX])
 
 
 @dataclass(frozen=True)
@@ -89,14 +64,18 @@ class Bag:
     Attributes:
         path: file or folder of the bag.
         image_counts: number of messages of each image topic.
-        camera_infos: usable calibration of each CameraInfo topic.
-        rejected: topics and faults of unusable calibrations, for error messages.
+        camera_infos: first usable calibration of each CameraInfo topic.
+        rejected: fault of each CameraInfo topic that has no usable calibration.
+        videos: topics of video streams, which cannot be read.
+        remarks: for each CameraInfo topic, how many messages before the usable one were passed over and why.
     """
 
     path: Path
     image_counts: dict[str, int]
     camera_infos: dict[str, CameraInfo]
-    rejected: tuple[str, ...] = ()
+    rejected: dict[str, str] = field(default_factory=dict)
+    videos: tuple[str, ...] = ()
+    remarks: dict[str, str] = field(default_factory=dict)
 
 
 def read_bag(path: Path) -> Bag:
@@ -106,31 +85,49 @@ def read_bag(path: Path) -> Bag:
         DataError: the bag is missing or damaged, or the extra is not installed.
     """
     with _open_reader(path) as reader:
-        counts = {c.topic: c.msgcount for c in reader.connections if c.msgtype in IMAGE_TYPES and c.msgcount}
-        infos = [c for c in reader.connections if c.msgtype == CAMERA_INFO_TYPE and c.msgcount]
-        messages = {connection.topic: _first_message(reader, connection) for connection in infos}
-    camera_infos, rejected = {}, []
-    for topic, message in messages.items():
-        try:
-            camera_infos[topic] = read_camera_info(message)
-        except ValueError as error:
-            rejected.append(f"{topic} ({error})")
-    return Bag(path, dict(sorted(counts.items())), camera_infos, tuple(rejected))
+        topics = sorted({c.topic for c in reader.connections if c.msgtype in IMAGE_TYPES})
+        counts = {topic: sum(c.msgcount for c in reader.connections if c.topic == topic) for topic in topics}
+        videos = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c.msgtype.endswith(_VIDEO_WORDS)})
+        bag = Bag(path, {topic: count for topic, count in counts.items() if count}, {}, videos=tuple(videos))
+        for topic in sorted({c.topic for c in reader.connections if c.msgtype == CAMERA_INFO_TYPE and c.msgcount}):
+            _find_usable_info(reader, topic, bag)
+    return bag
+
+
+def _find_usable_info(reader: Any, topic: str, bag: Bag) -> None:
+    """Enter the first usable CameraInfo of a topic into a bag: drivers publish zeros until they are calibrated."""
+    fault, passed = "", 0
+    connections = [c for c in reader.connections if c.topic == topic and c.msgtype == CAMERA_INFO_TYPE]
+    with closing(reader.messages(connections=connections)) as messages:
+        for connection, _, data in messages:
+            try:
+                bag.camera_infos[topic] = read_camera_info(reader.deserialize(data, connection.msgtype))
+                break
+            except ValueError as error:
+                fault, passed = fault or str(error), passed + 1
+    if topic not in bag.camera_infos:
+        bag.rejected[topic] = fault
+    elif passed:
+        bag.remarks[topic] = f"{topic}: CameraInfo passed over before the first usable one: {passed} ({fault})"
 
 
 @dataclass(frozen=True)
 class BagImages:
-    """The images of one topic; each is read on demand.
+    """The images of one topic in the order of their time stamps; each is read on demand.
 
     Attributes:
         path: file or folder of the bag.
         topic: image topic.
-        timestamps: (N,) seconds, from the message headers, or times of arrival if the headers have none.
+        timestamps: (N,) seconds, increasing: from the message headers, or times of arrival if the headers have none.
+        numbers: (N,) of the messages in the order of their arrival.
+        remarks: which messages were left out and what was assumed.
     """
 
     path: Path
     topic: str
     timestamps: Array
+    numbers: Indices
+    remarks: tuple[str, ...]
     _reader: SequentialReader
 
     def __len__(self) -> int:
@@ -146,47 +143,135 @@ class BagImages:
         return self._reader.read(index, len(self), self.where, "bag")
 
     def where(self, index: int) -> str:
-        """Bag, topic and index of a message, for error messages."""
-        return f"{self.path}, {self.topic}, message {index}"
+        """Bag, topic and number of a message, for error messages."""
+        return f"{self.path}, {self.topic}, message {self.numbers[index]}"
 
 
-def open_topic(path: Path, topic: str) -> BagImages:
-    """Read the times of all images of a topic.
+@dataclass
+class _Listing:
+    """What is known about the messages of a topic before their images are decoded.
+
+    Attributes:
+        arrived: times of arrival, nanoseconds.
+        stamps: times in the headers, seconds.
+        faults: by message number, why an image cannot be decoded.
+        grey_range: values of all images; None if they have 8 bits.
+    """
+
+    arrived: list[int] = field(default_factory=list)
+    stamps: list[float] = field(default_factory=list)
+    faults: dict[int, str] = field(default_factory=dict)
+    grey_range: GreyRange | None = None
+
+    def add(self, arrived: int, message: Any) -> None:
+        """Add a message."""
+        number = len(self.arrived)
+        self.arrived.append(arrived)
+        self.stamps.append(read_timestamp(message))
+        try:
+            found = check_image(message)
+        except ValueError as error:
+            self.faults[number] = str(error)
+        else:
+            self.grey_range = join_ranges(self.grey_range, found)
+
+    def usable(self, where: str) -> tuple[Indices, tuple[str, ...]]:
+        """Numbers of the messages that can be decoded, and a remark about the others.
+
+        Raises:
+            DataError: none can be.
+        """
+        numbers = np.array([n for n in range(len(self.arrived)) if n not in self.faults], np.int64)
+        if not len(numbers):
+            first = next(iter(self.faults.values()))
+            raise DataError(f"{where}, message 0 and all others: {first}; record it in another encoding")
+        if not self.faults:
+            return numbers, ()
+        number, fault = next(iter(self.faults.items()))
+        others = f" and {len(self.faults) - 1} others" if len(self.faults) > 1 else ""
+        return numbers, (f"{where}, message {number}{others}: {fault}; left out, record again to have every image",)
+
+
+def join_ranges(first: GreyRange | None, second: GreyRange | None) -> GreyRange | None:
+    """Range of two sets of images, of which either may have 8 bits."""
+    return first.joined(second) if first is not None and second is not None else first or second
+
+
+def open_topics(path: Path, topics: tuple[str, ...]) -> list[BagImages]:
+    """Read the times of all images of some topics; images of 16 bits get the same scale in all of them.
 
     Raises:
-        DataError: the bag has no such images, or is damaged.
+        DataError: the bag has no such images, none can be decoded, or the bag is damaged.
     """
-    received, stamps = [], []
+    listings = {topic: _Listing() for topic in topics}
     with _open_reader(path) as reader:
-        connections = _connections_of(reader, path, topic)
+        connections = [c for topic in topics for c in _connections_of(reader, path, topic)]
         for connection, time, data in reader.messages(connections=connections):
-            received.append(time)
-            stamps.append(read_timestamp(reader.deserialize(data, connection.msgtype)))
-    if not received:
+            listings[connection.topic].add(time, reader.deserialize(data, connection.msgtype))
+    grey_range = reduce(join_ranges, [listing.grey_range for listing in listings.values()], None)
+    return [_images_of(path, topic, listings[topic], grey_range) for topic in topics]
+
+
+def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange | None) -> BagImages:
+    if not listing.arrived:
         raise DataError(f"{path}, {topic}: expected images, found no message; choose another with --image-topic")
-    arrived, times = np.array(received, np.int64), np.array(stamps)
-    if not times.any():  # the driver has not filled in the headers
-        times = arrived / 1e9
-    return BagImages(path, topic, times, SequentialReader(lambda index: _decode_from(path, topic, arrived, index)))
+    arrived = np.array(listing.arrived, np.int64)
+    numbers, damaged = listing.usable(f"{path}, {topic}")
+    order = order_timestamps(np.array(listing.stamps), arrived / 1e9)
+    is_usable = np.isin(order.indices, numbers)
+    numbers, times = order.indices[is_usable], order.times[is_usable]
+    if not len(numbers):
+        raise DataError(f"{path}, {topic}: expected images with usable time stamps, found none; record it again")
+    scale = [grey_range.remark] if grey_range is not None and grey_range.remark else []
+    remarks = (*damaged, *(f"{topic}: {remark}" for remark in (*order.remarks, *scale)))
+    messages = _Messages(path, topic, arrived, numbers, grey_range or FULL_RANGE)
+    return BagImages(path, topic, times, numbers, remarks, SequentialReader(messages.decode_from))
 
 
-def _decode_from(path: Path, topic: str, arrived: NDArray[np.int64], start: int) -> Iterator[Image]:
-    """Decode the images of a topic from an index on."""
-    with _open_reader(path) as reader:
-        # The library seeks by time: skip the messages that arrived in the same nanosecond before the wanted one.
-        skip = start - int(np.searchsorted(arrived, arrived[start]))
-        messages = reader.messages(connections=_connections_of(reader, path, topic), start=int(arrived[start]))
-        with closing(messages):
-            for number, (connection, _, data) in enumerate(messages):
-                if number >= skip:
-                    yield _decode(reader.deserialize(data, connection.msgtype), f"{path}, {topic}")
+@dataclass(frozen=True)
+class _Messages:
+    """The messages of one topic, to be decoded.
 
+    Attributes:
+        path, topic: bag and topic.
+        arrived: (M,) times of arrival of all messages, nanoseconds, in the bag's order.
+        numbers: (N,) of the messages in the order of their images.
+        grey_range: values of all images, if they have 16 bits.
+    """
 
-def _decode(message: Any, where: str) -> Image:
-    try:
-        return decode_image(message)
-    except ValueError as error:
-        raise DataError(f"{where}: {error}; record it in another encoding") from None
+    path: Path
+    topic: str
+    arrived: NDArray[np.int64]
+    numbers: Indices
+    grey_range: GreyRange
+
+    def decode_from(self, start: int) -> Iterator[Image]:
+        """Decode the images from an index on. Messages that come before their turn wait until then."""
+        wanted, index, waiting = set(self.numbers[start:].tolist()), start, dict[int, Any]()
+        for number, message in self._read_from(int(self.numbers[start:].min())):
+            if number in wanted:
+                waiting[number] = message
+            while index < len(self.numbers) and int(self.numbers[index]) in waiting:
+                yield self._decode(index, waiting.pop(int(self.numbers[index])))
+                index += 1
+
+    def _read_from(self, first: int) -> Iterator[tuple[int, Any]]:
+        """Numbers and messages of the topic from a number on."""
+        with _open_reader(self.path) as reader:
+            # The library seeks by time: skip the messages that arrived in the same nanosecond before the wanted one.
+            before = int(np.searchsorted(self.arrived, self.arrived[first]))
+            connections = _connections_of(reader, self.path, self.topic)
+            with closing(reader.messages(connections=connections, start=int(self.arrived[first]))) as messages:
+                for number, (connection, _, data) in enumerate(messages, start=before):
+                    if number >= first:
+                        yield number, reader.deserialize(data, connection.msgtype)
+
+    def _decode(self, index: int, message: Any) -> Image:
+        try:
+            return decode_image(message, self.grey_range)
+        except ValueError as error:
+            where = f"{self.path}, {self.topic}, message {self.numbers[index]}"
+            raise DataError(f"{where}: {error}; record it again, or in another encoding") from None
 
 
 def _connections_of(reader: Any, path: Path, topic: str) -> list[Any]:
@@ -195,12 +280,6 @@ def _connections_of(reader: Any, path: Path, topic: str) -> list[Any]:
         found = ", ".join(sorted({c.topic for c in reader.connections if c.msgtype in IMAGE_TYPES})) or "none"
         raise DataError(f"{path}: expected images of the topic {topic}, found {found}; choose with --image-topic")
     return connections
-
-
-def _first_message(reader: Any, connection: Any) -> Any:
-    with closing(reader.messages(connections=[connection])) as messages:
-        _, _, data = next(messages)
-    return reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
@@ -214,6 +293,11 @@ def _open_reader(path: Path) -> Iterator[Any]:
             f"{path}: expected the library rosbags, which reads bags, found none; type: python -m pip install"
             " 'revisit-slam[ros]'"
         ) from None
+    if path.suffix == UNFINISHED_SUFFIX:
+        raise DataError(
+            f"{path}: expected a finished bag, found one whose recorder is running or was killed; type: rosbag reindex"
+            f" {path}, and rename it to {path.stem}"
+        )
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
@@ -222,78 +306,14 @@ def _open_reader(path: Path) -> Iterator[Any]:
     except MemoryError:  # the library allocates the size in a message header, which may be damaged
         raise DataError(f"{path}: expected a readable bag, found sizes beyond the memory; copy it again") from None
     except Exception as error:  # the library does not validate its input: a damaged bag can raise any exception
-        found = " ".join(str(error).split())[:200] or type(error).__name__
-        raise DataError(f"{path}: expected a readable bag, found: {found}; record or copy it again") from error
+        found = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+        raise DataError(f"{path}: expected a readable bag, found: {found}; {_remedy(path, found)}") from error
 
 
-def read_camera_info(message: Any) -> CameraInfo:
-    """Convert a CameraInfo message.
-
-    Raises:
-        ValueError: the message contains values that no camera has.
-    """
-    # The fields are called K, D, R, P in ROS 1 and k, d, r, p in ROS 2.
-    K, D, R, P = (np.asarray(getattr(message, n, getattr(message, n.lower(), None)), np.float64) for n in "KDRP")
-    R = R.reshape(3, 3) if np.any(R) else np.eye(3)
-    model, coefficients = _parse_distortion(str(message.distortion_model), tuple(D.tolist()))
-    camera_model = CameraModel(float(K[0]), float(K[4]), float(K[2]), float(K[5]), model, coefficients)
-    if not np.isfinite(R).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or not np.isfinite(P).all():
-        raise ValueError("expected a rotation R and finite numbers P in CameraInfo")
-    return CameraInfo(camera_model, R, P.reshape(3, 4), (int(message.width), int(message.height)))
-
-
-def _parse_distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str, tuple[float, ...]]:
-    if not any(coefficients) and model not in FISHEYE_MODELS:
-        return "none", ()
-    if model not in DISTORTION_MODELS:
-        raise ValueError(f"expected one of the distortion models {', '.join(DISTORTION_MODELS)}, found {model!r}")
-    return model, coefficients
-
-
-def read_timestamp(message: Any) -> float:
-    """Time of exposure in a message's header, seconds."""
-    time = message.header.stamp
-    return float(time.sec) + 1e-9 * float(time.nanosec)
-
-
-def decode_image(message: Any) -> Image:
-    """Decode an Image or a CompressedImage message to grey values (H, W) uint8.
-
-    Raises:
-        ValueError: the encoding is not supported, or the data do not fit the encoding.
-    """
-    try:
-        return _decode_raw(message) if hasattr(message, "encoding") else _decode_compressed(message)
-    except cv2.error as error:  # raised for sizes that a conversion does not support, such as an odd width of YUV 4:2:2
-        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
-
-
-def _decode_compressed(message: Any) -> Image:
-    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_GRAYSCALE) if len(message.data) else None
-    if image is None:
-        raise ValueError(f"expected a compressed image, found {len(message.data)} bytes of {message.format!r}")
-    return np.asarray(image, np.uint8)
-
-
-def _decode_raw(message: Any) -> Image:
-    if message.encoding not in ENCODINGS:
-        raise ValueError(f"expected one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
-    kind, channels, conversion = ENCODINGS[message.encoding]
-    values = _read_values(message, np.dtype(kind), channels)
-    if kind is np.uint16:
-        return (values[..., 0] >> 8).astype(np.uint8)
-    return np.ascontiguousarray(values[..., 0] if conversion is None else cv2.cvtColor(values, conversion))
-
-
-def _read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
-    """Values (H, W, channels) of an Image message, without the padding that its rows may have."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    row = width * channels * kind.itemsize
-    data = np.frombuffer(message.data, np.uint8)
-    if not (0 < row <= step and 0 < height * step <= len(data)):
-        raise ValueError(
-            f"expected {height} rows of {row} bytes for {width} x {height} {message.encoding}, found steps of {step} in"
-            f" {len(data)} bytes"
-        )
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    return rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).reshape(height, width, channels)
+def _remedy(path: Path, found: str) -> str:
+    """What to type after the library has found a fault in a bag."""
+    mcap = next(path.glob("*.mcap"), None) if path.is_dir() else path if path.suffix == ".mcap" else None
+    for words, remedy in _REMEDIES.items():
+        if words in found.lower():
+            return remedy.format(path=path)
+    return _REMEDY if mcap is None or "seems to be empty" in found else _MCAP_REMEDY.format(path=mcap)

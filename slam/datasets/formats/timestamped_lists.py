@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.formats.image_sequence import ImageSequence
+from slam.datasets.formats.image_sequence import ImageSequence, list_images
+from slam.datasets.time_sync import describe_lines, order_by_time, short_name
 from slam.errors import DataError
 from slam.io.files import read_lines
 
@@ -32,7 +33,7 @@ SPACE_SEPARATED_SECONDS = ListFormat(r"\s+", 1.0)
 
 
 def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageSequence:
-    """Read a list of images: time and file name in each line.
+    """Read a list of images: time and file name in each line. They are sorted by time, with a remark.
 
     Args:
         path: list to read.
@@ -40,63 +41,104 @@ def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageS
         list_format: syntax of the list.
 
     Raises:
-        DataError: the list is missing, empty, damaged or not in the order of time, or an image is missing.
+        DataError: the list is missing, empty or damaged, or an image is missing.
     """
-    rows = _cells(path, list_format, 2)
-    times = np.array([_number(path, cells[0]) for cells in rows]) / list_format.ticks_per_second
-    check_increasing(path, times)
-    files = tuple(folder / cells[1] for cells in rows)
+    lines, cells = _cells(path, list_format, 2)
+    ticks = np.array([_number(path, line, row[0]) for line, row in zip(lines, cells, strict=True)])
+    ordered = order_by_time(path, ticks, list_format.ticks_per_second, lines)
+    files = tuple(folder / cells[row][1] for row in ordered.rows)
     missing = next((file for file in files if not _is_file(file)), None)
     if missing is not None:
         raise DataError(f"{path}: expected the image {missing}, which it lists, found none; unpack it again")
-    return ImageSequence(path.parent.name, files, times)
+    if not files:
+        raise DataError(f"{path}: expected a time in each line, found none; export it again")
+    listed = {folder / row[1] for row in cells}
+    return ImageSequence(
+        path.parent.name, files, ordered.seconds, remarks=(*ordered.remarks, *_describe_unlisted(path, listed))
+    )
 
 
-def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> Array:
-    """Read the first columns of a list of numbers: (N, columns), the first column in seconds, increasing.
+def _describe_unlisted(path: Path, listed: set[Path]) -> list[str]:
+    """Remarks about images in the folders of a list that it does not name; beside the list there may be any others."""
+    folders = sorted({file.parent for file in listed} - {path.parent})
+    unlisted = {folder: [file for file in list_images(folder) if file not in listed] for folder in folders}
+    return [
+        f"{short_name(path)}: {len(files)} images in {folder.name} are not listed and left out, the first is"
+        f" {files[0].name}"
+        for folder, files in unlisted.items()
+        if files
+    ]
+
+
+@dataclass(frozen=True)
+class TimedRows:
+    """Rows of numbers in the order of time.
+
+    Attributes:
+        values: (N, columns), the first column in seconds, increasing.
+        remarks: lines that were left out or sorted, and the unit of the times if it is not the expected one.
+    """
+
+    values: Array
+    remarks: tuple[str, ...]
+
+
+def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> TimedRows:
+    """Read the first columns of a list of numbers. Lines that cannot be used are left out, with a remark.
 
     Raises:
-        DataError: the list is missing, empty, damaged or not in the order of time.
+        DataError: the list is missing, or no line can be used.
     """
-    rows = np.array([[_number(path, cell) for cell in cells[:columns]] for cells in _cells(path, list_format, columns)])
-    rows[:, 0] /= list_format.ticks_per_second
-    check_increasing(path, rows[:, 0])
-    return rows
+    lines, cells = _cells(path, list_format)
+    values = np.array([_row(row[:columns], columns) for row in cells]).reshape(-1, columns)
+    good = np.isfinite(values).all(axis=1)
+    if not good.any():
+        raise DataError(f"{path}, line {lines[0]}: expected {columns} finite numbers, found none; copy the file again")
+    ordered = order_by_time(path, values[good, 0], list_format.ticks_per_second, np.array(lines)[good].tolist())
+    values = values[good][ordered.rows]
+    values[:, 0] = ordered.seconds
+    trouble = f"without {columns} finite numbers are left out"
+    return TimedRows(values, (*describe_lines(path, np.array(lines)[~good], trouble), *ordered.remarks))
 
 
-def check_increasing(path: Path, times: Array) -> None:
-    """Raise DataError unless times increase."""
-    wrong = np.diff(times) <= 0
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise DataError(
-            f"{path}: expected increasing times, found {times[at + 1]:.6f} after {times[at]:.6f}; correct those lines"
-        )
-
-
-def _cells(path: Path, list_format: ListFormat, columns: int) -> list[list[str]]:
-    """Split all lines but comments and empty ones into cells, at least `columns` in each."""
-    rows = []
+def _cells(path: Path, list_format: ListFormat, min_columns: int = 1) -> tuple[list[int], list[list[str]]]:
+    """Split all lines but a header, comments and empty ones into cells; return line numbers and cells."""
+    lines: list[int] = []
+    rows: list[list[str]] = []
     for number, line in enumerate(read_lines(path), start=1):
         text = line.strip()
         if not text or text.startswith("#"):
             continue
         cells = re.split(list_format.separator, text)
-        if len(cells) < columns:
-            raise DataError(f"{path}, line {number}: expected {columns} cells, found {len(cells)}; copy the file again")
+        if not rows and cells[0].lower() != "nan" and re.match(r"[\"']?[a-z]", cells[0].lower()):
+            continue  # names of the columns, without a # before them
+        if len(cells) < min_columns:
+            expected = f"{path}, line {number}: expected {min_columns} cells"
+            raise DataError(f"{expected}, found {len(cells)}; copy the file again")
+        lines.append(number)
         rows.append(cells)
     if not rows:
-        raise DataError(f"{path}: expected lines of {columns} cells, found none; copy the file again")
-    return rows
+        raise DataError(f"{path}: expected lines of {min_columns} cells, found none; copy the file again")
+    return lines, rows
 
 
-def _number(path: Path, cell: str) -> float:
+def _row(cells: list[str], columns: int) -> list[float]:
+    return [_value(cell) for cell in cells] if len(cells) == columns else [np.nan] * columns
+
+
+def _value(cell: str) -> float:
+    """Number in a cell; NaN where there is none."""
     try:
-        number = float(cell)
+        return float(cell)
     except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise DataError(f"{path}: expected finite numbers, found {cell[:40]!r}; copy the file again")
+        return np.nan
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    """Time in a cell; NaN if the cell says that there is none."""
+    number = _value(cell)
+    if np.isnan(number) and cell.lower() not in ("nan", "-nan", ""):
+        raise DataError(f"{path}, line {line}: expected a time, found {cell[:40]!r}; copy the file again")
     return number
 
 

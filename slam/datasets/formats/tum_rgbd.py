@@ -1,7 +1,8 @@
 """Datasets in the layout of TUM RGB-D (Sturm et al., IROS 2012); the depth images are not read.
 
-`[NAME/]{rgb.txt, rgb/<seconds>.png, groundtruth.txt}`. The layout does not include a calibration: it is read
-from a `camera.toml` beside `rgb.txt`, or taken from the benchmark's cameras by the name of the sequence.
+`[NAME/]{rgb.txt, rgb/<seconds>.png, groundtruth.txt}`; OpenLORIS-Scene (Shi et al., ICRA 2020) calls the list
+`color.txt`. The layout does not include a calibration: it is read from a `camera.toml` beside the list, or taken from
+the benchmark's cameras by the name of the sequence.
 """
 
 import re
@@ -36,9 +37,20 @@ FREIBURG = {
 }
 
 
+_LISTS = ("rgb.txt", "color.txt")
+_OPENLORIS_REMARK = (
+    "groundtruth.txt beside color.txt: if its poses are those of the robot's base, errors include the camera's place on"
+    " the robot"
+)
+
+
 def is_tum_rgbd(folder: Path) -> bool:
     """Whether a folder is one sequence in this layout."""
-    return (folder / "rgb.txt").is_file()
+    return (folder / "rgb.txt").is_file() or ((folder / "color.txt").is_file() and (folder / "color").is_dir())
+
+
+def _list(folder: Path) -> Path:
+    return next(folder / name for name in _LISTS if (folder / name).is_file())
 
 
 def open_tum_rgbd(spec: DatasetSpec) -> RectifiedDataset:
@@ -52,11 +64,14 @@ def open_tum_rgbd(spec: DatasetSpec) -> RectifiedDataset:
     if camera is None:
         raise DataError(
             f"{folder / CAMERA_TOML}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found"
-            " none; write one with fx, fy, cx and cy"
+            " none; write one with fx, fy, cx and cy (of OpenLORIS they are in sensors.yaml)"
         )
-    left, poses = read_stream(folder / "rgb.txt", folder, SPACE_SEPARATED_SECONDS), folder / "groundtruth.txt"
+    path, poses = _list(folder), folder / "groundtruth.txt"
+    left = read_stream(path, folder, SPACE_SEPARATED_SECONDS)
     truth = read_ground_truth(poses, left) if poses.is_file() else None
-    return build_dataset(RawRecording(folder.absolute().name, left, ground_truth=truth), camera.rectification)
+    remarks = (_OPENLORIS_REMARK,) if truth is not None and path.name == "color.txt" else ()
+    recording = RawRecording(folder.absolute().name, left, ground_truth=truth, remarks=remarks)
+    return build_dataset(recording, camera.rectification)
 
 
 def open_tum_rgbd_images(spec: DatasetSpec) -> ImageDataset:
@@ -68,12 +83,12 @@ def open_tum_rgbd_images(spec: DatasetSpec) -> ImageDataset:
     folder = _folder(spec)
     if _camera(folder) is not None:
         return LeftImages.of(open_tum_rgbd(spec))
-    stream = read_stream(folder / "rgb.txt", folder, SPACE_SEPARATED_SECONDS)
-    return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps)
+    stream = read_stream(_list(folder), folder, SPACE_SEPARATED_SECONDS)
+    return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps, remarks=stream.remarks)
 
 
 def _folder(spec: DatasetSpec) -> Path:
-    return find_dataset(spec.path, spec.sequence, is_tum_rgbd, "rgb.txt")
+    return find_dataset(spec.path, spec.sequence, is_tum_rgbd, "rgb.txt or color.txt")
 
 
 def _camera(folder: Path) -> CameraToml | None:

@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odometry import se3
-from slam.datasets.time_sync import MAX_GAP_S, MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
+from slam.datasets.time_sync import (
+    MAX_GAP_S,
+    MAX_PAIR_OFFSET_S,
+    associate_timestamps,
+    interpolate_poses,
+    order_timestamps,
+)
 
 from .rig import turned
 
@@ -106,3 +112,16 @@ def test_ground_truth_of_another_day_is_not_used() -> None:
     result = interpolate_poses(np.arange(5.0), np.arange(5.0) + 1e6, steady(np.arange(5.0)))
     assert (result.poses, result.frames) == (None, slice(0, 5))
     assert "another time" in result.remark
+
+
+@settings(max_examples=100, deadline=None)
+@given(stamps=st.lists(st.integers(1, 60), min_size=1, max_size=40), seed=st.integers(0, 9))
+def test_images_are_ordered_once_each_whatever_the_order_of_receipt(stamps: list[int], seed: int) -> None:
+    times = np.random.default_rng(seed).permutation(stamps) / 10.0
+    received = 100.0 + np.arange(len(times)) / 10.0
+    order = order_timestamps(times, received)
+    assert (np.diff(order.times) > 0).all()
+    if not any("times of receipt" in remark for remark in order.remarks):
+        np.testing.assert_array_equal(order.times, np.unique(times))
+        np.testing.assert_array_equal(times[order.indices], order.times)
+    assert bool(order.remarks) == (not np.array_equal(order.indices, np.arange(len(times))) or order.times[0] >= 100.0)

@@ -105,7 +105,8 @@ def test_numbers_of_no_camera_are_seen(tmp_path: Path, ideal: Taken, trouble: st
 def test_a_baseline_in_millimetres_is_seen(tmp_path: Path, ideal: Taken) -> None:
     folder = write_folders(tmp_path, ideal)
     (folder / "camera.toml").write_text("fx=260\nfy=260\ncx=160\ncy=118\nbaseline=300\nfps=20\n")
-    assert "is it in metres?" in found(checked(folder), Status.WARNING)["baseline"].text
+    text = found(checked(folder), Status.WARNING)["baseline"].text
+    assert "is it in metres? It is 0.300 m if millimetres were given: correct the calibration" in text
 
 
 def test_cameras_that_are_swapped_are_seen_in_the_images(tmp_path: Path, ideal: Taken) -> None:
@@ -161,6 +162,10 @@ def test_the_command_answers_people_and_scripts(
     answer = json.loads(capsys.readouterr().out)
     assert (answer["format"], answer["works"]) == ("own-camera", {"stereo": True, "mono": True, "places": True})
     for file in (folder / "right").iterdir():
+        file.write_bytes(b"")
+    assert revisit("check", folder, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["works"] == {"stereo": False, "mono": True, "places": True}
+    for file in (folder / "left").iterdir():
         file.write_bytes(b"")
     assert revisit("check", folder) == 1
     assert "will not work: " in capsys.readouterr().out

@@ -64,6 +64,21 @@ def test_a_principal_point_outside_of_the_image_rules_out_slam_and_not_places() 
     assert set(found.forbids) == {Use.STEREO, Use.MONO}
 
 
+@pytest.mark.parametrize(
+    ("baseline", "guess"),
+    [
+        (53.7, "0.537 m if centimetres were given or 0.054 m if millimetres were given"),
+        (120.0, "1.200 m if centimetres were given or 0.120 m if millimetres were given"),
+        (0.537 / 700.0, "0.537 m if P[3] is the baseline itself, not -fx times it"),
+        (1e6, ""),
+    ],
+)
+def test_the_unit_of_an_unusual_baseline_is_guessed(baseline: float, guess: str) -> None:
+    text = by_topic(check_camera(camera(fx=700.0, baseline=baseline), True))["baseline"].text
+    assert (f"It is {guess}: correct the calibration" in text) == bool(guess)
+    assert "is it in metres?" in text
+
+
 @pytest.mark.parametrize(("baseline", "status"), [(0.02, Status.WARNING), (0.54, Status.OK), (300.0, Status.WARNING)])
 def test_the_baseline_counts_for_pairs_alone(baseline: float, status: Status) -> None:
     assert by_topic(check_camera(camera(baseline=baseline), True))["baseline"].status is status

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.formats.image_sequence import open_image_sequence
+from slam.datasets.formats.kitti import open_image_sequence
 from slam.errors import DataError
 
 
@@ -35,6 +35,17 @@ def test_numbers_within_names_count_as_numbers(tmp_path: Path, names: tuple[str,
 def test_images_are_grey(tmp_path: Path) -> None:
     image = open_image_sequence(write(tmp_path / "a", "1.png"), fps=1.0)[0]
     assert (image.shape, image.dtype) == ((4, 6), np.uint8)
+
+
+@pytest.mark.parametrize("high", [1023, 4095, 16383, 65535])
+def test_images_of_sixteen_bits_keep_the_high_bits_of_the_sensor(tmp_path: Path, high: int) -> None:
+    folder = write(tmp_path / "a")
+    grey = np.tile(np.arange(256, dtype=np.uint16), (8, 1))
+    for number in range(4):  # the brightest is the last: all have one scale
+        cv2.imwrite(str(folder / f"{number}.png"), ((grey * (high // 255)) >> (3 - number)).astype(np.uint16))
+    images = open_image_sequence(folder, fps=1.0)
+    for number in range(4):
+        assert np.abs(images[number].astype(int) - (grey.astype(int) >> (3 - number))).max() <= 2
 
 
 def test_a_file_of_times_beside_the_images_is_used(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Whatever is wrong with a recording is one line that names the file, what was expected and found, and the remedy."""
 
 import random
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,11 +32,6 @@ def rough() -> Taken:
 
 def edit(path: Path, change: Callable[[str], str]) -> None:
     path.write_text(change(path.read_text()))
-
-
-def swap_lines(text: str) -> str:
-    lines = text.splitlines()
-    return "\n".join([*lines[:-2], lines[-1], lines[-2]])
 
 
 def shrink(path: Path) -> None:
@@ -83,28 +79,39 @@ EUROC: dict[str, tuple[Callable[[Path], object], str]] = {
         ],
         r"sensor.yaml: expected the right camera to the right of the left one, found it at \[-0.1",
     ),
-    "times out of order": (
-        lambda r: edit(r / CAM0 / "data.csv", swap_lines),
-        r"data.csv: expected increasing times, found 140363658",
+    "a word for a time": (
+        lambda r: edit(r / CAM0 / "data.csv", lambda t: t + "late,1.png\n"),
+        r"data.csv, line 5: expected a time, found 'late'",
     ),
     "one column": (
         lambda r: edit(r / CAM0 / "data.csv", lambda t: t.replace(",", ";")),
         r"data.csv, line 2: expected 2 cells, found 1",
     ),
     "an empty table": (lambda r: (r / CAM1 / "data.csv").write_text("#t,f\n"), r"data.csv: expected lines of 2 cells"),
-    "truth with too few columns": (
-        lambda r: (r / "mav0/state_groundtruth_estimate0/data.csv").write_text("1,2,3\n"),
-        r"line 1: expected 8 cells",
-    ),
-    "truth without rotation": (
-        lambda r: (r / "mav0/state_groundtruth_estimate0/data.csv").write_text("1,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,0\n"),
-        r"expected unit quaternions",
-    ),
     "cameras of two recordings": (
         lambda r: edit(r / CAM1 / "data.csv", lambda t: t.replace("\n1403", "\n1503")),
         r"expected right images within 0.005 s of left",
     ),
 }
+
+
+TRUTH = Path("mav0/state_groundtruth_estimate0/data.csv")
+EUROC_TRUTH: dict[str, tuple[Callable[[str], str], str]] = {
+    "too few columns": (lambda t: "1,2,3\n", r"line 1: expected 8 finite numbers"),
+    "no rotation": (lambda t: "1,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,0\n", r"expected unit quaternions"),
+    "no line": (lambda t: "#timestamp\n", r"data.csv: expected lines of 1 cells, found none"),
+    "not a table": (lambda t: "404: not found\n", r"line 1: expected 8 finite numbers"),
+}
+
+
+@pytest.mark.parametrize("fault", EUROC_TRUTH)
+def test_ground_truth_of_euroc_that_cannot_be_used_is_a_remark(tmp_path: Path, rough: Taken, fault: str) -> None:
+    change, message = EUROC_TRUTH[fault]
+    root = write_euroc(tmp_path / "MH_01", rough)
+    edit(root / TRUTH, change)
+    drive = open_dataset(root)
+    assert (len(drive), drive.ground_truth, len(drive.remarks)) == (3, None, 1)
+    assert re.search(message, drive.remarks[0])
 
 
 def drive_all(path: Path) -> None:
@@ -133,6 +140,16 @@ def toml(change: Callable[[str], str]) -> Callable[[Path], object]:
 OWN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no TOML": (toml(lambda t: t + "= 3"), r"camera.toml: expected TOML, found .*correct that line"),
     "no fx": (toml(lambda t: t.replace("fx", "f", 1)), r"camera.toml: expected only fx, .*found 'f'"),
+    "a key of another name": (
+        toml(lambda t: 'images = "left"\n' + t),
+        r"found 'images' \(did you mean left\?\)",
+    ),
+    "a key with a slip of the pen": (toml(lambda t: "basline = 0.1\n" + t), r"'basline' \(did you mean baseline\?\)"),
+    "a key in capital letters": (toml(lambda t: t.replace("cx", "Cx", 1)), r"found 'Cx' \(did you mean cx\?\)"),
+    "a key of the right camera": (
+        toml(lambda t: t.replace("T_left_right", "T_c1_c2")),
+        r"\[right_camera\] expected only .*'T_c1_c2' \(did you mean T_left_right\?\)",
+    ),
     "a word for a number": (
         toml(lambda t: t.replace("fx = 200.0", "fx = 'wide'", 1)),
         r"expected a number fx, found 'wide'",
@@ -145,7 +162,7 @@ OWN: dict[str, tuple[Callable[[Path], object], str]] = {
     "two answers": (toml(lambda t: "baseline = 0.1\n" + t), r"expected baseline or \[right_camera\], found both"),
     "coefficients missing": (
         toml(lambda t: t.replace("-0.28, ", "", 1)),
-        r"expected 4 or 5 coefficients of radtan, found 3",
+        r"expected 4, 5, 8, 12 or 14 coefficients of radtan, found 3",
     ),
     "a rotation that is none": (
         toml(lambda t: t.replace("T_left_right = [[0", "T_left_right = [[5", 1)),
@@ -268,7 +285,7 @@ def test_an_unknown_format_is_a_configuration_error(tmp_path: Path) -> None:
 
 def test_image_datasets_without_calibration_are_refused_for_slam(tmp_path: Path) -> None:
     for k in range(3):
-        cv2.imwrite(str(tmp_path / f"CAMERA1_{k}.5_left.jpg"), np.zeros((8, 8), np.uint8))
+        cv2.imwrite(str(tmp_path / f"CAMERA1_{k}.5_left.jpg"), np.zeros((16, 16), np.uint8))
     with pytest.raises(
         DataError, match=r"expected a calibration, found images of places alone; use it with revisit places"
     ):

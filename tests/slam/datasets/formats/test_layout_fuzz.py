@@ -11,9 +11,10 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import read_camera_toml
 from slam.datasets.formats.euroc import read_sensor_yaml
-from slam.datasets.formats.rosbag_file import ENCODINGS, decode_image
+from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image
 from slam.datasets.formats.timestamped_lists import (
     CSV_NANOSECONDS,
     SPACE_SEPARATED_SECONDS,
@@ -80,6 +81,34 @@ def test_any_sensor_is_read_or_refused_by_name(tmp_path: Path, table: dict[str, 
     path = tmp_path / "sensor.yaml"
     path.write_text(yaml.safe_dump(table))
     assert_read_or_refused(path, lambda: read_sensor_yaml(path))
+
+
+CALIBRATION_WORDS = [
+    "M1", "D1", "M2", "D2", "R", "T", "R1", "P1", "R2", "P2", "camera_matrix", "distortion_coefficients",
+    "image_width", "image_size", "Camera.fx", "Camera.fy", "Camera.cx", "Camera.cy", "Camera.k1", "Camera.bf",
+    "Camera.fps", "Stereo.b", "Camera.width", "Stereo.T_c1_c2", "cam0", "cam1", "intrinsics", "distortion_coeffs",
+    "resolution", "T_cn_cnm1", "data",
+]  # fmt: skip
+MATRICES = st.sampled_from([9, 3, 4, 12, 16]).flatmap(lambda n: st.lists(st.floats(-500, 500), min_size=n, max_size=n))
+CALIBRATION_VALUES = st.one_of(VALUES, MATRICES, st.none(), st.just([1, 0, 0, 0, 1, 0, 0, 0, 1]))
+
+
+@quick
+@given(
+    table=st.dictionaries(
+        st.sampled_from(CALIBRATION_WORDS),
+        CALIBRATION_VALUES | st.dictionaries(st.sampled_from(CALIBRATION_WORDS), CALIBRATION_VALUES),
+    )
+)
+def test_any_calibration_in_yaml_is_read_or_refused_by_name(tmp_path: Path, table: dict[str, object]) -> None:
+    (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(table))
+
+    def read() -> None:
+        found = find_calibration(tmp_path)
+        if found is not None:
+            found.rectification((320, 240))
+
+    assert_read_or_refused(tmp_path / "calibration.yaml", read)
 
 
 def test_yaml_that_expands_to_a_million_values_is_refused_at_once(tmp_path: Path) -> None:

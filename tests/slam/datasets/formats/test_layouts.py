@@ -10,8 +10,8 @@ import pytest
 from slam.cli import app
 from slam.datasets.dataset import Dataset, DatasetSpec
 from slam.datasets.formats.registry import FORMATS, detect_format, open_dataset, open_images
-from slam.datasets.formats.rosbag_dataset import choose_topics
 from slam.datasets.formats.rosbag_file import Bag
+from slam.datasets.formats.rosbag_topics import choose_topics
 from slam.datasets.prefetch import prefetch
 from slam.io.metrics import read_metrics, write_metrics
 from slam.io.trajectory_files import write_kitti, write_tum
@@ -76,7 +76,11 @@ def test_images_without_a_partner_are_left_out_with_a_remark(tmp_path: Path, rou
     lines = table.read_text().splitlines()
     table.write_text("\n".join(lines[:2] + lines[3:]))
     drive = open_dataset(tmp_path / "MH")
-    assert (len(drive), drive.remarks) == (4, ("1 images without a partner in the other camera are left out",))
+    assert len(drive) == 4
+    assert drive.remarks == (
+        f"cam1/data.csv: 1 images in data are not listed and left out, the first is {lines[2].split(',')[1]}",
+        "1 images without a partner in the other camera are left out",
+    )
     np.testing.assert_array_equal(drive[1].right, rough.ideal.right(rough.pairs[2][1]))
     assert drive.ground_truth is not None
     np.testing.assert_allclose(drive.ground_truth, np.delete(rough.truth, 1, axis=0), atol=1e-5)

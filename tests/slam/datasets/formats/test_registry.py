@@ -36,6 +36,7 @@ FILES: dict[str, tuple[str, ...]] = {
     "tum-rgbd": ("rgb.txt",),
     "own-camera": ("camera.toml", "1.png"),
     "kitti": ("sequences/00/image_0/000000.png",),
+    "kitti-raw": ("2011/2011_drive_1_sync/image_00/data/0000000000.png",),
     "malaga": ("Images_rectified/CAMERA1_1228.5_left.jpg",),
     "new-college": ("a/b/StereoImages__12.5-left.pnm",),
     "images": ("1.png", "2.png"),
@@ -109,14 +110,20 @@ def test_times_are_read_from_names_or_made_at_a_rate() -> None:
 
 @quick
 @given(
-    ticks=st.sampled_from([1.0, 1e3, 1e9]), times=st.lists(st.integers(1, 10**6), min_size=1, max_size=9, unique=True)
+    ticks=st.sampled_from([1.0, 1e3, 1e6, 1e9]),
+    written=st.sampled_from([1.0, 1e3, 1e6, 1e9]),
+    start=st.sampled_from([0, 1_400_000_000]),
+    steps=st.lists(st.integers(20, 500), min_size=3, max_size=9),
 )
-def test_a_list_gives_seconds_whatever_its_unit(tmp_path: Path, ticks: float, times: list[int]) -> None:
-    lines = [f"{round(t * ticks / 1000)}; {t}.5" for t in sorted(t * 1000 for t in times)]
+def test_a_list_gives_seconds_whatever_its_unit(
+    tmp_path: Path, ticks: float, written: float, start: int, steps: list[int]
+) -> None:
+    milliseconds = 1000 * start + np.cumsum(steps)
+    lines = [f"{t * written / 1000:.3f}; {t}.5" for t in milliseconds]
     (tmp_path / "list").write_text("# comment\n\n" + "\n".join(lines) + "\n")
     rows = read_timestamped_rows(tmp_path / "list", ListFormat(r"\s*;\s*", ticks), 2)
-    np.testing.assert_allclose(rows[:, 0], sorted(times), rtol=1e-9)
-    np.testing.assert_allclose(rows[:, 1], np.array(sorted(times)) * 1000 + 0.5)
+    np.testing.assert_allclose(rows.values, np.stack([milliseconds / 1000, milliseconds + 0.5], axis=1), rtol=1e-9)
+    assert bool(rows.remarks) == (ticks != written)
 
 
 class Numbered:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.formats.rosbag_file import ENCODINGS, decode_image, read_camera_info, read_timestamp
+from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image, read_camera_info, read_timestamp
 
 
 def message(values: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int = 0) -> SimpleNamespace:
@@ -42,13 +42,46 @@ def test_sixteen_bits_keep_the_high_byte_in_either_byte_order() -> None:
         np.testing.assert_array_equal(decoded, values[..., 0] >> 8)
 
 
+@pytest.mark.parametrize(("bits", "kind"), [(8, np.uint8), (16, np.uint16)])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_a_uniform_colour_survives_every_bayer_pattern(pattern: str) -> None:
+def test_a_uniform_colour_survives_every_bayer_pattern(pattern: str, bits: int, kind: type) -> None:
     colour = {"r": 200, "g": 100, "b": 50}
-    tile = np.array([[colour[c] for c in pattern[:2]], [colour[c] for c in pattern[2:]]], np.uint8)
-    grey = decode_image(message(np.tile(tile, (8, 8))[..., None], f"bayer_{pattern}8"))
+    tile = np.array([[colour[c] for c in pattern[:2]], [colour[c] for c in pattern[2:]]]).astype(kind) << (bits - 8)
+    grey = decode_image(message(np.tile(tile, (8, 8))[..., None], f"bayer_{pattern}{bits}"))
     expected = 0.299 * 200 + 0.587 * 100 + 0.114 * 50
     assert np.abs(grey[2:-2, 2:-2] - expected).max() <= 1.0
+
+
+def test_a_compressed_bayer_pattern_is_one_too() -> None:
+    tile = np.array([[200, 100], [100, 50]], np.uint8)
+    data = np.frombuffer(cv2.imencode(".png", np.tile(tile, (8, 8)))[1].tobytes(), np.uint8)
+    grey = decode_image(SimpleNamespace(format="bayer_rggb8; png compressed bayer_rggb8", data=data))
+    assert np.abs(grey[2:-2, 2:-2] - 124.2).max() <= 1.0
+
+
+@pytest.mark.parametrize("encoding", ["nv12", "NV21", "i420", "yuv420"])
+def test_planar_formats_begin_with_the_grey_image(encoding: str) -> None:
+    grey = np.random.default_rng(4).integers(0, 256, (12, 16), dtype=np.uint8)
+    planar = message(grey, encoding, padding=4)
+    planar.data = np.concatenate([planar.data, np.full(6 * 20, 128, np.uint8)])  # the colours at half the size
+    np.testing.assert_array_equal(decode_image(planar), grey)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "channel"),
+    [("yuyv", 0), ("YUYV", 0), ("yuy2", 0), ("yuv422_yuy2", 0), ("uyvy", 1), ("yuv422", 1)],
+)
+def test_the_grey_values_of_packed_colour_differences_are_the_image(encoding: str, channel: int) -> None:
+    values = np.random.default_rng(5).integers(0, 256, (12, 16, 2), dtype=np.uint8)
+    np.testing.assert_array_equal(decode_image(message(values, encoding)), values[..., channel])
+
+
+@pytest.mark.parametrize(("encoding", "red"), [("rgba8", 0), ("bgra8", 2), ("rgb16", 0), ("bgra16", 2), ("8UC4", 2)])
+def test_a_fourth_channel_and_sixteen_bits_change_no_colour(encoding: str, red: int) -> None:
+    kind = np.uint16 if encoding.endswith("16") else np.uint8
+    values = np.zeros((4, 6, 3 if encoding.startswith("rgb1") else 4), kind)
+    values[..., red] = np.iinfo(kind).max
+    assert np.abs(decode_image(message(values, encoding)) - 0.299 * 255).max() <= 1.0
 
 
 def test_a_compressed_image_is_that_image() -> None:
