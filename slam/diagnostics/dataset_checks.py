@@ -79,7 +79,7 @@ def inspect_dataset(spec: DatasetSpec, progress: Progress) -> Inspection:
     except DataError as error:
         findings = _check_images_alone(spec, name, str(error), progress)
     else:
-        findings = _check_dataset(dataset, progress)
+        findings = inspect_opened(dataset, progress)
     return Inspection(str(spec.path), name, tuple(findings))
 
 
@@ -91,28 +91,36 @@ def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Pr
         if str(error) == trouble:
             return [report_fault("opening", trouble, ALL_USES)]
         return [report_fault("opening", trouble, SLAM_USES), report_fault("images", str(error), (Use.PLACES,))]
+    return [report_fault("opening", trouble, SLAM_USES), *inspect_images(images, progress)]
+
+
+def inspect_images(images: ImageDataset, progress: Progress) -> list[Finding]:
+    """Inspect the images of one camera, for which there may be no calibration."""
     seen = _sample(len(images), lambda index: (images[index], None), progress)
     times = [] if images.timestamps is None else check_timestamps(images.timestamps)
-    return [
-        report_fault("opening", trouble, SLAM_USES),
-        _check_count(len(images), "images"),
-        *_check_samples(seen),
-        *times,
-        _check_ground_truth(images),
-    ]
+    return [_check_count(len(images), "images"), *_check_samples(seen), *times, _check_ground_truth(images)]
 
 
-def _check_dataset(dataset: Dataset, progress: Progress) -> list[Finding]:
+def inspect_opened(dataset: Dataset, progress: Progress, use: Use = Use.STEREO) -> list[Finding]:
+    """Inspect a dataset that is open.
+
+    Args:
+        dataset: the dataset.
+        progress: called with the number of images read, and of all images to read.
+        use: the use that is intended; with one camera the pair is not looked at.
+    """
+    is_pair = dataset.has_right and use is Use.STEREO
+
     def read(index: int) -> tuple[Image, Image | None]:
         frame = dataset[index]
-        return frame.left, frame.right
+        return frame.left, frame.right if is_pair else None
 
     seen = _sample(len(dataset), read, progress)
-    findings = [_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"), *_check_samples(seen)]
-    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
-    if dataset.has_right:
+    findings = [_check_count(len(dataset), "pairs of images" if is_pair else "images"), *_check_samples(seen)]
+    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, is_pair)]
+    if is_pair:
         findings.append(check_rectification(seen.pairs))
-    else:
+    elif not dataset.has_right:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
     findings.append(_check_ground_truth(dataset))
     return [*findings, *(report_warning("left out", remark) for remark in dataset.remarks)]

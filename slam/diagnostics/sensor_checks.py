@@ -28,6 +28,7 @@ _MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
 _MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
 _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
 # Images.
+_MIN_SIDE_PX = 16  # with less there is no room for the window in which a corner is followed
 _MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
 _MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
 _MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
@@ -195,6 +196,9 @@ def check_static_area(ratio: float) -> Finding:
 def _check_sizes(images: Sequence[ImageStatistics]) -> Finding:
     shapes = sorted({image.shape for image in images})
     text = ", ".join(f"{width} x {height}" for height, width in shapes)
+    if shapes and min(map(min, shapes)) < _MIN_SIDE_PX:
+        trouble = f"images of {text} pixels: too small; give images of at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX}"
+        return report_fault("sizes", trouble, ALL_USES, sizes=text)
     if len(shapes) > 1:
         return report_warning(
             "sizes", f"images of several sizes, {text}; only places can be recognised in them", sizes=text
