@@ -15,7 +15,7 @@ from pathlib import Path
 NUMBA_CACHE, MATPLOTLIB_CACHE = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
 _PACKAGES = ("odometry", "place_recognition", "slam")
 _ROOT = Path(__file__).parents[1]
-_SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where a container without a writable /tmp can still write
+_SHARED_MEMORY = Path("/dev/shm")  # where a container without a writable /tmp can still write
 _ENCODING_ERRORS = "revisit.replace"
 # Characters of our own words that a console in Latin-1 or ASCII lacks, and their usual substitutes.
 _PLAIN = {"\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{HORIZONTAL ELLIPSIS}": "...", "\N{BULLET}": "*"}
@@ -88,6 +88,11 @@ def private_folder(name: str) -> Path | None:
         if is_private and status.st_uid == os.getuid() and os.access(folder, os.W_OK | os.X_OK):
             return folder
     return None
+
+
+def is_temporary(folder: Path) -> bool:
+    """Whether a folder is one of those that `private_folder` makes."""
+    return folder.name.startswith(f"revisit-{os.getuid()}-")
 
 
 def _temporary_places() -> list[Path]:

@@ -25,6 +25,7 @@ from slam.diagnostics.sensor_checks import (
     check_camera,
     check_images,
     check_rectification,
+    check_right_repetitions,
     check_static_area,
     check_timestamps,
     measure_image,
@@ -48,6 +49,7 @@ class _Samples:
     Attributes:
         images: statistics of all sampled left images.
         successors: those of them whose predecessor was sampled too.
+        right_frozen: for each of these in a pair whether its right image equals the one before, and it does not.
         pairs: some pairs of left and right images.
         masks: masks of the sampled images, which know what is static in them.
         static_ratio: static share of the last of them.
@@ -56,6 +58,7 @@ class _Samples:
 
     images: list[ImageStatistics] = field(default_factory=list)
     successors: list[ImageStatistics] = field(default_factory=list)
+    right_frozen: list[bool] = field(default_factory=list)
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
     masks: ImageMasks = field(default_factory=ImageMasks)
     static_ratio: float = 0.0
@@ -119,7 +122,7 @@ def inspect_opened(dataset: Dataset, progress: Progress, use: Use = Use.STEREO) 
     findings = [_check_count(len(dataset), "pairs of images" if is_pair else "images"), *_check_samples(seen)]
     findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, is_pair)]
     if is_pair:
-        findings.append(check_rectification(seen.pairs))
+        findings += [check_right_repetitions(seen.right_frozen), check_rectification(seen.pairs)]
     elif not dataset.has_right:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
     findings.append(_check_ground_truth(dataset))
@@ -130,7 +133,7 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
     """Read images from all parts of a dataset, up to the first that cannot be read."""
     seen, indices = _Samples(), _sample_indices(count)
     compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
-    last, before = -1, None
+    last, before, right_before = -1, None, None
     for done, index in enumerate(indices):
         try:
             left, right = read(index)
@@ -142,9 +145,12 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
         seen.images.append(measure_image(left, before if follows else None))
         if follows:
             seen.successors.append(seen.images[-1])
+            if right is not None:
+                is_frozen = np.array_equal(right, right_before) and not seen.images[-1].is_repeated
+                seen.right_frozen.append(is_frozen)
         if right is not None and done in compared:
             seen.pairs.append((left, right))
-        last, before = index, left
+        last, before, right_before = index, left, right
         progress(done + 1, len(indices))
     return seen
 

@@ -255,7 +255,8 @@ def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> No
         "report.html": lambda path: write_report(record, path, images, settings, dense_page),
     }
     for name, write in files.items():
-        attempt_to(name, partial(write, folder / name))
+        if not attempt_to(name, partial(write, folder / name)):
+            (folder / name).unlink(missing_ok=True)  # half a file is none
     attempt_to("metrics.json with the last warnings", partial(write_metrics, folder / "metrics.json", record.metrics))
 
 

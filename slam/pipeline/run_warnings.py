@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TypeVar
 
 from rich.console import Console
@@ -22,10 +23,12 @@ class RunWarnings:
 
     Attributes:
         messages: console on which they are shown.
+        staging: folder whose path is left out of the reasons, as the results leave it.
         texts: the warnings so far, a sentence each.
     """
 
     messages: Console
+    staging: Path | None = None
     texts: list[str] = field(default_factory=list)
 
     def add(self, text: str) -> None:
@@ -55,7 +58,7 @@ class RunWarnings:
         try:
             return compute()
         except Exception as error:
-            reason = describe_error(error)
+            reason = describe_error(error).replace(f"{self.staging}/", "")
             log.info("traceback of the failure of: %s", what, exc_info=True)
             self.add(f"{what}: left out, {reason}")
             return otherwise(reason)

@@ -78,10 +78,24 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_behind(
         assert revisit(recording, "--out", tmp_path / "out", "--no-record", "--no-map") == 1
     assert "cannot be written, File too large; choose another folder or make room" in only_line(capsys)
     assert list(tmp_path.iterdir()) == []
-    with largest_file(100_000):  # the tables fit, the first frames do not
-        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 1
-    assert "map.db: the map cannot be written" in only_line(capsys)
-    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_full_disk_has_no_room_for_is_left_out_and_named_and_the_rest_is_written(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert revisit(recording, "--out", tmp_path / "whole", "--no-record") == 0
+    with largest_file(100_000):  # the tables fit, the first frames and the report do not
+        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 0
+    whole, out = ({item.name for item in (tmp_path / name).iterdir()} for name in ("whole", "out"))
+    assert whole - out == {"map.db", "report.html"}
+    assert out < whole
+    shown = capsys.readouterr().err
+    warnings = read_metrics(tmp_path / "out" / "metrics.json")["warnings"]
+    assert isinstance(warnings, list)
+    for name in ("last checkpoint of map.db", "report.html"):
+        (one,) = [warning for warning in warnings if warning.startswith(f"{name}: left out, ")]
+        assert f"warning: {one}" in shown
+        assert ".unfinished" not in one
 
 
 def disk_of(free: int) -> Callable[[object], tuple[int, int, int]]:
