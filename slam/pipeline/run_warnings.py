@@ -76,6 +76,6 @@ class RunWarnings:
 def describe_error(error: Exception) -> str:
     """Return the reason of a failure as one line."""
     words = " ".join(str(error).split())
-    is_told = words and isinstance(error, RevisitError | OSError | RuntimeError)
-    line = words if is_told else f"{type(error).__name__}: {words}"
+    is_explained = words and isinstance(error, RevisitError | OSError | RuntimeError)
+    line = words if is_explained else f"{type(error).__name__}: {words}"
     return line if len(line) <= _MAX_REASON_LENGTH else f"{line[:_MAX_REASON_LENGTH]} ..."

@@ -18,12 +18,12 @@ from slam.io.run_folder import RunFolder, unfinished
 @contextmanager
 def writer(folder: Path) -> Iterator[int]:
     """Another process that is writing a run into the folder; its number."""
-    ready, told = os.pipe()
+    ready, written = os.pipe()
     child = os.fork()
     if child == 0:
         started = RunFolder.create(folder, overwrite=True)
         (started.path / "run.log").write_text("going on")
-        os.write(told, b"!")
+        os.write(written, b"!")
         signal.pause()
     os.read(ready, 1)
     try:

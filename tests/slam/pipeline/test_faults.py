@@ -220,10 +220,10 @@ def test_what_fails_after_the_last_frame_costs_its_own_result_alone(
     )
     warnings = read_metrics(tmp_path / "out" / "metrics.json")["warnings"]
     assert isinstance(warnings, list)
-    told = [text for text in warnings if text.startswith(what)]
-    assert len(told) == 1
-    assert told[0].endswith("left out, Indeterminate linear system detected")
-    assert f"warning: {told[0]}" in capsys.readouterr().err
+    named = [text for text in warnings if text.startswith(what)]
+    assert len(named) == 1
+    assert named[0].endswith("left out, Indeterminate linear system detected")
+    assert f"warning: {named[0]}" in capsys.readouterr().err
     if "report.html" not in lost:
         assert what in (tmp_path / "out" / "report.html").read_text()
     _, poses = read_tum(tmp_path / "out" / "trajectory_corrected.tum")
