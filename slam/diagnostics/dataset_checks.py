@@ -123,7 +123,7 @@ def inspect_opened(dataset: Dataset, progress: Progress, use: Use = Use.STEREO) 
     findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, is_pair)]
     if is_pair:
         findings += [check_right_repetitions(seen.right_frozen), check_rectification(seen.pairs)]
-    elif not dataset.has_right:
+    elif use is Use.STEREO:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
     findings.append(_check_ground_truth(dataset))
     return [*findings, *(report_warning("left out", remark) for remark in dataset.remarks)]
@@ -133,7 +133,9 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
     """Read images from all parts of a dataset, up to the first that cannot be read."""
     seen, indices = _Samples(), _sample_indices(count)
     compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
-    last, before, right_before = -1, None, None
+    last = -1
+    before: Image | None = None
+    right_before: Image | None = None
     for done, index in enumerate(indices):
         try:
             left, right = read(index)
@@ -145,7 +147,7 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
         seen.images.append(measure_image(left, before if follows else None))
         if follows:
             seen.successors.append(seen.images[-1])
-            if right is not None:
+            if right is not None and right_before is not None:
                 is_frozen = np.array_equal(right, right_before) and not seen.images[-1].is_repeated
                 seen.right_frozen.append(is_frozen)
         if right is not None and done in compared:
@@ -172,7 +174,8 @@ def _check_samples(seen: _Samples) -> list[Finding]:
 
 def _check_count(count: int, things: str) -> Finding:
     if count < 2:
-        return report_fault("count", f"{count} {things}: too few; check the folder", ALL_USES, count=count)
+        forbids = SLAM_USES if count else ALL_USES  # one image has no motion, and no place to come back to
+        return report_fault("count", f"{count} {things}: too few; check the folder", forbids, count=count)
     return report_ok("count", f"{count} {things}", count=count)
 
 

@@ -119,4 +119,4 @@ def remarks_for(use: StrEnum, source: Path, findings: Sequence[Finding]) -> tupl
     if faults:
         line = "; ".join(faults)
         raise DataError(line if line.startswith(str(source)) else f"{source}: {line}")
-    return tuple(finding.sentence for finding in findings if finding.status is Status.WARNING)
+    return tuple(finding.sentence for finding in findings if finding.status is not Status.OK)
