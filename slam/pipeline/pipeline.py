@@ -249,7 +249,9 @@ class Pipeline:
         use = Use.MONO if self.config.mono else Use.STEREO
         with progress_bar(messages, "Checking") as progress:
             findings = inspect_opened(self.dataset, progress, use)
-        return remarks_for(use, self.options.source, findings)
+        # An image that cannot be read is said in the same words where it is reached: the frames before it are kept.
+        known = [finding for finding in findings if finding.topic != "images"]
+        return remarks_for(use, self.options.source, known)
 
     def _provenance(self) -> dict[str, object]:
         recording = replace(self.options.recording, path=self.options.source.absolute())
