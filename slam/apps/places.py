@@ -144,6 +144,7 @@ def recognize_images(
             record = make_record(run, truth, _drive_data(images, truth), origin | {"warnings": warnings.texts})
             write_results(folder.path, record, warnings)
         folder.commit()
+    warnings.check_written(options.out)
     return record
 
 

@@ -217,14 +217,17 @@ class Pipeline:
         Raises:
             DataError: `revisit check` calls something a fault.
             UnmeasuredError: hardly any motion was measured; the results are written.
+            OutputError: some results could not be written; the others are.
         """
         with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
-            record = self._process(folder, RunWarnings(messages, folder.path))
+            warnings = RunWarnings(messages, folder.path)
+            record = self._process(folder, warnings)
             folder.commit()
         results.print(summary_table(record))
         results.print(f"Report: {self.options.out / 'report.html'}", highlight=False, markup=False)
         if not record.metrics["interrupted"]:
             check_motions(record.metrics, self.options)
+        warnings.check_written(self.options.out)
         return bool(record.metrics["interrupted"])
 
     def _process(self, folder: RunFolder, warnings: RunWarnings) -> RunRecord:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from rich.console import Console
 
-from slam.errors import RevisitError
+from slam.errors import OutputError, RevisitError
 
 Result = TypeVar("Result")
 
@@ -25,11 +25,13 @@ class RunWarnings:
         messages: console on which they are shown.
         staging: folder whose path is left out of the reasons, as the results leave it.
         texts: the warnings so far, a sentence each.
+        unwritten: results that could not be written, by name.
     """
 
     messages: Console
     staging: Path | None = None
     texts: list[str] = field(default_factory=list)
+    unwritten: list[str] = field(default_factory=list)
 
     def add(self, text: str) -> None:
         """Add a warning, unless it is known."""
@@ -61,7 +63,19 @@ class RunWarnings:
             reason = describe_error(error).replace(f"{self.staging}/", "")
             log.info("traceback of the failure of: %s", what, exc_info=True)
             self.add(f"{what}: left out, {reason}")
+            if isinstance(error, OSError | OutputError):
+                self.unwritten.append(what)
             return otherwise(reason)
+
+    def check_written(self, folder: Path) -> None:
+        """Check that no result is missing because it could not be written.
+
+        Raises:
+            OutputError: some are; the others are in the folder.
+        """
+        if self.unwritten:
+            names = ", ".join(self.unwritten)
+            raise OutputError(f"{folder}: {names} cannot be written; all else is there; make room and run it again")
 
     def attempt_to(self, what: str, act: Callable[[], None]) -> bool:
         """Do something that a run can do without, such as to write a picture; whether it succeeded."""

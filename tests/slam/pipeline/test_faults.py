@@ -90,11 +90,13 @@ def test_what_a_full_disk_has_no_room_for_is_left_out_and_named_and_the_rest_is_
 ) -> None:
     assert revisit(recording, "--out", tmp_path / "whole", "--no-record") == 0
     with largest_file(100_000):  # the tables fit, the first frames and the report do not
-        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 0
+        assert revisit(recording, "--out", tmp_path / "out", "--no-record") == 1
     whole, out = ({item.name for item in (tmp_path / name).iterdir()} for name in ("whole", "out"))
     assert whole - out == {"map.db", "report.html"}
     assert out < whole
     shown = capsys.readouterr().err
+    lost = "last checkpoint of map.db, report.html cannot be written; all else is there; make room and run it again"
+    assert shown.splitlines()[-1] == f"revisit: {tmp_path / 'out'}: {lost}"
     warnings = read_metrics(tmp_path / "out" / "metrics.json")["warnings"]
     assert isinstance(warnings, list)
     for name in ("last checkpoint of map.db", "report.html"):
