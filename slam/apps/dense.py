@@ -109,11 +109,17 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
     metrics = read_metrics(run / "metrics.json")
     calibration, dataset = read_calibration(run / "calibration.toml"), _open_recording(run, metrics, source)
     (times, odometry), (_, corrected) = (read_tum(run / f"trajectory_{name}.tum") for name in ("odometry", "corrected"))
-    is_same = dataset.has_right and dataset.camera == calibration.camera and _has_times(dataset, times)
-    if not is_same or not is_same_image(metrics.get("first_image"), dataset[0].left):
+    differs = {
+        "right camera": not dataset.has_right,
+        "camera": dataset.camera != calibration.camera,
+        "times": not _has_times(dataset, times),
+        "first image": not is_same_image(metrics.get("first_image"), dataset[0].left),
+    }
+    if any(differs.values()):
+        names = " and ".join(name for name in differs if differs[name])
         raise DataError(
-            f"{source or metrics.get('source')}: expected the drive that {run} was made of, found another; "
-            f"name its recording: revisit dense {run} SOURCE"
+            f"{source or metrics.get('source')}: expected the drive that {run} was made of, found another: not the same"
+            f" {names}; name its recording: revisit dense {run} SOURCE"
         )
     predicted = read_frames(run / "frames.csv").predicted
     if not len(odometry) == len(corrected) == len(predicted) <= len(dataset):

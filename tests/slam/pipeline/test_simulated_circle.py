@@ -150,7 +150,9 @@ def test_a_recording_that_is_not_the_runs_own_is_refused(circle_drive: Path, sho
     other = shutil.copytree(circle_drive, tmp_path / "other")
     calibration = other / "sequences" / "00" / "calib.txt"
     calibration.write_text(calibration.read_text().replace("3.59", "3.49"))
-    with pytest.raises(DataError, match=r"other: expected the pair that .* was made with, found another camera"):
+    with pytest.raises(
+        DataError, match=r"other: expected the drive that .* was made of, found another: not the same camera;"
+    ):
         build_dense_map(DenseOptions(short, other), QUIET)
     (short / "trajectory_corrected.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(DataError, match="found 40, 1, 40 and"):
