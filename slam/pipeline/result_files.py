@@ -193,7 +193,7 @@ def _write_graphs(folder: Path, record: RunRecord, result: PipelineResult) -> No
 
 
 def _write_maps(folder: Path, record: RunRecord) -> None:
-    from slam.io.ply import write_cloud
+    from slam.io.landmarks import write_cloud
 
     write_cloud(folder / "map_before.ply", record.map_before)
     write_cloud(folder / "map_after.ply", record.map_after)
