@@ -26,8 +26,8 @@ QUARANTINE = {
     "yaml": ("slam/datasets/calibration_yaml",),
     "faiss": ("place_recognition/",),
     "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
-    "distributed": ("slam/benchmark/dask_executor",),
-    "dask": ("slam/benchmark/dask_executor",),
+    "distributed": ("slam/benchmark/executors",),
+    "dask": ("slam/benchmark/executors",),
     "evo": (),
     "pycolmap": (),
 }
