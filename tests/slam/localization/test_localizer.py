@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.image_processing.orb_and_sift import Sift
+from place_recognition.image_processing.extractors import Sift
 from place_recognition.image_processing.surf import Surf
 from slam.datasets.formats.registry import open_dataset
 from slam.errors import DataError
