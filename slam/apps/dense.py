@@ -30,7 +30,7 @@ from slam.mapping.tsdf import FusionConfig
 from slam.pipeline.progress import progress_bar
 from slam.report.dense_map_section import DenseOverview, write_dense_page
 from slam.report.html_report import DENSE_PAGE
-from slam.viewer.dense_recording import PlacedMap, record_dense_map
+from slam.viewer.recordings import PlacedMap, record_dense_map
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from slam.report.formatting import is_scaled, kept, rejected
 from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import LoopRow, RunRecord
 from slam.viewer import rerun_archetypes
-from slam.viewer.recording_file import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
+from slam.viewer.recordings import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
 from slam.viewer.rerun_archetypes import GrowingEntity, blueprint
 from slam.viewer.viewer import FrameView, LoopView
 from slam.viewer.viewer_process import start_viewer
