@@ -1,4 +1,4 @@
-"""The recordings of a run: room on the disk, merging of the parts of a resumed run, the dense map as a second recording.
+"""Recordings of a run: room on the disk, merging of the parts of a resumed run, the dense map as a second recording.
 
 rerun's own sink writes the file. It must not fill the disk: the results of the run are written after it, and rerun
 may wait for ever once its writer has failed on a full disk (docs/decisions/recordings.md). rerun shows the recording of
