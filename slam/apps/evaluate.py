@@ -322,7 +322,7 @@ def _text(value: object) -> str:
 
 def _write(options: LoopsOptions, out: Path, metrics: dict[str, object], curve: PrecisionRecall) -> None:
     from slam.report.place_recognition_figures import plot_precision_recall
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     with RunFolder.create(out, options.overwrite) as folder:
         write_metrics(folder.path / "metrics.json", metrics)

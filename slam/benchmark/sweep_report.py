@@ -7,20 +7,19 @@ from matplotlib.figure import Figure
 
 from slam.benchmark.sweep_results import DISPLAYED, ResultRow, format_values
 from slam.io.files import atomic_writer
-from slam.report import colours
+from slam.report import style
 from slam.report.formatting import Cell
 from slam.report.html_report import template_environment
-from slam.report.svg import inline_svg
-from slam.report.trajectory_figure import INK, new_figure, style_axes
+from slam.report.style import INK, inline_svg, new_figure, style_axes
 
 # Paradigms differ in shape as well as in colour, for readers who are colour-blind.
 _MARKS = (
-    ("o", colours.CORRECTED),
-    ("s", colours.ODOMETRY),
-    ("^", colours.ACCEPTED),
-    ("D", colours.REJECTED),
-    ("v", colours.ONLINE),
-    ("P", colours.GROUND_TRUTH),
+    ("o", style.CORRECTED),
+    ("s", style.ODOMETRY),
+    ("^", style.ACCEPTED),
+    ("D", style.REJECTED),
+    ("v", style.ONLINE),
+    ("P", style.GROUND_TRUTH),
 )
 
 _MIN_AXIS_M = 0.01  # smallest upper end of the error axis: runs without any error would give it no length

@@ -346,7 +346,7 @@ def write_results(folder: Path, record: PlacesRecord) -> None:
         OutputError: a file cannot be written.
     """
     from slam.report.place_recognition_figures import plot_places, plot_precision_recall, plot_stages
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     write_metrics(folder / "metrics.json", record.metrics)
     write_matches(folder / "matches.csv", record.beliefs)

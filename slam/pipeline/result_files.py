@@ -37,7 +37,8 @@ from slam.pipeline.loop_log import LoopTruth, event_rows, loop_rows, matched_pix
 from slam.pipeline.provenance import UNKNOWN, memory_mb, peak_memory_mb
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.report.html_report import DENSE_PAGE, write_report
-from slam.report.trajectory_figure import draw_before_after, save_png
+from slam.report.style import save_png
+from slam.report.trajectory_figure import draw_before_after
 from slam.run_log import RunLog
 from slam.run_result import RunRecord
 from slam.system import Components

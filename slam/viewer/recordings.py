@@ -22,7 +22,7 @@ from odometry.camera import StereoCamera
 from slam.errors import DataError, OutputError
 from slam.io.files import replacing
 from slam.mapping.tsdf import Surface
-from slam.report import colours
+from slam.report import style
 from slam.viewer import rerun_archetypes
 from slam.viewer.rerun_archetypes import blueprint
 
@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 # Kept free for the results that are written at the end of the run: the report may take 25 MB, a map 27 bytes a point.
 RESERVE_BYTES = 200_000_000
 _MERGE_TIMEOUT_S = 600.0  # a recording of several gigabytes takes a minute
-_COLOURS = {"before": colours.ODOMETRY, "after": colours.CORRECTED}
+_COLOURS = {"before": style.ODOMETRY, "after": style.CORRECTED}
 
 
 def has_room(recording: Path) -> bool:
