@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.surf import Surf
@@ -34,7 +35,7 @@ Truth = NDArray[np.bool_]
 def main() -> None:
     """Count and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("drives", type=Path, nargs="+", metavar="SOURCE TRUTH")
+    parser.add_argument("drives", type=existing, nargs="+", metavar="SOURCE TRUTH")
     parser.add_argument("--paradigms", nargs="+", default=list(PARADIGMS)[:4], choices=PARADIGMS)
     given = parser.parse_args()
     for name in given.paradigms:
@@ -90,4 +91,4 @@ def show(title: str, values: list[tuple[bool, float]], edges: NDArray[np.float64
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -9,6 +9,7 @@ import json
 import tempfile
 from pathlib import Path
 
+from command_line import existing, run_script
 from rich.console import Console
 from rich.table import Table
 
@@ -42,7 +43,7 @@ def stage_table(metrics: dict[str, dict[str, object]]) -> Table:
 def main() -> None:
     """Run, then print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path, help="root of a drive in KITTI layout")
+    parser.add_argument("source", type=existing, help="root of a drive in KITTI layout")
     parser.add_argument("--sequence")
     parser.add_argument("--no-record", action="store_true", help="without the recording")
     arguments = parser.parse_args()
@@ -55,4 +56,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+from command_line import existing, run_script
 from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
@@ -98,7 +99,7 @@ def kill_busiest() -> None:
 def main() -> None:
     """Run the sweep three times, compare the results, and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("config", type=Path)
+    parser.add_argument("config", type=existing)
     config, cores = parser.parse_args().config, len(os.sched_getaffinity(0))
     table = Table("", "wall s", "processor s", f"ideal on {cores} cores", "ratio", "results that differ")
     with tempfile.TemporaryDirectory() as folder:
@@ -126,4 +127,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from command_line import existing, run_script
 
 PARADIGMS = (
     "sequence-histograms",
@@ -382,15 +383,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     recorder = commands.add_parser("record")
-    recorder.add_argument("checkout", type=Path, help="folder of the version")
+    recorder.add_argument("checkout", type=existing, help="folder of the version")
     recorder.add_argument("--out", type=Path, required=True, help="folder for its results; a second call goes on")
-    recorder.add_argument("--real", type=Path, help="recordings in KITTI layout")
-    recorder.add_argument("--graphs", type=Path, help="folder of g2o files")
+    recorder.add_argument("--real", type=existing, help="recordings in KITTI layout")
+    recorder.add_argument("--graphs", type=existing, help="folder of g2o files")
     recorder.set_defaults(
         act=lambda given: record(Version(given.checkout, given.out.resolve()), given.real, given.graphs)
     )
     spoiler = commands.add_parser("spoil", help="write graphs with random loops")
-    spoiler.add_argument("graphs", type=Path, nargs="+")
+    spoiler.add_argument("graphs", type=existing, nargs="+")
     spoiler.add_argument("--out", type=Path, required=True)
     spoiler.add_argument("--share", type=float, default=0.3)
     spoiler.set_defaults(
@@ -399,8 +400,8 @@ def main() -> None:
         ]
     )
     comparer = commands.add_parser("compare")
-    comparer.add_argument("before", type=Path)
-    comparer.add_argument("after", type=Path)
+    comparer.add_argument("before", type=existing)
+    comparer.add_argument("after", type=existing)
     comparer.add_argument("--tolerance", type=float, default=0.0, help="share by which numbers may differ; 0 for bits")
     comparer.set_defaults(act=lambda given: sys.exit(bool(compare(given.before, given.after, given.tolerance))))
     arguments = parser.parse_args()
@@ -408,4 +409,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -28,6 +28,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.extractors import Brief, BriefConfig
@@ -79,7 +80,7 @@ STEREO = ("image_0", "image_1")
 def main() -> None:
     """Gather descriptors, train, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=existing)
     parser.add_argument("out", type=Path, nargs="?")
     parser.add_argument("--published", action="store_true")
     arguments = parser.parse_args()
@@ -206,4 +207,4 @@ def _change_light(view: Image, rng: np.random.Generator) -> Image:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

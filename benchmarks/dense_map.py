@@ -1,7 +1,7 @@
 """Errors of the dense map of a simulated drive against the true surfaces, before and after correction, and its cost.
 
 Run from the root, on a run of a drive that `revisit simulate` has rendered:
-`PYTHONPATH=. python benchmarks/dense_map.py RUN [PICTURE.png]`. An error is the distance of a point of the map, seen
+`python benchmarks/dense_map.py RUN [PICTURE.png]`. An error is the distance of a point of the map, seen
 from at most 25 m, to the nearest static surface of the town; points of moving cars count as errors. The map is aligned
 with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
 """
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import open3d
+from command_line import existing, run_script
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
@@ -95,7 +96,7 @@ def draw(store: SubmapStore, trajectories: dict[str, Array], path: Path) -> None
 def main() -> None:
     """Print the distances of both maps and the cost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path, help="folder of the run")
+    parser.add_argument("run", type=existing, help="folder of the run")
     parser.add_argument("picture", type=Path, nargs="?", help="picture of a cross-section at the end of the drive")
     arguments = parser.parse_args()
     folder = arguments.run
@@ -135,4 +136,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

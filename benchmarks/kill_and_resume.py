@@ -11,6 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from command_line import existing, run_script
 from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
@@ -47,7 +48,7 @@ def kill_once(arguments: argparse.Namespace, out: Path, seconds: float) -> tuple
 def main() -> None:
     """Run, kill, resume, compare, and print a line for each kill."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path)
+    parser.add_argument("source", type=existing)
     parser.add_argument("--paradigm", default="tracked-words")
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
@@ -69,4 +70,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -11,6 +11,7 @@ than wall-clock time.
 """
 
 import numpy as np
+from command_line import run_script
 from odometry_drives import Array, Drive, StageTimes, chain_poses, measure, path_length_m
 
 from odometry import MonoOdometry, Motion
@@ -63,4 +64,4 @@ def report(drive: Drive, times: StageTimes) -> None:
 
 
 if __name__ == "__main__":
-    measure(__doc__, STAGES, track, report)
+    run_script(lambda: measure(__doc__, STAGES, track, report))

@@ -9,6 +9,7 @@ measured on two idle cores.
 """
 
 import numpy as np
+from command_line import run_script
 from odometry_drives import Drive, StageTimes, chain_poses, end_error, measure, path_length_m
 
 from odometry import Motion, StereoOdometry, se3
@@ -55,4 +56,4 @@ def report(drive: Drive, times: StageTimes) -> None:
 
 
 if __name__ == "__main__":
-    measure(__doc__, STAGES, track, report)
+    run_script(lambda: measure(__doc__, STAGES, track, report))

@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from command_line import existing
 
 from odometry import Motion, StereoCamera, StereoOdometry, StereoOdometryConfig, se3
 
@@ -153,7 +154,7 @@ def measure(
         report: function that runs the odometry on a drive and prints the results.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
+    parser.add_argument("root", type=existing)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--frames", type=int, default=1_000_000)

@@ -11,11 +11,11 @@ after a gap in a bend have nothing in common with those before it: the path is e
 
 import argparse
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from odometry_drives import Array, Drive, Pair, chain_poses, end_error, path_length_m
 
 from odometry import MonoOdometry, StereoCamera, StereoOdometry, se3
@@ -145,7 +145,7 @@ def report(drive: Drive, mono: bool) -> None:
 def main() -> None:
     """Parse the command line and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
+    parser.add_argument("root", type=existing)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--mono", action="store_true")
@@ -155,4 +155,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from odometry_drives import Array, Drive, Pair
 
 from odometry import StereoCamera, StereoOdometry
@@ -50,7 +51,7 @@ def camera_of(drive: Drive, factor: int) -> StereoCamera:
 def main() -> None:
     """Parse the command line and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
+    parser.add_argument("root", type=existing)
     parser.add_argument("sequence")
     parser.add_argument("--frames", type=int, default=10_000)
     parser.add_argument("--shrink", type=int, default=1, help="divide the size of the images by this")
@@ -67,4 +68,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

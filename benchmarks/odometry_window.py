@@ -10,9 +10,9 @@ they are too large, more if they are too small.
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from odometry_drives import Array, Drive, end_error, run
 
 from odometry import Motion, StereoOdometryConfig, se3
@@ -54,7 +54,7 @@ def report(drive: Drive, frames_in_window: int) -> None:
 def main() -> None:
     """Parse the command line and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("roots", nargs="+", type=Path)
+    parser.add_argument("roots", nargs="+", type=existing)
     parser.add_argument("--sequence", default="00")
     parser.add_argument("--frames", type=int, default=1_000_000)
     arguments = parser.parse_args()
@@ -66,4 +66,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

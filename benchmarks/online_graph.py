@@ -14,6 +14,7 @@ from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -168,7 +169,7 @@ def print_safety(poses: Array) -> None:
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("REVISIT_TEST_DATA"))
+    parser.add_argument("folder", nargs="?", type=existing, default=os.environ.get("REVISIT_TEST_DATA"))
     folder = Path(parser.parse_args().folder)
     poses = true_poses(folder, "00")
     print_times(poses)
@@ -176,4 +177,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -10,9 +10,9 @@ images: the cost of a query as the map grows.
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig
@@ -47,8 +47,8 @@ def main() -> None:
 def parser() -> argparse.ArgumentParser:
     """Parse the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("source", type=Path)
-    made.add_argument("truth", type=Path, nargs="?")
+    made.add_argument("source", type=existing)
+    made.add_argument("truth", type=existing, nargs="?")
     made.add_argument("--sequence")
     made.add_argument("--vocabulary", default="")
     made.add_argument("--paradigms", nargs="+", default=list(PARADIGMS), choices=PARADIGMS, metavar="NAME")
@@ -96,4 +96,4 @@ def _total(run: PlaceRecognitionRun, stages: tuple[str, ...]) -> Array:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

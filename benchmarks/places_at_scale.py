@@ -20,6 +20,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from map_fillers import FILLERS, Material, RecalledFeatures
 from numpy.typing import NDArray
 from place_benchmarks import image_files
@@ -132,7 +133,7 @@ def show_ratios(rows: list[Row]) -> None:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("images", type=Path, nargs="+")
+    parser.add_argument("images", type=existing, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--queries", type=int, default=100)
@@ -149,4 +150,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

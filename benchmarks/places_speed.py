@@ -11,11 +11,11 @@ import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 from place_benchmarks import Stopwatch, image_files
 
@@ -155,7 +155,7 @@ def show(name: str, watch: Stopwatch, measured: int) -> None:
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("images", type=Path, nargs="+")
+    parser.add_argument("images", type=existing, nargs="+")
     parser.add_argument("--map", type=int, default=4500, help="images in the map before the measured ones")
     parser.add_argument("--measured", type=int, default=200, help="images that are measured")
     parser.add_argument("--paradigms", nargs="+", choices=PARADIGMS, default=list(PARADIGMS)[:4])
@@ -174,4 +174,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

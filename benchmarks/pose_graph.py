@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -242,7 +243,7 @@ PARTS = {"real": print_real, "few": print_few, "standard": print_standard, "onli
 def main() -> None:
     """Print the tables that were asked for."""
     parser = argparse.ArgumentParser(description="Measure the pose graph and its back ends.")
-    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("REVISIT_TEST_DATA"))
+    parser.add_argument("folder", nargs="?", type=existing, default=os.environ.get("REVISIT_TEST_DATA"))
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
     parser.add_argument("--back-ends", nargs="+", default=[DEFAULT], choices=list(BACK_ENDS))
     arguments = parser.parse_args()
@@ -251,4 +252,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

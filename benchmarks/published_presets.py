@@ -17,6 +17,7 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from place_benchmarks import image_files
 
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
@@ -157,8 +158,8 @@ def measure_choices(drive: Drive, name: str) -> None:
 def main() -> None:
     """Measure one drive."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("images", type=Path)
-    parser.add_argument("truth", type=Path)
+    parser.add_argument("images", type=existing)
+    parser.add_argument("truth", type=existing)
     parser.add_argument("fps", type=float)
     given = parser.parse_args()
     images = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in image_files(given.images)]
@@ -171,4 +172,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

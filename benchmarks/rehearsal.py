@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from rich.console import Console
 from rich.table import Table
 
@@ -54,7 +55,7 @@ def slowdown(run: Path) -> float:
 def main() -> None:
     """Render, run, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("poses", type=Path)
+    parser.add_argument("poses", type=existing)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--drive", type=Path, help="where the rendered drive is, or is to be kept")
     arguments = parser.parse_args()
@@ -78,4 +79,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

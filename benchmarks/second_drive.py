@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 from rich.console import Console
 from scipy.spatial.transform import Rotation
@@ -74,7 +75,7 @@ def errors(answers: Iterable[QueryResult], mapped: Array, truth: Array) -> tuple
 def main() -> None:
     """Run both drives, localise the images, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("drive", type=Path)
+    parser.add_argument("drive", type=existing)
     parser.add_argument("--out", type=Path, required=True, help="a folder that does not exist yet")
     parser.add_argument(
         "--images", type=int, default=200, help="number of images of the second half that are localised"
@@ -105,4 +106,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

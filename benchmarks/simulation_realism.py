@@ -16,6 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -155,7 +156,7 @@ def window_drift(estimate: Array, true: Array) -> float:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("datasets", nargs="*", type=Path)
+    parser.add_argument("datasets", nargs="*", type=existing)
     parser.add_argument("--frames", type=int, default=121)
     arguments = parser.parse_args()
     sources = [(folder.name, folder, "00") for folder in arguments.datasets]
@@ -169,4 +170,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

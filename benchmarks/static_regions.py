@@ -10,10 +10,10 @@ out, and the control without that.
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.static_regions import StaticRegionConfig
@@ -117,7 +117,7 @@ def measure(images: PaintedImages, paradigm: str, enabled: bool, truth: NDArray[
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("root", type=Path)
+    parser.add_argument("root", type=existing)
     parser.add_argument("--paradigm", nargs="+", default=PARADIGMS)
     parser.add_argument("--thing", nargs="+", default=list(THINGS))
     given = parser.parse_args(arguments)
@@ -132,4 +132,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -1,6 +1,6 @@
 """Cost of the recording: milliseconds for each frame and megabytes for 1,000 frames, on made-up frames.
 
-Run from the root: `PYTHONPATH=. python benchmarks/viewer.py [FOLDER_OF_IMAGES]`. The images decide the size of the
+Run from the root: `python benchmarks/viewer.py [FOLDER_OF_IMAGES]`. The images decide the size of the
 file; without a folder they are smooth noise of the size of KITTI's images.
 """
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from command_line import existing, run_script
 from rich.console import Console
 from rich.table import Table
 
@@ -43,7 +44,7 @@ def step(index: int, image: np.ndarray, rng: np.random.Generator) -> FrameView:
 def main() -> None:
     """Record the frames and print the cost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", help="folder of images")
+    parser.add_argument("folder", type=existing, nargs="?", help="folder of images")
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
     shown = images(arguments.folder, rng)
@@ -75,4 +76,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -14,9 +14,9 @@ published one with random centres as a control, it prints
 import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.revisit_ground_truth import load_truth
@@ -38,9 +38,9 @@ BEFORE = (1, 2, 3, 5, 10, 20)  # images
 def main() -> None:
     """Describe the images once a kind of features, and print the figures of each vocabulary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path)
+    parser.add_argument("source", type=existing)
     parser.add_argument("--sequence")
-    parser.add_argument("--ground-truth", type=Path)
+    parser.add_argument("--ground-truth", type=existing)
     parser.add_argument("--images", type=int, help="use the first images only")
     arguments = parser.parse_args()
     images = open_images(DatasetSpec(arguments.source.absolute(), arguments.sequence, fps=10.0))
@@ -137,4 +137,4 @@ def print_revisits(words: list[Indices], vocabulary: Vocabulary, truth: NDArray[
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -31,6 +31,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 import psutil
+from command_line import existing, run_script
 from map_fillers import TRACKED_WORDS, Material
 from numpy.typing import NDArray
 from place_benchmarks import image_files
@@ -227,7 +228,7 @@ def report(name: str, runs: list[dict[str, Any]], exact: Indices, words: int) ->
 def main() -> None:
     """Measure every index at every size."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, metavar="IMAGES")
+    parser.add_argument("folders", nargs="+", type=existing, metavar="IMAGES")
     parser.add_argument("--images", nargs="+", type=int, default=[10_000, 1_000_000], help="images of the map")
     parser.add_argument("--queries", type=int, default=2000, help="descriptors asked about")
     parser.add_argument("--indices", nargs="+", choices=INDICES, default=list(INDICES))
@@ -253,4 +254,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -7,9 +7,9 @@ ones. `revisit optimize GRAPH.g2o` does the same for any stored graph; `examples
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
+from street import output_folder
 
 from odometry import se3
 from slam.evaluation.trajectory_errors import absolute_trajectory_error
@@ -19,7 +19,7 @@ from slam.report import style
 from slam.report.style import new_figure, save_png, style_axes
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--out", type=output_folder, default="runs/examples", help="folder of the results")
 parser.add_argument("--false-loops", type=int, default=10, help="how many are put in")
 parser.add_argument("--seed", type=int, default=0, help="of the noise and the false loops")
 given = parser.parse_args()

@@ -7,10 +7,10 @@ the loops that fit worst, and fits again.
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 from false_loops import two_laps
+from street import output_folder
 
 from slam.evaluation.outlier_injection import OutlierConfig, inject_outliers
 from slam.pose_graph.robust.backends import BACK_ENDS, BackEndResult, solve
@@ -37,7 +37,7 @@ def trimmed(problem, screening):
 BACK_ENDS["trimmed"] = trimmed
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--out", type=output_folder, default="runs/examples", help="folder of the results")
 parser.add_argument("--share", type=float, default=0.3, help="share of false loops among all loops")
 given = parser.parse_args()
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from street import output_folder
 
 from slam.datasets.distortion_models import CameraModel
 from slam.datasets.formats.recording import (
@@ -63,7 +64,7 @@ def write_example(folder: Path, frames: int = 5) -> None:
 
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--out", type=Path, default=Path("runs/examples"), help="folder of the results")
+parser.add_argument("--out", type=output_folder, default="runs/examples", help="folder of the results")
 given = parser.parse_args()
 folder = given.out / "own_dataset"
 write_example(folder)

@@ -8,6 +8,7 @@ false_loops.png.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from slam.errors import RevisitError
 from slam.evaluation.outlier_injection import KINDS, ContaminatedProblem, OutlierConfig, inject_outliers
 from slam.io.frames_and_loops_csv import write_table
 from slam.io.g2o import read_g2o
@@ -153,4 +155,7 @@ def draw(rows: list[Row]) -> Figure:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (RevisitError, OSError) as error:
+        sys.exit(str(error))

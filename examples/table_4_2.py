@@ -71,6 +71,10 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown:
         print(f"unknown paradigm {unknown[0]}: expected some of {', '.join(PARADIGMS)}", file=sys.stderr)
         return 2
+    for path in (given.data, given.truth):
+        if not path.is_dir():
+            print(f"{path}: expected a folder, found none; check the path", file=sys.stderr)
+            return 1
     messages, measured, problems = Console(stderr=True), {}, []
     for name, recording in RECORDINGS.items():
         try:

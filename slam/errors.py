@@ -24,6 +24,10 @@ class DataError(RevisitError):
     """A dataset, or one of its files, is missing, damaged or inconsistent."""
 
 
+class UnmeasuredError(DataError):
+    """Hardly any motion of a recording could be measured; the results were written all the same."""
+
+
 class OutputError(RevisitError):
     """Results cannot be written where they should go."""
 

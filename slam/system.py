@@ -198,8 +198,11 @@ class Slam:
 
     def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], OptimizationResult]:
         """Process the late beliefs of the recogniser, then optimise everything with a robust back end."""
-        candidates = self._verify_all(self.components.recognizer.finish())
-        return candidates, self.components.graph.optimize(robust)
+        return self.verify_late_beliefs(), self.components.graph.optimize(robust)
+
+    def verify_late_beliefs(self) -> tuple[LoopCandidate, ...]:
+        """Process the beliefs with which the recogniser was waiting for more images; once, after the last frame."""
+        return self._verify_all(self.components.recognizer.finish())
 
     def _track(self, frame: Frame) -> Motion:
         with self.timer.stage("odometry"):

@@ -1,22 +1,16 @@
 """The demo: a simulated dataset through the whole pipeline, with no download."""
 
-import os
 from pathlib import Path
 
 from rich.console import Console
 
+from slam.environment import cache_folder
 from slam.pipeline.progress import progress_bar
 from slam.simulation import SimulationConfig, simulate
 from slam.simulation.scenario.config import FORMAT
 
 # Three laps at 43 km/h: long enough for odometry's own drift to show, short enough to render in minutes.
 DEMO_LAPS, DEMO_LENGTH_M, DEMO_SPEED_M_S = 3, 360.0, 12.0
-
-
-def cache_folder() -> Path:
-    """Folder of rendered datasets: `$XDG_CACHE_HOME/revisit`, by default `~/.cache/revisit`."""
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "revisit"
 
 
 def demo_dataset(seed: int, messages: Console) -> Path:

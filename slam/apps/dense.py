@@ -1,7 +1,7 @@
 """`revisit dense`: dense maps of a run before and after correction, and an occupancy grid."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,10 +13,11 @@ from rich.console import Console
 
 from odometry.stereo.stereo_self_calibration import Calibration
 from slam.config import read_config
-from slam.datasets.dataset import Dataset, DatasetSpec
+from slam.datasets.dataset import Dataset, DatasetSpec, is_same_image
 from slam.datasets.formats.registry import open_dataset
 from slam.errors import ConfigError, DataError, OutputError
 from slam.io.calibration import read_calibration
+from slam.io.folder_lock import FolderLock
 from slam.io.frames_and_loops_csv import read_frames
 from slam.io.metrics import read_metrics
 from slam.io.run_folder import STAGING
@@ -39,6 +40,7 @@ RESULTS = (
     "dense_before.ply", "dense_after.ply", "mesh_before.ply", "mesh_after.ply", "occupancy.png", "occupancy.yaml",
     DENSE_PAGE, DENSE_RECORDING,
 )  # fmt: skip
+_SAME_TIME_S = 1e-6
 _PIXEL_VOXELS = 4 / 3  # size of a pixel of the page's pictures: smaller ones leave gaps between the points
 
 
@@ -103,13 +105,15 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
     Raises:
         DataError: a file is missing or damaged, or files do not belong to one run.
     """
-    calibration, recording = read_calibration(run / "calibration.toml"), _recording(run, source)
-    dataset = open_dataset(recording)
-    if not dataset.has_right or dataset.camera != calibration.camera:
+    metrics = read_metrics(run / "metrics.json")
+    calibration, dataset = read_calibration(run / "calibration.toml"), _open_recording(run, metrics, source)
+    (times, odometry), (_, corrected) = (read_tum(run / f"trajectory_{name}.tum") for name in ("odometry", "corrected"))
+    is_same = dataset.has_right and dataset.camera == calibration.camera and _has_times(dataset, times)
+    if not is_same or not is_same_image(metrics.get("first_image"), dataset[0].left):
         raise DataError(
-            f"{recording.path}: expected the pair that {run} was made with, found another camera; name its recording"
+            f"{source or metrics.get('source')}: expected the drive that {run} was made of, found another; "
+            f"name its recording: revisit dense {run} SOURCE"
         )
-    odometry, corrected = (read_tum(run / f"trajectory_{name}.tum")[1] for name in ("odometry", "corrected"))
     predicted = read_frames(run / "frames.csv").predicted
     if not len(odometry) == len(corrected) == len(predicted) <= len(dataset):
         raise DataError(
@@ -120,15 +124,25 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
     return MappedRun(dataset, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
 
 
-def _recording(run: Path, source: Path | None) -> DatasetSpec:
-    metrics = read_metrics(run / "metrics.json")
+def _open_recording(run: Path, metrics: Mapping[str, object], source: Path | None) -> Dataset:
     try:
         recording = DatasetSpec.from_metrics(metrics["recording"])  # type: ignore[arg-type]
     except (KeyError, TypeError):
         raise DataError(
             f"{run / 'metrics.json'}: expected the recording that was read, found none; make the run again"
         ) from None
-    return recording if source is None else replace(recording, path=source)
+    if source is None and not recording.path.exists():
+        raise DataError(
+            f"{recording.path}: expected the recording of {run}, found nothing; if it was moved, name its place: "
+            f"revisit dense {run} SOURCE"
+        )
+    return open_dataset(recording if source is None else replace(recording, path=source))
+
+
+def _has_times(dataset: Dataset, times: Array) -> bool:
+    """Whether the first frames of a dataset have these times; images that are missing are another error."""
+    common = min(len(times), len(dataset))
+    return np.allclose(dataset.timestamps[:common], times[:common], rtol=0, atol=_SAME_TIME_S)
 
 
 def build_dense_map(options: DenseOptions, messages: Console) -> str:
@@ -161,13 +175,14 @@ def build_dense_map(options: DenseOptions, messages: Console) -> str:
 
 @contextmanager
 def _folder_in(run: Path) -> Iterator[Path]:
-    """Make a temporary folder for submaps on the disk of the run: /tmp may be in memory."""
-    try:
-        folder = tempfile.TemporaryDirectory(prefix=STAGING, dir=run)
-    except OSError as error:
-        raise OutputError(f"{run}: cannot be written, {error.strerror}; copy the run to another folder") from error
-    with folder as name:
-        yield Path(name)
+    """Lock the run and make a temporary folder for submaps on its disk: /tmp may be in memory."""
+    with FolderLock.acquire(run):
+        try:
+            folder = tempfile.TemporaryDirectory(prefix=STAGING, dir=run)
+        except OSError as error:
+            raise OutputError(f"{run}: cannot be written, {error.strerror}; copy the run to another folder") from error
+        with folder as name:
+            yield Path(name)
 
 
 def _write(run: Path, store: SubmapStore, mapped: MappedRun, grid: OccupancyGrid) -> None:

@@ -1,8 +1,8 @@
 """`revisit doctor`: check of Python, packages and system libraries with remedies, and the licences of all packages.
 
-Uses the standard library only, so that it also runs in a broken installation. `python -m slam.apps.doctor --install`
-installs missing system libraries if it has the rights, and `--install-browser` the browser that the tests of the report
-need.
+Uses the standard library and `slam.environment`, which needs no more, so that it also runs in a broken installation.
+`python -m slam.apps.doctor --install` installs missing system libraries if it has the rights, and `--install-browser`
+the browser that the tests of the report need.
 """
 
 import ctypes
@@ -11,9 +11,20 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
+
+from slam.environment import (
+    MATPLOTLIB_CACHE,
+    NUMBA_CACHE,
+    can_cache_compiled_code,
+    can_configure_matplotlib,
+    can_create,
+    is_temporary,
+)
 
 DISTRIBUTION = "revisit-slam"
 MIN_PYTHON = (3, 11)
@@ -28,6 +39,8 @@ SYSTEM_LIBRARIES = {
     "libidn2.so.0": "libidn2-0",
     "libstdc++.so.6": "libstdc++6",
 }
+
+_UNICODE = ("utf-8", "utf8", "utf-16", "utf-32")  # consoles that show every character
 
 # Programs that only tests need, and the Debian packages that contain them. Without them these tests are skipped.
 BROWSER = {"chromium": "chromium", "chromedriver": "chromium-driver"}
@@ -69,7 +82,7 @@ class Licence:
 
 def check_machine() -> list[Check]:
     """Check everything that the product needs, in the order in which problems should be solved."""
-    return [_check_python(), *_check_wheels(), *_check_libraries()]
+    return [_check_python(), *_check_wheels(), *_check_libraries(), *_check_surroundings()]
 
 
 def _check_python() -> Check:
@@ -101,6 +114,47 @@ def _check_libraries() -> Iterator[Check]:
             yield Check(library, "", f"cannot be loaded: {error}", _apt_line([package]))
         else:
             yield Check(library, "present")
+
+
+def _check_surroundings() -> Iterator[Check]:
+    """Check what runs find around them: folders that can be written, and the console."""
+    yield _check_cache("compiled code", NUMBA_CACHE, "each container compiles anew, about a minute")
+    yield _check_cache("list of fonts", MATPLOTLIB_CACHE, "it is made anew, some seconds")
+    yield _check_temporary()
+    here = Path.cwd()
+    state = "can be written" if can_create(here) else "cannot be written; name another with --out"
+    yield Check("this folder", f"{here}: {state}")
+    encoding = (sys.stdout.encoding or "unknown").lower()
+    plain = "" if encoding in _UNICODE else ": other characters are replaced"
+    yield Check("console", f"{encoding}{plain}", remedy="export PYTHONIOENCODING=utf-8" if plain else "")
+    yield _check_display()
+
+
+def _check_cache(name: str, variable: str, cost: str) -> Check:
+    """Check the folder of a cache, which `prepare_caches` has chosen."""
+    folder = os.environ.get(variable)
+    if folder is None:
+        is_found = can_cache_compiled_code() if variable == NUMBA_CACHE else can_configure_matplotlib()
+        if is_found:
+            return Check(name, "kept in the package or in the home")
+        return Check(name, "", "no folder for it can be written", f"export {variable}=DIR, with a folder of yours")
+    if not is_temporary(Path(folder)):
+        return Check(name, f"kept in {folder}, by {variable}")
+    found = f"kept in {folder}, as package and home cannot be written; where that is lost, {cost}"
+    return Check(name, found, remedy=f"export {variable}=DIR, with a folder that lasts")
+
+
+def _check_temporary() -> Check:
+    try:
+        return Check("temporary folder", tempfile.gettempdir())
+    except FileNotFoundError:
+        return Check("temporary folder", "", "none can be written", "export TMPDIR=DIR, with a folder of yours")
+
+
+def _check_display() -> Check:
+    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
+        return Check("display", "none: give --web to revisit view, and --view web to revisit run")
+    return Check("display", "present")
 
 
 def _apt_line(packages: list[str]) -> str:

@@ -14,6 +14,8 @@ from slam.components import check_features, check_paradigm, check_preset, exclud
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
+from slam.diagnostics.dataset_checks import inspect_images
+from slam.diagnostics.findings import Use, remarks_for
 from slam.errors import ConfigError
 from slam.evaluation.place_metrics import DriveData
 from slam.evaluation.revisit_truth_files import (
@@ -36,6 +38,7 @@ from slam.pipeline.place_recognition import (
 from slam.pipeline.places_summary import make_summary
 from slam.pipeline.progress import progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
+from slam.pipeline.run_warnings import RunWarnings
 
 # They use no features, so there is nothing that a mask could leave out.
 WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor")
@@ -132,16 +135,23 @@ def recognize_images(
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
     config = _config(options, images)
-    for remark in truth.remarks:
-        messages.print(f"warning: {remark}", markup=False, highlight=False, soft_wrap=True)
     with RunFolder.create(options.out, options.overwrite) as folder:
+        warnings = RunWarnings(messages, folder.path)
+        warnings.extend((*truth.remarks, *_inspect(options, images, messages)))
         run = _run(options, config, images, truth, messages)
-        origin = provenance(options.source, images.name) | _settings(options, config)
-        origin |= {"warnings": list(truth.remarks)}
-        record = make_record(run, truth, _drive_data(images, truth), origin)
-        write_results(folder.path, record)
+        origin = provenance(options.source.absolute(), images.name) | _settings(options, config)
+        with stop_on_interrupt(messages):
+            record = make_record(run, truth, _drive_data(images, truth), origin | {"warnings": warnings.texts})
+            write_results(folder.path, record, warnings)
         folder.commit()
     return record
+
+
+def _inspect(options: PlacesOptions, images: ImageDataset, messages: Console) -> tuple[str, ...]:
+    """What `revisit check` says about the images; its faults are errors."""
+    with progress_bar(messages, "Checking") as progress:
+        findings = inspect_images(images, progress)
+    return remarks_for(Use.PLACES, options.source, findings)
 
 
 def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> RevisitTruth:

@@ -4,6 +4,7 @@ import shlex
 import shutil
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
@@ -12,7 +13,7 @@ from rich.console import Console
 
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import DatasetSpec
-from slam.errors import OutputError, RevisitError
+from slam.errors import OutputError, RevisitError, UnmeasuredError
 from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
 from slam.pipeline.pipeline import RunOptions, resolve_config, run_pipeline
@@ -174,8 +175,9 @@ def _run(job: Job) -> JobResult:
     # Written beside its place and then renamed: a process that dies meanwhile leaves nothing that looks finished.
     unfinished = job.folder.with_name(f".{job.name}-{uuid4().hex[:8]}")
     try:
-        if run_pipeline(job.run_options(unfinished), job.settings, _QUIET, _QUIET):
-            raise KeyboardInterrupt
+        with suppress(UnmeasuredError):  # a result as well: its row shows the errors
+            if run_pipeline(job.run_options(unfinished), job.settings, _QUIET, _QUIET):
+                raise KeyboardInterrupt
         _rename(unfinished, job.folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)

@@ -24,6 +24,7 @@ from slam.benchmark.sweep_results import (
 )
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError
+from slam.io.folder_lock import FolderLock
 from slam.pipeline.progress import progress_bar
 from slam.simulation import simulate
 
@@ -76,15 +77,17 @@ def run_benchmark(options: BenchmarkOptions, messages: Console, results: Console
     for job in jobs:
         check_job(job)
     _prepare(out)
-    for source in sweep.sources:
-        _render(source, out, messages)
-    try:
-        with executor:
-            rows = run_jobs(jobs, executor, run_job, out, results)
-    except KeyboardInterrupt:
-        messages.print("Interrupted: finished runs are kept; the same command continues.")
-        raise
-    _clear(out)  # also here: processes that died during this command leave folders
+    with FolderLock.acquire(out):
+        _clear(out)
+        for source in sweep.sources:
+            _render(source, out, messages)
+        try:
+            with executor:
+                rows = run_jobs(jobs, executor, run_job, out, results)
+        except KeyboardInterrupt:
+            messages.print("Interrupted: finished runs are kept; the same command continues.")
+            raise
+        _clear(out)  # also here: processes that died during this command leave folders
     write_json(out, rows, ("benchmark", str(options.config), "--out", str(options.out)))
     write_latex(out, rows)
     write_benchmark_report(out, options.config.stem, rows)
@@ -129,7 +132,6 @@ def _prepare(out: Path) -> None:
         jobs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be written, {error.strerror}; choose another folder with --out") from None
-    _clear(out)
 
 
 def _clear(out: Path) -> None:

@@ -11,6 +11,7 @@ import typer
 
 from slam.cli import evaluate, inspect, places, run
 from slam.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, FORMAT_NAMES
+from slam.environment import NUMBA_CACHE, prepare_consoles
 from slam.errors import ConfigError, RevisitError
 
 __all__ = ["EXIT_USAGE", "FORMAT_NAMES", "app", "main"]
@@ -54,9 +55,12 @@ filter_app.command("train")(places.filter_train)
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk or quota is an error of the user's, not a bug
 
+_CACHE_REMEDY = f"set {NUMBA_CACHE} to a folder of yours"
+
 
 def main() -> None:
     """Run the command line; known errors become one line on standard error and an exit code."""
+    prepare_consoles()
     sys.exit(_exit_code(app))
 
 
@@ -71,6 +75,11 @@ def _exit_code(command: Callable[[], None]) -> int:
             raise
         where = f"{error.filename}: " if error.filename else ""
         print(f"revisit: {RevisitError(f'{where}{error.strerror}; free some space')}", file=sys.stderr)
+        return EXIT_FAILED
+    except RuntimeError as error:
+        if "cannot cache function" not in str(error):  # numba, where `prepare_caches` has found no folder either
+            raise
+        print(f"revisit: found no folder for compiled code that can be written; {_CACHE_REMEDY}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED

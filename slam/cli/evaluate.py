@@ -54,10 +54,10 @@ def benchmark(
         ),
     ] = None,
 ) -> None:
-    """Run every source with every paradigm, preset, back end and seed, and compare the results side by side.
+    r"""Run every source with every paradigm, preset, back end and seed, and compare the results side by side.
 
     Finished runs in the output folder are kept, so the same command continues where it stopped.
-    Several processes need: pip install 'revisit-slam[cluster]'
+    Several processes need: pip install 'revisit-slam\[cluster]'
 
     Example: revisit benchmark town.toml --out runs/town
     """

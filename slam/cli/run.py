@@ -106,13 +106,23 @@ def run(
     recording = RunOptions(source=source, sequence=sequence, out=out, format=dataset_format, fps=fps, topics=topics)
     options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
     settings: dict[str, object] = {"paradigm": paradigm, "preset": preset}
-    settings |= {"features": features, "descriptor": descriptor}
-    settings |= {"vocabulary": None if vocabulary is None else str(vocabulary), "robust": robust, "seed": seed}
-    settings |= {"mask": None if mask is None else str(mask)}
+    settings |= {"features": features, "descriptor": _absolute_descriptor(descriptor)}
+    settings |= {"vocabulary": _absolute(vocabulary), "robust": robust, "seed": seed}
+    settings |= {"mask": _absolute(mask)}
     settings |= {"mono": mono or None, "camera_height": camera_height}
     settings |= {"save_recording": False if no_record else None, "save_map": False if no_map else None}
     interrupted = run_pipeline(options, _given(settings), Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
+
+
+def _absolute(path: Path | None) -> str | None:
+    """A path as it stands in config.toml, so that --resume finds the file from any folder."""
+    return None if path is None else str(path.absolute())
+
+
+def _absolute_descriptor(name: str | None) -> str | None:
+    kind, separator, file = (name or "").partition(":")
+    return f"{kind}:{Path(file).absolute()}" if separator and file else name
 
 
 def _given(settings: dict[str, object]) -> dict[str, object]:

@@ -20,6 +20,9 @@ from slam.errors import ConfigError, DataError
 # Frames per second that a recording can have: from one image in eleven days to beyond any camera.
 _MIN_FPS, _MAX_FPS = 1e-6, 1e6
 
+_THUMBNAIL_SIDE = 8
+_MAX_GREY_DIFFERENCE = 8  # of means over an eighth of the side: decoders differ by one or two grey values
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -180,3 +183,18 @@ def find_dataset(root: Path, sequence: str | None, is_dataset: Callable[[Path], 
         wanted = f"one sequence {sequence}" if sequence else "one sequence"
         raise DataError(f"{root}: expected {wanted}, found {', '.join(datasets)}; choose one with --sequence")
     return datasets[name]
+
+
+def thumbnail(image: NDArray[np.uint8]) -> str:
+    """Return an image (H, W) uint8 as 8 x 8 grey values in hexadecimal, by which a recording is known again."""
+    import cv2
+
+    return cv2.resize(image, (_THUMBNAIL_SIDE, _THUMBNAIL_SIDE), interpolation=cv2.INTER_AREA).tobytes().hex()
+
+
+def is_same_image(known: object, image: NDArray[np.uint8]) -> bool:
+    """Whether an image (H, W) uint8 has the thumbnail of another; True where that one is not known."""
+    if not isinstance(known, str) or len(known) != 2 * _THUMBNAIL_SIDE**2:
+        return True
+    there, here = (np.frombuffer(bytes.fromhex(text), np.uint8).astype(int) for text in (known, thumbnail(image)))
+    return int(np.abs(there - here).max()) <= _MAX_GREY_DIFFERENCE

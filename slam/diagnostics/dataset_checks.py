@@ -26,6 +26,7 @@ from slam.diagnostics.sensor_checks import (
     check_images,
     check_pair_brightness,
     check_rectification,
+    check_right_repetitions,
     check_static_area,
     check_timestamps,
     measure_image,
@@ -49,6 +50,7 @@ class _Samples:
     Attributes:
         images: statistics of all sampled left images.
         successors: those of them whose predecessor was sampled too.
+        right_frozen: for each of these in a pair whether its right image equals the one before, and it does not.
         pairs: some pairs of left and right images.
         masks: masks of the sampled images, which know what is static in them.
         static_ratio: static share of the last of them.
@@ -57,6 +59,7 @@ class _Samples:
 
     images: list[ImageStatistics] = field(default_factory=list)
     successors: list[ImageStatistics] = field(default_factory=list)
+    right_frozen: list[bool] = field(default_factory=list)
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
     masks: ImageMasks = field(default_factory=ImageMasks)
     static_ratio: float = 0.0
@@ -106,10 +109,14 @@ def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Pr
         if str(error) == trouble:
             return [report_fault("opening", trouble, ALL_USES)]
         return [report_fault("opening", trouble, SLAM_USES), report_fault("images", str(error), (Use.PLACES,))]
+    return [report_fault("opening", trouble, SLAM_USES), *inspect_images(images, progress)]
+
+
+def inspect_images(images: ImageDataset, progress: Progress) -> list[Finding]:
+    """Inspect the images of one camera, for which there may be no calibration."""
     seen = _sample(len(images), lambda index: (images[index], None), progress)
     times = [] if images.timestamps is None else check_timestamps(images.timestamps)
     return [
-        report_fault("opening", trouble, SLAM_USES),
         _check_count(len(images), "images"),
         *_check_samples(seen),
         *times,
@@ -118,20 +125,41 @@ def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Pr
     ]
 
 
+def inspect_opened(dataset: Dataset, progress: Progress, use: Use = Use.STEREO) -> list[Finding]:
+    """Inspect a dataset that is open.
+
+    Args:
+        dataset: the dataset.
+        progress: called with the number of images read, and of all images to read.
+        use: the use that is intended; with one camera the pair is not looked at.
+    """
+    is_pair = dataset.has_right and use is Use.STEREO
+    return _check_seen(dataset, _sample(len(dataset), _reader(dataset, is_pair), progress), use)
+
+
 def _check_dataset(dataset: Dataset, open_left: Callable[[], Dataset], progress: Progress) -> list[Finding]:
-    seen = _sample(len(dataset), _reader(dataset), progress)
-    findings = []
-    if seen.fault and dataset.has_right:  # perhaps of the right camera, which --mono and places do not need
-        left, pairs = open_left(), seen.pairs
-        trouble, seen = seen.fault, _sample(len(left), _reader(left), progress)
-        seen.pairs = pairs
-        findings = [] if seen.fault else [report_fault("right images", trouble, (Use.STEREO,))]
-    findings.append(_check_count(len(dataset), "pairs of images" if dataset.has_right else "images"))
-    findings += _check_samples(seen)
-    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, dataset.has_right)]
-    if dataset.has_right:
-        findings += [check_rectification(seen.pairs), check_pair_brightness(seen.pairs)]
-    else:
+    """Check a dataset for every use; a damaged right image rules out stereo alone."""
+    seen = _sample(len(dataset), _reader(dataset, dataset.has_right), progress)
+    if not seen.fault or not dataset.has_right:
+        return _check_seen(dataset, seen, Use.STEREO)
+    left, pairs, trouble = open_left(), seen.pairs, seen.fault
+    seen = _sample(len(left), _reader(left, False), progress)
+    seen.pairs = pairs
+    findings = [] if seen.fault else [report_fault("right images", trouble, (Use.STEREO,))]
+    return [*findings, *_check_seen(dataset, seen, Use.STEREO)]
+
+
+def _check_seen(dataset: Dataset, seen: _Samples, use: Use) -> list[Finding]:
+    is_pair = dataset.has_right and use is Use.STEREO
+    findings = [_check_count(len(dataset), "pairs of images" if is_pair else "images"), *_check_samples(seen)]
+    findings += [*check_timestamps(dataset.timestamps), *check_camera(dataset.camera, is_pair)]
+    if is_pair:
+        findings += [
+            check_right_repetitions(seen.right_frozen),
+            check_rectification(seen.pairs),
+            check_pair_brightness(seen.pairs),
+        ]
+    elif use is Use.STEREO:
         findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
     return [*findings, _check_ground_truth(dataset), *_report_remarks(dataset)]
 
@@ -140,10 +168,10 @@ def _report_remarks(dataset: Dataset | ImageDataset) -> list[Finding]:
     return [report_warning("left out", remark) for remark in dataset.remarks]
 
 
-def _reader(dataset: Dataset) -> Callable[[int], tuple[Image, Image | None]]:
+def _reader(dataset: Dataset, is_pair: bool) -> Callable[[int], tuple[Image, Image | None]]:
     def read(index: int) -> tuple[Image, Image | None]:
         frame = dataset[index]
-        return frame.left, frame.right
+        return frame.left, frame.right if is_pair else None
 
     return read
 
@@ -152,7 +180,9 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
     """Read images from all parts of a dataset, up to the first that cannot be read."""
     seen, indices = _Samples(), _sample_indices(count)
     compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
-    last, before = -1, None
+    last = -1
+    before: Image | None = None
+    right_before: Image | None = None
     for done, index in enumerate(indices):
         try:
             left, right = read(index)
@@ -164,9 +194,12 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
         seen.images.append(measure_image(left, before if follows else None))
         if follows:
             seen.successors.append(seen.images[-1])
+            if right is not None and right_before is not None:
+                is_frozen = np.array_equal(right, right_before) and not seen.images[-1].is_repeated
+                seen.right_frozen.append(is_frozen)
         if right is not None and done in compared:
             seen.pairs.append((left, right))
-        last, before = index, left
+        last, before, right_before = index, left, right
         progress(done + 1, len(indices))
     return seen
 
@@ -188,7 +221,8 @@ def _check_samples(seen: _Samples) -> list[Finding]:
 
 def _check_count(count: int, things: str) -> Finding:
     if count < 2:
-        return report_fault("count", f"{count} {things}: too few; check the folder", ALL_USES, count=count)
+        forbids = SLAM_USES if count else ALL_USES  # one image has no motion, and no place to come back to
+        return report_fault("count", f"{count} {things}: too few; check the folder", forbids, count=count)
     return report_ok("count", f"{count} {things}", count=count)
 
 

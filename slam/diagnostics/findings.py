@@ -1,7 +1,11 @@
 """Findings about a dataset or a map, and the uses that they rule out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
+
+from slam.errors import DataError
 
 
 class Use(StrEnum):
@@ -31,6 +35,9 @@ class Status(StrEnum):
     FAULT = "fault"
 
 
+_WHOLE = ("opening", "images")  # topics whose text is a whole message, of the file that cannot be read
+
+
 @dataclass(frozen=True)
 class Finding:
     """Result of one check.
@@ -48,6 +55,12 @@ class Finding:
     text: str
     figures: dict[str, object] = field(default_factory=dict)
     forbids: tuple[StrEnum, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The text after its topic, for where it does not stand in a table."""
+        is_whole = self.topic in _WHOLE or self.text.startswith(self.topic)
+        return self.text if is_whole else f"{self.topic}: {self.text}"
 
 
 def report_ok(topic: str, text: str, **figures: object) -> Finding:
@@ -89,3 +102,21 @@ class Inspection:
     def possible_uses(self) -> tuple[StrEnum, ...]:
         """Uses that no finding makes impossible."""
         return tuple(use for use in self.uses if not self.reasons_against(use))
+
+
+def remarks_for(use: StrEnum, source: Path, findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Return what a use of a dataset has to be told; what makes it impossible is an error in the same words.
+
+    Args:
+        use: the use.
+        source: path of the dataset, for the error.
+        findings: findings about it.
+
+    Raises:
+        DataError: a finding makes the use impossible.
+    """
+    faults = [finding.sentence for finding in findings if use in finding.forbids]
+    if faults:
+        line = "; ".join(faults)
+        raise DataError(line if line.startswith(str(source)) else f"{source}: {line}")
+    return tuple(finding.sentence for finding in findings if finding.status is not Status.OK)

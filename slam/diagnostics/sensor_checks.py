@@ -29,7 +29,10 @@ _MIN_MATCHES = 50  # in all pairs together, for a median
 _MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
 _MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
 _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
+_MAX_SWAPPED_SHARE = 0.2  # of them, in a pair that is swapped
+_MAX_FROZEN_SHARE = 0.2  # of right images that equal the one before, although the left ones do not
 # Images.
+_MIN_SIDE_PX = 16  # with less there is no room for the window in which a corner is followed
 _MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
 _MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
 _MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
@@ -131,7 +134,10 @@ def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
     figures = {"median_px": off, "bias_px": bias, "share_ahead": ahead, "matches": len(moved)}
     text = f"matches between left and right are {off:.2f} px off the common row (median of {len(moved)})"
     if ahead < _MIN_POSITIVE_SHARE:
-        trouble = f"{1 - ahead:.0%} of the matches lie to the wrong side; swap left and right"
+        remedy = (
+            "swap left and right" if ahead < _MAX_SWAPPED_SHARE else "left and right are not of one moment; use --mono"
+        )
+        trouble = f"{1 - ahead:.0%} of the matches lie to the wrong side; {remedy}"
         return report_fault("rows", trouble, (Use.STEREO,), **figures)
     if off > _MAX_POSSIBLE_ROWS_PX:
         return report_fault("rows", f"{text}: not rectified; correct the calibration", (Use.STEREO,), **figures)
@@ -214,6 +220,21 @@ def check_images(images: Sequence[ImageStatistics], successors: Sequence[ImageSt
     ]
 
 
+def check_right_repetitions(flags: Sequence[bool]) -> Finding:
+    """Check whether the right camera stood still while the left one went on.
+
+    Args:
+        flags: for each right image with a predecessor whether it equals that one, and the left image does not.
+    """
+    share = float(np.mean(flags)) if flags else 0.0
+    text = f"{share:.0%} of the right images are the same as the one before, although the left ones are not"
+    if share > _MAX_FROZEN_SHARE:
+        return report_fault("right camera", f"{text}: it has stopped; use --mono", (Use.STEREO,), share=share)
+    if share > 0:
+        return report_warning("right camera", f"{text}: it stops at times", share=share)
+    return report_ok("right camera", text, share=share)
+
+
 def check_static_area(ratio: float) -> Finding:
     """Report the share of the image area that never changes while the camera moves."""
     text = f"{ratio:.1%} of the image area never changes while the camera moves"
@@ -226,6 +247,9 @@ def check_static_area(ratio: float) -> Finding:
 def _check_sizes(images: Sequence[ImageStatistics]) -> Finding:
     shapes = sorted({image.shape for image in images})
     text = ", ".join(f"{width} x {height}" for height, width in shapes)
+    if shapes and min(map(min, shapes)) < _MIN_SIDE_PX:
+        trouble = f"images of {text} pixels: too small; give images of at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX}"
+        return report_fault("sizes", trouble, ALL_USES, sizes=text)
     if len(shapes) > 1:
         return report_warning(
             "sizes", f"images of several sizes, {text}; only places can be recognised in them", sizes=text

@@ -8,6 +8,7 @@ from typing import Self
 from uuid import uuid4
 
 from slam.errors import OutputError
+from slam.io.folder_lock import LOCK_FILE, FolderLock, check_no_writer
 
 STAGING = ".unfinished-"
 _EARLIER = ".earlier-"
@@ -33,7 +34,8 @@ class RunFolder:
 
     Results are written into `path`, a hidden folder inside `final`, and moved up by `commit`. It is inside and not
     beside, as `final` may be a mounted volume that can neither be renamed nor have siblings. A block that ends without
-    commit leaves `final` as it was. A caller that catches KeyboardInterrupt inside the block can still commit.
+    commit leaves `final` as it was. A caller that catches KeyboardInterrupt inside the block can still commit. From
+    its creation to the end of the block no other process can have one for the same folder.
 
     Attributes:
         final: the folder that the user named.
@@ -43,6 +45,7 @@ class RunFolder:
     final: Path
     path: Path
     _created: bool
+    _lock: FolderLock
     _kept: bool = False
 
     @classmethod
@@ -50,13 +53,15 @@ class RunFolder:
         """Prepare `path` for the results of one run.
 
         Raises:
-            OutputError: `path` is a file, cannot be written, or holds anything while overwrite is False.
+            OutputError: `path` is a file, cannot be written, holds anything while overwrite is False, or another
+                process writes there.
         """
+        check_no_writer(path)
         try:
             if path.exists() and not path.is_dir():
                 raise OutputError(f"{path}: expected a folder, found a file; choose another name with --out")
             created = not path.exists()
-            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_staging(item)]
+            held = [] if created else [item.name for item in sorted(path.iterdir()) if not _is_ours(item)]
         except OSError as error:  # a name that is too long, a folder without read permission
             raise OutputError(f"{path}: expected a folder, found: {error.strerror}; choose another") from error
         if held and not overwrite:
@@ -64,17 +69,17 @@ class RunFolder:
             raise OutputError(
                 f"{path}: expected a new or empty folder, found {what}; choose another folder or give --overwrite"
             )
-        staging = path / f"{STAGING}{uuid4().hex[:8]}"
-        try:
-            staging.mkdir(parents=True)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written, {error.strerror}; choose another folder") from error
-        return cls(path, staging, created)
+        staging, lock = _stage(path)
+        return cls(path, staging, created, lock)
 
     @classmethod
     def reopen(cls, path: Path, staging: Path) -> Self:
-        """Reopen the staging folder that a stopped run into `path` has left."""
-        return cls(path, staging, False, True)
+        """Reopen the staging folder that a stopped run into `path` has left.
+
+        Raises:
+            OutputError: another process writes there.
+        """
+        return cls(path, staging, False, FolderLock.acquire(path), True)
 
     def keep(self) -> None:
         """Keep the staging folder even without commit, so that a later run can resume."""
@@ -116,10 +121,11 @@ class RunFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.path == self.final or self._kept:
-            return
-        self._discard()
-        if self._created and not any(self.final.iterdir()):
+        is_done = self.path == self.final or self._kept
+        if not is_done:
+            self._discard()
+        self._lock.release()
+        if not is_done and self._created and not any(self.final.iterdir()):
             self.final.rmdir()
 
 
@@ -143,6 +149,18 @@ def _move_all(moves: list[tuple[Path, Path]]) -> None:
         raise
 
 
-def _is_staging(item: Path) -> bool:
+def _stage(path: Path) -> tuple[Path, FolderLock]:
+    """Make the folder if it is missing, lock it, and make a staging folder in it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        lock = FolderLock.acquire(path)
+        staging = path / f"{STAGING}{uuid4().hex[:8]}"
+        staging.mkdir()
+        return staging, lock
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written, {error.strerror}; choose another folder") from error
+
+
+def _is_ours(item: Path) -> bool:
     # Remains of a killed run are no reason to refuse the next one.
-    return item.name.startswith((STAGING, _EARLIER))
+    return item.name == LOCK_FILE or item.name.startswith((STAGING, _EARLIER))

@@ -14,7 +14,7 @@ import numpy as np
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from slam.config import RunConfig, parse_config
-from slam.datasets.dataset import Dataset
+from slam.datasets.dataset import Dataset, is_same_image
 from slam.errors import ConfigError, DataError, OutputError
 from slam.frame_record import LoopRecord
 from slam.io.run_folder import STAGING, RunFolder, unfinished
@@ -124,7 +124,8 @@ def check_dataset(stopped: ResumableRun, dataset: Dataset) -> None:
         times = store.timestamps(stopped.session.number)
     source = stopped.session.provenance.get("source")
     same_times = np.array_equal(dataset.timestamps[: stopped.frames], times)  # false, too, where there are fewer
-    if dataset.camera != stopped.session.camera or not same_times:
+    same_images = same_times and is_same_image(stopped.session.provenance.get("first_image"), dataset[0].left)
+    if dataset.camera != stopped.session.camera or not same_images:
         raise DataError(
             f"{stopped.map_file}: expected the dataset from which it was made ({source}, {stopped.frames} "
             f"frames so far), found another one; give that dataset, or start again with --overwrite"

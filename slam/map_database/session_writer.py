@@ -208,6 +208,8 @@ def open_session_recorder(folder: RunFolder, config: RunConfig, session: Session
         finally:
             if recorder.frames:
                 folder.keep()
+    if not recorder.frames:  # a disk without room: the other results are better without an empty map
+        (folder.path / MAP_FILE).unlink(missing_ok=True)
 
 
 def _open(path: Path, config: RunConfig, session: SessionInfo) -> MapDatabase:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
 from slam.io.metrics import write_metrics
 from slam.pipeline.provenance import peak_memory_mb
+from slam.pipeline.run_warnings import RunWarnings
 from slam.timing import StageTimer, timed, timing_ms
 
 Image = NDArray[np.uint8]
@@ -339,24 +341,52 @@ def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth
     }
 
 
-def write_results(folder: Path, record: PlacesRecord) -> None:
-    """Write every result file into a folder.
+def write_results(folder: Path, record: PlacesRecord, warnings: RunWarnings) -> None:
+    """Write every result file into a folder. A picture or matrix that fails is left out, with a warning.
 
     Raises:
-        OutputError: a file cannot be written.
+        OutputError: not even the matches and the metrics can be written.
     """
-    from slam.report.place_recognition_figures import plot_places, plot_precision_recall, plot_stages
-    from slam.report.style import save_png
-
-    write_metrics(folder / "metrics.json", record.metrics)
     write_matches(folder / "matches.csv", record.beliefs)
-    write_curve(folder / "precision_recall.csv", record.result.curve)
+    write_metrics(folder / "metrics.json", record.metrics)
+    files: dict[str, Callable[[Path], None]] = {
+        "precision_recall.csv": lambda path: write_curve(path, record.result.curve),
+        "matrix.npz": lambda path: _write_matrices(path, record),
+        "precision_recall.png": lambda path: _draw_curve(path, record),
+        "matrix.png": lambda path: _draw_matrices(path, record),
+        "stages.png": lambda path: _draw_stages(path, record),
+    }
+    for name, write in files.items():
+        if not warnings.attempt_to(name, partial(write, folder / name)):
+            (folder / name).unlink(missing_ok=True)  # half a file is none
+    last = partial(write_metrics, folder / "metrics.json", record.metrics)
+    warnings.attempt_to("metrics.json with the last warnings", last)
+
+
+def _write_matrices(path: Path, record: PlacesRecord) -> None:
     arrays: dict[str, NDArray[np.generic]] = {stage: matrix.values for stage, matrix in record.matrices.items()}
     step = np.array(record.matrices["similarity"].step)
-    write_matrix(folder / "matrix.npz", arrays | {"detections": record.detections, "step": step})
+    write_matrix(path, arrays | {"detections": record.detections, "step": step})
+
+
+def _draw_curve(path: Path, record: PlacesRecord) -> None:
+    from slam.report.place_recognition_figures import plot_precision_recall
+    from slam.report.style import save_png
+
     curves = {} if record.result.curve is None else {str(record.metrics["paradigm"]): record.result.curve}
-    save_png(plot_precision_recall(curves, record.name), folder / "precision_recall.png")
-    picture = plot_places(record.name, record.matrices, record.detections, record.truth)
-    save_png(picture, folder / "matrix.png")
+    save_png(plot_precision_recall(curves, record.name), path)
+
+
+def _draw_matrices(path: Path, record: PlacesRecord) -> None:
+    from slam.report.place_recognition_figures import plot_places
+    from slam.report.style import save_png
+
+    save_png(plot_places(record.name, record.matrices, record.detections, record.truth), path)
+
+
+def _draw_stages(path: Path, record: PlacesRecord) -> None:
+    from slam.report.place_recognition_figures import plot_stages
+    from slam.report.style import save_png
+
     result = record.result
-    save_png(plot_stages(result.stages, result.control, result.reliability, record.name), folder / "stages.png")
+    save_png(plot_stages(result.stages, result.control, result.reliability, record.name), path)

@@ -37,25 +37,36 @@ def progress_bar(console: Console, title: str) -> Iterator[Callable[[int, int], 
 
 
 class StopRequest:
-    """Whether the user has asked to stop."""
+    """Whether the user has asked to stop.
 
-    def __init__(self) -> None:
+    Attributes:
+        requested: whether that is so.
+    """
+
+    def __init__(self, messages: Console | None = None) -> None:
         self.requested = False
+        self._messages = messages
 
     def request(self, number: int, frame: FrameType | None) -> None:
         """Handle the signal; a second one interrupts at once."""
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+        if self._messages is not None:
+            self._messages.print("Interrupted: the results are written first; Ctrl-C again gives them up.")
 
 
 @contextmanager
-def stop_on_interrupt() -> Iterator[StopRequest]:
+def stop_on_interrupt(messages: Console | None = None) -> Iterator[StopRequest]:
     """Turn the first Ctrl-C within the block into a request, which the loop checks between two frames.
 
-    Python handles signals in the main thread only; in another thread nothing is ever requested.
+    A block that checks nothing, such as one that writes results, ends as if nothing had been requested. Python handles
+    signals in the main thread only; in another thread nothing is ever requested.
+
+    Args:
+        messages: console on which such a block says so; None for a loop that has its own words.
     """
-    request = StopRequest()
+    request = StopRequest(messages)
     if threading.current_thread() is not threading.main_thread():
         yield request
         return

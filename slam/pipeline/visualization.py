@@ -1,6 +1,5 @@
 """Visualization of a run: opens a viewer, and shows it frames, loops and the recogniser's similarity matrix."""
 
-import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from odometry import se3
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from slam.datasets.dataset import Dataset, Frame
-from slam.errors import OutputError
 from slam.loop_closing.loop_closer import LoopClosure
+from slam.pipeline.run_warnings import RunWarnings
 from slam.run_log import RunLog
 from slam.system import FrameResult, LoopCandidate, Slam
 from slam.viewer.viewer import FrameView, LoopView, NullViewer, Viewer
@@ -26,12 +24,10 @@ _MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier ima
 _MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
 
-log = logging.getLogger("revisit")
-
 
 @contextmanager
 def open_viewer(
-    view: str, recording: Path | None, dataset: Dataset, run_id: str, messages: Console
+    view: str, recording: Path | None, dataset: Dataset, run_id: str, warnings: RunWarnings
 ) -> Iterator[Viewer]:
     """Open the viewer of a run, and close it at the end; a recording that cannot be written is only a warning.
 
@@ -40,7 +36,7 @@ def open_viewer(
         recording: file to record into; None for none.
         dataset: dataset to process.
         run_id: globally unique id (UUID) of the run.
-        messages: console for the warning.
+        warnings: takes the warning.
     """
     viewer: Viewer = NullViewer()
     if view != "none" or recording is not None:
@@ -51,11 +47,7 @@ def open_viewer(
     try:
         yield viewer
     finally:
-        try:
-            viewer.close()
-        except OutputError as error:
-            log.warning("%s", error)
-            messages.print(str(error), markup=False, highlight=False)
+        warnings.attempt_to("recording", viewer.close)
 
 
 class RunVisualizer:

@@ -162,6 +162,7 @@ def _caption(record: RunRecord) -> str:
     lines = [
         f"ATE after {' and '.join(alignments)} alignment of all poses" if known else "no ground truth",
         f"loops: {loops}; by ground truth {truth}",
+        describe_motions(record.metrics),
         f"places: R@P100 {recall}" if recall != MISSING else "",
         _events_and_delay(record),
         describe_static_ratio(record.metrics),
@@ -177,6 +178,15 @@ def _events_and_delay(record: RunRecord) -> str:
     events = "" if count is None else f"revisit events: {format_value(found)} of {format_value(count)} found"
     late = "" if delay is None else f"an answer comes {format_value(delay, 0)} images late (median)"
     return "; ".join(text for text in (events, late) if text)
+
+
+def describe_motions(metrics: Mapping[str, object]) -> str:
+    """Return how many motions were measured and how many predicted, and mostly why; empty where that is not known."""
+    measured, predicted = (metric_value(metrics, f"motions.{name}") for name in ("measured", "predicted"))
+    if not isinstance(measured, int) or not isinstance(predicted, int):
+        return ""
+    counts = f"{measured} of {measured + predicted} motions measured, {predicted} predicted"
+    return f"{counts}, mostly: {metric_value(metrics, 'motions.commonest_reason')}" if predicted else counts
 
 
 def describe_static_ratio(metrics: Mapping[str, object]) -> str:

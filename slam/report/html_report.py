@@ -117,6 +117,7 @@ def render_report(
             headings=list(ERRORS.values()),
             estimates=[estimate_row(record, name) for name in ESTIMATES],
             notes=_notes(record),
+            warnings=_warnings(record),
             funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
             recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
             maps=draw_maps(record),
@@ -151,9 +152,15 @@ def _facts(record: RunRecord) -> list[tuple[str, Cell]]:
         ("frames per second", cell(record, "frames_per_second", 1)),
         ("wall time", cell(record, "wall_seconds", 1, " s")),
         ("peak memory", cell(record, "peak_memory_mb", 0, " MB")),
-        ("predicted motions", Cell(str(int(np.count_nonzero(record.predicted))))),
+        ("motions measured", cell(record, "motions.measured")),
+        ("motions predicted", _predicted(record)),
         ("static image area", _static_area(record)),
     ]
+
+
+def _predicted(record: RunRecord) -> Cell:
+    reason = metric_value(record.metrics, "motions.commonest_reason")
+    return Cell(str(int(np.count_nonzero(record.predicted))), f"mostly: {reason}" if reason else "")
 
 
 def _static_area(record: RunRecord) -> Cell:
@@ -164,6 +171,11 @@ def _static_area(record: RunRecord) -> Cell:
 def _notes(record: RunRecord) -> list[tuple[str, str]]:
     notes = record.metrics.get("notes")
     return [(str(key), str(why)) for key, why in notes.items()] if isinstance(notes, Mapping) else []
+
+
+def _warnings(record: RunRecord) -> list[str]:
+    warnings = record.metrics.get("warnings")
+    return list(map(str, warnings)) if isinstance(warnings, list) else []
 
 
 def draw_maps(record: RunRecord) -> list[Picture]:

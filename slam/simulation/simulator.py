@@ -84,11 +84,26 @@ def simulate(config: SimulationConfig, out: Path, progress: Progress | None = No
     try:
         _DatasetWriter(config, unfinished).write(progress or (lambda done, total: None))
         unfinished.chmod(0o755)
-        # Replaces an empty folder in one step.
-        unfinished.replace(out)
+        _put_in_place(config, unfinished, out)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     return out
+
+
+def _put_in_place(config: SimulationConfig, unfinished: Path, out: Path) -> None:
+    """Replace an empty folder in one step; what another command has rendered there meanwhile stays if it is the same.
+
+    Raises:
+        OutputError: something else has appeared there meanwhile, or it cannot be replaced.
+    """
+    try:
+        unfinished.replace(out)
+    except OSError as error:
+        if not is_complete(config, out):
+            raise OutputError(
+                f"{out}: expected no folder or an empty one, found {error.strerror}, perhaps by another command;"
+                " name another folder"
+            ) from error
 
 
 def is_complete(config: SimulationConfig, out: Path) -> bool:

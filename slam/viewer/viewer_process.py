@@ -78,13 +78,13 @@ def start_viewer(web: bool, files: Sequence[Path] = ()) -> ViewerProcess:
         OutputError: rerun's program is missing, or it ends at once (no display, for instance), or does not answer.
     """
     if not web and sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
-        raise OutputError("rerun: expected a display for its window, found no DISPLAY; use --view web or --view none")
+        raise OutputError(f"rerun: expected a display for its window, found no DISPLAY; {_remedy(files)}")
     ports = [_free_port() for _ in range(2 if web else 1)]
     process = subprocess.Popen(
         _command(ports, files), env={**os.environ, **_ENVIRONMENT}, stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=not web,
     )  # fmt: skip
-    _wait_until_listening(process, ports)
+    _wait_until_listening(process, ports, _remedy(files))
     data_url = f"rerun+http://{LOOPBACK}:{ports[0]}/proxy"
     page_url = f"http://{LOOPBACK}:{ports[1]}/?url={quote(data_url, safe='')}" if web else None
     return ViewerProcess(process, data_url, page_url)
@@ -115,19 +115,24 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _wait_until_listening(process: subprocess.Popen[bytes], ports: Sequence[int]) -> None:
+def _remedy(files: Sequence[Path]) -> str:
+    """What to type instead: a finished recording is shown by `revisit view`, a live one by `revisit run`."""
+    return "use --web" if files else "use --view web or --view none"
+
+
+def _wait_until_listening(process: subprocess.Popen[bytes], ports: Sequence[int], remedy: str) -> None:
     deadline = time.monotonic() + _START_TIMEOUT_S
     for port in ports:
         while not _is_listening(port):
             if process.poll() is not None:
                 raise OutputError(
                     f"rerun: expected a viewer, but it ended at once with code {process.returncode} "
-                    "(no graphics?); use --view web or --view none"
+                    f"(no graphics?); {remedy}"
                 )
             if time.monotonic() > deadline:
                 process.terminate()
                 raise OutputError(
-                    f"rerun: expected a viewer on port {port} within {_START_TIMEOUT_S:.0f} s; use --view none"
+                    f"rerun: expected a viewer on port {port} within {_START_TIMEOUT_S:.0f} s, found none; {remedy}"
                 )
             time.sleep(0.05)
 

@@ -1,6 +1,7 @@
 """A run's folder is complete when it appears, and a failure costs nothing."""
 
 import contextlib
+import os
 from pathlib import Path
 
 import pytest
@@ -131,8 +132,12 @@ def test_an_interrupted_run_may_keep_what_it_has(earlier: Path) -> None:
 
 
 def test_what_a_killed_run_left_does_not_refuse_the_next(tmp_path: Path) -> None:
-    killed = RunFolder.create(tmp_path / "run", overwrite=False)
-    (killed.path / "run.log").write_text("killed")
+    child = os.fork()
+    if child == 0:
+        (RunFolder.create(tmp_path / "run", overwrite=False).path / "run.log").write_text("killed")
+        os._exit(0)  # as SIGKILL does, it leaves no time to tidy up
+    os.waitpid(child, 0)
+    assert len(list((tmp_path / "run").iterdir())) == 2  # what it wrote, and its lock
     run(tmp_path / "run", "next")
     assert (tmp_path / "run" / "metrics.json").read_text() == "next"
 

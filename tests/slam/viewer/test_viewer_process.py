@@ -39,13 +39,15 @@ def test_a_window_without_a_display_is_an_error_with_a_remedy(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(OutputError, match=r"no DISPLAY; use --view web"):
         viewer_process.start_viewer(web=False)
+    with pytest.raises(OutputError, match=r"no DISPLAY; use --web$"):  # `revisit view` has no --view
+        viewer_process.start_viewer(web=False, files=[Path("recording.rrd")])
 
 
 def test_the_window_reports_nothing_and_asks_for_no_releases(monkeypatch):
     started = {}
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(viewer_process.subprocess, "Popen", lambda command, **how: started.update(how, command=command))
-    monkeypatch.setattr(viewer_process, "_wait_until_listening", lambda process, ports: None)
+    monkeypatch.setattr(viewer_process, "_wait_until_listening", lambda process, ports, remedy: None)
     assert viewer_process.start_viewer(web=False).page_url is None
     assert started["env"]["CI"] == "true"
     assert started["env"]["HTTPS_PROXY"] == "http://127.0.0.1:9"
