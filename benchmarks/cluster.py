@@ -33,8 +33,7 @@ from rich.console import Console
 from rich.table import Table
 from run_results import differing, lasting_results
 
-from slam.benchmark.dask_executor import DaskExecutor
-from slam.benchmark.executor import Executor, SerialExecutor
+from slam.benchmark.executors import DaskExecutor, Executor, SerialExecutor
 from slam.benchmark.job import run_job
 from slam.benchmark.sweep import make_jobs, run_jobs
 from slam.benchmark.sweep_config import read_sweep

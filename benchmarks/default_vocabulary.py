@@ -31,7 +31,7 @@ import numpy as np
 from command_line import existing, run_script
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.fast_and_brief import Brief, BriefConfig
+from place_recognition.image_processing.extractors import Brief, BriefConfig
 from place_recognition.image_processing.surf import Surf
 from place_recognition.vocabulary import vocabulary
 from place_recognition.vocabulary.vocabulary_training import (

@@ -20,7 +20,7 @@ from command_line import existing, run_script
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.revisit_ground_truth import load_truth
-from place_recognition.image_processing.fast_and_brief import Brief
+from place_recognition.image_processing.extractors import Brief
 from place_recognition.image_processing.local_features import FeatureExtractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.vocabulary.tf_idf import word_vector

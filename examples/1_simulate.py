@@ -9,8 +9,8 @@ that every other example and `revisit run` can read it.
 from street import arguments, street
 
 from slam.datasets.formats.registry import open_dataset
-from slam.report import colours
-from slam.report.trajectory_figure import new_figure, save_png, style_axes
+from slam.report import style
+from slam.report.style import new_figure, save_png, style_axes
 
 given = arguments(__doc__).parse_args()
 
@@ -28,8 +28,8 @@ for name in ("left", "right"):
     panels[name].imshow(getattr(first, name), cmap="gray", vmin=0, vmax=255)
     panels[name].set(title=f"{name} camera, frame 0", xticks=[], yticks=[])
 style_axes(panels["plan"])
-panels["plan"].plot(positions[:, 0], positions[:, 2], color=colours.GROUND_TRUTH, ls="--")
-panels["plan"].plot(0, 0, "o", color=colours.CORRECTED, label="start")
+panels["plan"].plot(positions[:, 0], positions[:, 2], color=style.GROUND_TRUTH, ls="--")
+panels["plan"].plot(0, 0, "o", color=style.CORRECTED, label="start")
 panels["plan"].set(title="two laps, seen from above", xlabel="x [m]", ylabel="z [m]", aspect="equal")
 panels["plan"].legend(frameon=False)
 save_png(figure, given.out / "1_simulate.png")

@@ -16,7 +16,7 @@ from place_recognition.image_processing.surf import Surf
 from place_recognition.paradigms.registry import PARADIGMS, make_recognizer
 from slam.datasets.formats.registry import open_dataset
 from slam.report.place_recognition_figures import plot_places, plot_precision_recall
-from slam.report.trajectory_figure import save_png
+from slam.report.style import save_png
 from slam.simulation import loop_truth
 
 parser = arguments(__doc__)

@@ -13,8 +13,8 @@ from slam.components import build_components
 from slam.config import RunConfig
 from slam.datasets.formats.registry import open_dataset
 from slam.evaluation.trajectory_errors import absolute_trajectory_error
-from slam.report import colours
-from slam.report.trajectory_figure import new_figure, save_png, style_axes
+from slam.report import style
+from slam.report.style import new_figure, save_png, style_axes
 from slam.system import Slam
 
 given = arguments(__doc__).parse_args()
@@ -32,8 +32,8 @@ closed = [candidate.belief for candidate in (*candidates, *late) if candidate.cl
 
 before, after, truth = np.array(poses), optimized.poses, drive.ground_truth
 panels = (
-    ("odometry alone", before, colours.ODOMETRY),
-    (f"{optimized.kept.sum()} loops", after, colours.CORRECTED),
+    ("odometry alone", before, style.ODOMETRY),
+    (f"{optimized.kept.sum()} loops", after, style.CORRECTED),
 )
 
 figure = new_figure(10.0, 5.2)
@@ -44,10 +44,10 @@ for ax, (name, estimate, colour) in zip(axes, panels, strict=True):
     cloud = slam.components.landmarks.cloud(estimate)  # points are kept in the frame of their camera: they move with it
     style_axes(ax)
     ax.plot(cloud.points[::5, 0], cloud.points[::5, 2], ".", color="black", ms=0.8, alpha=0.3, rasterized=True)
-    ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=colours.GROUND_TRUTH, ls="--", label="ground truth")
+    ax.plot(truth[:, 0, 3], truth[:, 2, 3], color=style.GROUND_TRUTH, ls="--", label="ground truth")
     ax.plot(estimate[:, 0, 3], estimate[:, 2, 3], color=colour, label=name)
     for belief in closed:
-        ax.plot(*estimate[[belief.query, belief.match]][:, [0, 2], 3].T, color=colours.ACCEPTED, lw=0.6)
+        ax.plot(*estimate[[belief.query, belief.match]][:, [0, 2], 3].T, color=style.ACCEPTED, lw=0.6)
     ax.set(title=f"{name}: ATE {ate:.2f} m, SE(3) alignment", xlabel="x [m]", aspect="equal")
     ax.legend(frameon=False, loc="upper right")
 x, z = truth[:, 0, 3], truth[:, 2, 3]

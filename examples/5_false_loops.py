@@ -15,8 +15,8 @@ from odometry import se3
 from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.pose_graph import PoseGraph
-from slam.report import colours
-from slam.report.trajectory_figure import new_figure, save_png, style_axes
+from slam.report import style
+from slam.report.style import new_figure, save_png, style_axes
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--out", type=output_folder, default="runs/examples", help="folder of the results")
@@ -58,10 +58,10 @@ for ax, (name, poses) in zip(figure.subplots(1, 3), estimates.items(), strict=Tr
     ate = absolute_trajectory_error(poses, np.array(truth))
     print(f"{name}: ATE {ate:.2f} m after SE(3) alignment")
     style_axes(ax)
-    ax.plot(*np.array(truth)[:, [0, 2], 3].T, color=colours.GROUND_TRUTH, ls="--", label="ground truth")
+    ax.plot(*np.array(truth)[:, [0, 2], 3].T, color=style.GROUND_TRUTH, ls="--", label="ground truth")
     ax.plot(
         *poses[:, [0, 2], 3].T,
-        color=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
+        color=style.ODOMETRY if name == "odometry" else style.CORRECTED,
         label=name,
     )
     ax.set(title=f"{name}: ATE {ate:.2f} m", xlabel="x [m]", ylabel="z [m]", aspect="equal")

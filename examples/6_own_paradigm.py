@@ -19,7 +19,7 @@ from place_recognition.paradigms.registry import PARADIGMS, make_control, make_r
 from place_recognition.recognizer import propose_best
 from slam.datasets.formats.registry import open_dataset
 from slam.report.place_recognition_figures import plot_precision_recall
-from slam.report.trajectory_figure import save_png
+from slam.report.style import save_png
 from slam.simulation import loop_truth
 
 

@@ -17,8 +17,8 @@ from place_recognition.map.sequence_map import FixedDistanceSegmentation, WordVa
 from place_recognition.paradigms.registry import make_recognizer
 from place_recognition.vocabulary.vocabulary import default_vocabulary, word_histogram
 from slam.datasets.formats.registry import open_dataset
-from slam.report import colours
-from slam.report.trajectory_figure import new_figure, save_png
+from slam.report import style
+from slam.report.style import new_figure, save_png
 from slam.simulation import loop_truth
 
 given = arguments(__doc__).parse_args()
@@ -36,7 +36,7 @@ across = np.pi / 9 * (bins + 0.5) + np.pi / 2  # an edge runs across its gradien
 dx, dy = 4 * np.cos(across), 4 * np.sin(across)
 x, y = 8 * columns + 3.5, 8 * rows + 3.5
 axes[0, 0].imshow(small, cmap="gray")
-axes[0, 0].plot([x - dx, x + dx], [y - dy, y + dy], color=colours.ODOMETRY, lw=1)
+axes[0, 0].plot([x - dx, x + dx], [y - dy, y + dy], color=style.ODOMETRY, lw=1)
 axes[0, 0].set_title("HOG: directions of edges, cell by cell (Figure 4.3)")
 
 # 4.4 and 4.11: how often each visual word is seen in an image, and in its sequence
@@ -44,8 +44,8 @@ vocabulary, features = default_vocabulary(), FeatureCache(Surf())
 counts = np.array([word_histogram(features.get(k, image), vocabulary) for k, image in enumerate(images)])
 sequence = counts[:5].sum(axis=0)
 common = np.argsort(-sequence, kind="stable")[:80]
-axes[0, 1].bar(range(80), sequence[common], color=colours.ODOMETRY, label="five images")
-axes[0, 1].bar(range(80), counts[0, common], color=colours.CORRECTED, label="the first alone")
+axes[0, 1].bar(range(80), sequence[common], color=style.ODOMETRY, label="five images")
+axes[0, 1].bar(range(80), counts[0, common], color=style.CORRECTED, label="the first alone")
 axes[0, 1].set(title=f"80 of {len(vocabulary)} words, the most frequent (Figures 4.4, 4.11)", ylabel="times seen")
 axes[0, 1].legend(frameon=False)
 
@@ -67,8 +67,8 @@ for ax, (paradigm, number) in zip(axes[2], numbers.items(), strict=True):
     for k in range(query + 1):
         recogniser.observe(k, images[k], distance_m[k])
     votes, truth = np.nan_to_num(rows.matrix(query + 1).values[query]), np.flatnonzero(loop_truth(poses)[query])
-    ax.fill_between(range(query + 1), votes, step="mid", color=colours.CORRECTED)
-    ax.axvspan(truth.min(), truth.max(), color=colours.ACCEPTED, alpha=0.3, label="where the camera had been")
+    ax.fill_between(range(query + 1), votes, step="mid", color=style.CORRECTED)
+    ax.axvspan(truth.min(), truth.max(), color=style.ACCEPTED, alpha=0.3, label="where the camera had been")
     ax.set(title=f"{paradigm}: votes of image {query} (Figure {number})", xlabel="earlier image", ylabel="votes")
     ax.legend(frameon=False)
 save_png(figure, given.out / "7_inside_the_paradigms.png")

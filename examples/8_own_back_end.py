@@ -16,7 +16,7 @@ from slam.evaluation.outlier_injection import OutlierConfig, inject_outliers
 from slam.pose_graph.robust.backends import BACK_ENDS, BackEndResult, solve
 from slam.pose_graph.robust.gnc import least_squares
 from slam.report.pose_graph_figure import draw_pose_graph
-from slam.report.trajectory_figure import save_png
+from slam.report.style import save_png
 
 
 def trimmed(problem, screening):

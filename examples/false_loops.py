@@ -27,7 +27,7 @@ from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.planar_or_spatial import SE2, compose, inverse
 from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
-from slam.report.trajectory_figure import new_figure, save_png, style_axes
+from slam.report.style import new_figure, save_png, style_axes
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from slam.apps.places import PlacesOptions, recognize_images, resolve_ground_tru
 from slam.datasets.formats.registry import open_images
 from slam.errors import RevisitError
 from slam.report.place_recognition_figures import CONTROL_NAME, draw_precision_recall
-from slam.report.trajectory_figure import INK, new_figure, save_png
+from slam.report.style import INK, new_figure, save_png
 
 PANELS = {"own": "from the score of each paradigm", "temporal": "after geometry and temporal model"}
 Curves = dict[str, dict[str, PrecisionRecall | None]]  # by panel, then by paradigm

@@ -28,7 +28,7 @@ from slam.evaluation.revisit_truth_files import RevisitTruth, check_truth_size, 
 from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
 from slam.report.recall_table import DATASETS, PRESETS, RecallTable, format_latex, format_text, plot_table
-from slam.report.trajectory_figure import save_png
+from slam.report.style import save_png
 
 # The papers' rule: an image less old is no revisit. The published presets bring their own.
 EXCLUDE_S = {"default": 40.0, "published": None}

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
+from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.local_features import FeatureCache
-from place_recognition.image_processing.registry import EXTRACTORS
 from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.paradigms.registry import (
     PARADIGMS,

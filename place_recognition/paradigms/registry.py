@@ -9,9 +9,9 @@ import numpy as np
 from place_recognition.belief.decisions import SmoothedDecision
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
+from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
-from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms import published

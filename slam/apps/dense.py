@@ -25,14 +25,13 @@ from slam.io.trajectory_files import read_tum
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.birds_eye_view import PlaneWindow, render_birds_eye_view
 from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
-from slam.mapping.mesh_writer import write_mesh
 from slam.mapping.occupancy_grid import OccupancyGrid, build_occupancy_grid, write_occupancy_grid
-from slam.mapping.submaps import SubmapStore
+from slam.mapping.submaps import SubmapStore, write_mesh
 from slam.mapping.tsdf import FusionConfig
 from slam.pipeline.progress import progress_bar
 from slam.report.dense_map_section import DenseOverview, write_dense_page
 from slam.report.html_report import DENSE_PAGE
-from slam.viewer.dense_recording import PlacedMap, record_dense_map
+from slam.viewer.recordings import PlacedMap, record_dense_map
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,15 @@ from slam.datasets.time_sync import MAX_GAP_S
 from slam.errors import ConfigError, DataError
 from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
 from slam.evaluation.revisit_truth_files import RevisitTruth, describe_remarks, read_revisit_truth
-from slam.evaluation.trajectory_errors import TrajectoryErrors, path_length, trajectory_errors, umeyama
-from slam.evaluation.trajectory_matching import MAX_TIME_DIFFERENCE_S, PosePairs, pair_by_time
+from slam.evaluation.trajectory_errors import (
+    MAX_TIME_DIFFERENCE_S,
+    PosePairs,
+    TrajectoryErrors,
+    pair_by_time,
+    path_length,
+    trajectory_errors,
+    umeyama,
+)
 from slam.io.frames_and_loops_csv import read_frames
 from slam.io.matches import read_matches, write_curve
 from slam.io.metrics import metrics_text, write_metrics
@@ -315,7 +322,7 @@ def _text(value: object) -> str:
 
 def _write(options: LoopsOptions, out: Path, metrics: dict[str, object], curve: PrecisionRecall) -> None:
     from slam.report.place_recognition_figures import plot_precision_recall
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     with RunFolder.create(out, options.overwrite) as folder:
         write_metrics(folder.path / "metrics.json", metrics)

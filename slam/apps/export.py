@@ -7,8 +7,7 @@ from pathlib import Path
 from slam.errors import ConfigError, DataError, OutputError
 from slam.io.colmap import Model, write_colmap
 from slam.io.files import atomic_writer
-from slam.io.landmarks import read_landmark_observers
-from slam.io.ply import read_cloud
+from slam.io.landmarks import read_cloud, read_landmark_observers
 from slam.io.run_folder import RunFolder
 from slam.io.trajectory_files import read_tum, write_kitti, write_tum
 

@@ -20,7 +20,7 @@ from slam.pipeline.provenance import peak_memory_mb, provenance
 from slam.pose_graph.optimization.planar_or_spatial import inverse
 from slam.pose_graph.robust.backends import DEFAULT, BackEndResult, back_end, solve
 from slam.report.pose_graph_figure import draw_pose_graph
-from slam.report.trajectory_figure import save_png
+from slam.report.style import save_png
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

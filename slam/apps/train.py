@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from place_recognition.belief.matrix_filter import FilterConfig
 from place_recognition.evaluation.ground_truth_files import array_names, read_array
 from place_recognition.evaluation.revisit_ground_truth import load_truth
+from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.local_features import FeatureExtractor
-from place_recognition.image_processing.registry import make_extractor
 from place_recognition.paradigms.matrix_filter_training import (
     TrainingSamples,
     collect_samples,

@@ -9,16 +9,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from slam.benchmark.dask_executor import make_executor
-from slam.benchmark.executor import Executor, Failed
+from slam.benchmark.executors import Executor, Failed, make_executor
 from slam.benchmark.job import Job, JobResult, check_job, read_result, run_job
 from slam.benchmark.sweep_config import RecordedSource, SimulatedSource, Sweep, read_sweep
-from slam.benchmark.sweep_report import write_benchmark_report
 from slam.benchmark.sweep_results import (
     ResultRow,
     format_row,
     make_row,
     summary_table,
+    write_benchmark_report,
     write_csv,
     write_json,
     write_latex,

@@ -1,4 +1,7 @@
-"""Results of the runs of a benchmark: rows, medians over the seeds, and their files (CSV, JSON, LaTeX) and tables."""
+"""Results of the runs of a benchmark: rows, medians over the seeds, tables, and files (CSV, JSON, LaTeX, HTML).
+
+`report.html` has a table of all runs, and a chart of R@P100 over the trajectory error.
+"""
 
 import shlex
 import statistics
@@ -7,6 +10,7 @@ from dataclasses import asdict, astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
 from rich.markup import escape
 from rich.table import Table
 
@@ -14,7 +18,22 @@ from slam.benchmark.job import Job, JobResult
 from slam.io.files import atomic_writer
 from slam.io.frames_and_loops_csv import write_table
 from slam.io.metrics import write_metrics
-from slam.report.formatting import MISSING, format_value, metric_value
+from slam.report import style
+from slam.report.formatting import MISSING, Cell, format_value, metric_value
+from slam.report.html_report import template_environment
+from slam.report.style import INK, inline_svg, new_figure, style_axes
+
+# Paradigms differ in shape as well as in colour, for readers who are colour-blind.
+_MARKS = (
+    ("o", style.CORRECTED),
+    ("s", style.ODOMETRY),
+    ("^", style.ACCEPTED),
+    ("D", style.REJECTED),
+    ("v", style.ONLINE),
+    ("P", style.GROUND_TRUTH),
+)
+
+_MIN_AXIS_M = 0.01  # smallest upper end of the error axis: runs without any error would give it no length
 
 
 @dataclass(frozen=True)
@@ -214,3 +233,62 @@ def _line(cells: Sequence[str]) -> str:
 def escape_latex(text: str) -> str:
     """Escape a text so that LaTeX prints every character of it."""
     return "".join(_LATEX_ESCAPES.get(sign, sign) for sign in text)
+
+
+def write_benchmark_report(folder: Path, name: str, rows: Sequence[ResultRow]) -> None:
+    """Write report.html of a benchmark.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_writer(folder / "report.html") as file:
+        file.write(render_page(name, rows))
+
+
+def render_page(name: str, rows: Sequence[ResultRow]) -> str:
+    """Render the page as text; names are escaped by the template engine."""
+    figure = recall_over_error_figure(rows)
+    title = "R@P100 of each run over the position error of its corrected trajectory"
+    return (
+        template_environment()
+        .get_template("benchmark.html.jinja")
+        .render(
+            name=name,
+            headline=_headline(rows),
+            figure=None if figure is None else inline_svg(figure, "runs", title),
+            headings=[heading for _, heading, _ in DISPLAYED],
+            rows=[(row, _cells(row)) for row in rows],
+        )
+    )
+
+
+def _headline(rows: Sequence[ResultRow]) -> str:
+    failed = sum(bool(row.error) for row in rows)
+    runs = f"{len(rows)} run{'' if len(rows) == 1 else 's'}"
+    return f"{runs}, {failed} of them failed." if failed else f"{runs}, none failed."
+
+
+def _cells(row: ResultRow) -> list[Cell]:
+    values = [getattr(row, name) for name, _, _ in DISPLAYED]
+    return [
+        Cell(text, order=found if isinstance(found, int | float) else "")
+        for text, found in zip(format_values(row), values, strict=True)
+    ]
+
+
+def recall_over_error_figure(rows: Sequence[ResultRow]) -> Figure | None:
+    """Draw R@P100 over ATE with a mark for each run; None if no run has both."""
+    complete = [row for row in rows if row.ate_m is not None and row.recall_at_100_precision is not None]
+    if not complete:
+        return None
+    figure = new_figure(5.6, 3.4)
+    ax = figure.subplots()
+    for n, method in enumerate(dict.fromkeys(row.method for row in complete)):
+        points = [(row.ate_m, row.recall_at_100_precision) for row in complete if row.method == method]
+        mark, colour = _MARKS[n % len(_MARKS)]
+        ax.plot(*zip(*points, strict=True), mark, color=colour, ms=7, label=method)
+    ax.set(xlabel="ATE, corrected [m]", ylabel="R@P100", ylim=(0.0, 1.05))
+    ax.set_xlim(0.0, 1.08 * max(ax.dataLim.x1, _MIN_AXIS_M))
+    style_axes(ax)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False, labelcolor=INK, columnspacing=1.0)
+    return figure

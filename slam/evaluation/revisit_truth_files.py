@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, read_truth_matrix, truth_from_poses
 from slam.errors import ConfigError, DataError
-from slam.evaluation.trajectory_errors import distances_along
-from slam.evaluation.trajectory_matching import pair_by_time
+from slam.evaluation.trajectory_errors import distances_along, pair_by_time
 from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
 
 MATRIX_SUFFIXES = (".mat", ".npz")

@@ -1,7 +1,8 @@
 """Trajectory files of runs in the formats of KITTI and TUM, and the covariances of their poses.
 
 Both hold T_world_camera, metres, one line for each frame. KITTI: the upper three rows of the matrix, row by row. TUM:
-`timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again.
+`timestamp tx ty tz qx qy qz qw`. Numbers have as many digits as are needed to read the same double again. Files of
+other programs are read by `trajectory_reader`.
 
 `covariances.npz` has the arrays `odometry` and `corrected`, (N, 6, 6) float64: covariance of the right perturbation
 `T_world_camera @ exp(xi)` of each pose in the trajectory file of that name, in the camera frame, rotation before
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slam.errors import DataError
-from slam.io.files import atomic_writer, read_lines, read_numbers
+from slam.io.files import atomic_writer, read_numbers
 from slam.run_result import RunRecord
 
 Array = NDArray[np.float64]
@@ -106,23 +107,6 @@ def check_positions(path: Path, positions: Array) -> None:
     if far.any():
         at = int(np.argmax(far))
         raise DataError(f"{path}, pose {at}: expected a position in metres, found {positions[at]}; correct that line")
-
-
-def read_trajectory(path: Path) -> tuple[Array | None, Array]:
-    """Read KITTI poses or TUM, by the count of numbers per line: timestamps (N,) or None, and poses (N, 4, 4).
-
-    For files that are known to be sound; `trajectory_reader` reads those of other programs.
-
-    Raises:
-        DataError: the file is missing, or its first line has neither 12 nor 8 numbers.
-    """
-    lines = (line.split() for line in read_lines(path) if not line.lstrip().startswith("#"))
-    columns = len(next((words for words in lines if words), []))
-    if columns == 8:
-        return read_tum(path)
-    if columns == 12:
-        return None, read_kitti(path)
-    raise DataError(f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {columns}; export one of them")
 
 
 def write_covariances(path: Path, record: RunRecord) -> None:

@@ -371,7 +371,7 @@ def _write_matrices(path: Path, record: PlacesRecord) -> None:
 
 def _draw_curve(path: Path, record: PlacesRecord) -> None:
     from slam.report.place_recognition_figures import plot_precision_recall
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     curves = {} if record.result.curve is None else {str(record.metrics["paradigm"]): record.result.curve}
     save_png(plot_precision_recall(curves, record.name), path)
@@ -379,14 +379,14 @@ def _draw_curve(path: Path, record: PlacesRecord) -> None:
 
 def _draw_matrices(path: Path, record: PlacesRecord) -> None:
     from slam.report.place_recognition_figures import plot_places
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     save_png(plot_places(record.name, record.matrices, record.detections, record.truth), path)
 
 
 def _draw_stages(path: Path, record: PlacesRecord) -> None:
     from slam.report.place_recognition_figures import plot_stages
-    from slam.report.trajectory_figure import save_png
+    from slam.report.style import save_png
 
     result = record.result
     save_png(plot_stages(result.stages, result.control, result.reliability, record.name), path)

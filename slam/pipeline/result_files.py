@@ -31,9 +31,8 @@ from slam.io.calibration import write_calibration
 from slam.io.files import atomic_writer
 from slam.io.frames_and_loops_csv import FrameTable, write_events, write_frames, write_loops, write_stages
 from slam.io.g2o import chain_graph, write_g2o
-from slam.io.landmarks import write_landmark_observers
+from slam.io.landmarks import write_cloud, write_landmark_observers
 from slam.io.metrics import write_metrics
-from slam.io.ply import write_cloud
 from slam.io.trajectory_files import write_covariances, write_kitti, write_tum
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.session_merging import MergeResult
@@ -43,7 +42,8 @@ from slam.pipeline.run_warnings import RunWarnings
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.report.formatting import describe_motions
 from slam.report.html_report import DENSE_PAGE, write_report
-from slam.report.trajectory_figure import draw_before_after, save_png
+from slam.report.style import save_png
+from slam.report.trajectory_figure import draw_before_after
 from slam.run_log import RunLog
 from slam.run_result import PointCloud, RunRecord
 from slam.system import Components

@@ -5,15 +5,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slam.evaluation.trajectory_errors import distances_along
-from slam.report import colours
+from slam.report import style
 from slam.report.formatting import is_scaled, kept, stage_times
-from slam.report.trajectory_figure import INK, anchor_ground_truth, new_figure, position_errors, style_axes
+from slam.report.style import INK, new_figure, style_axes
+from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import RunRecord
 
 _ESTIMATES = (
-    ("odometry", colours.ODOMETRY, "-"),
-    ("online", colours.ONLINE, ":"),
-    ("corrected", colours.CORRECTED, "-"),
+    ("odometry", style.ODOMETRY, "-"),
+    ("online", style.ONLINE, ":"),
+    ("corrected", style.CORRECTED, "-"),
 )
 _WIDTH_INCH = 5.6  # text in a figure of this width can still be read on a phone
 _BAR_HEIGHT_INCH = 0.32
@@ -40,14 +41,14 @@ def draw_inliers(record: RunRecord) -> Figure:
     figure = new_figure(_WIDTH_INCH, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
-    ax.plot(frames, record.inliers, color=colours.CORRECTED, lw=1.0, label="inlier tracks")
+    ax.plot(frames, record.inliers, color=style.CORRECTED, lw=1.0, label="inlier tracks")
     predicted_frames = frames[record.predicted]
     if len(predicted_frames):
         ax.plot(
             predicted_frames,
             record.inliers[predicted_frames],
             "x",
-            color=colours.REJECTED,
+            color=style.REJECTED,
             ms=5,
             label="motion predicted",
         )
@@ -63,8 +64,8 @@ def draw_stage_times(record: RunRecord) -> Figure | None:
     figure = new_figure(_WIDTH_INCH, 1.2 + _BAR_HEIGHT_INCH * len(times))
     ax = figure.subplots()
     rows = np.arange(len(times))
-    ax.barh(rows, [t.median for t in times], height=0.62, color=colours.CORRECTED, label="median")
-    ax.plot([t.p99 for t in times], rows, "|", color=colours.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
+    ax.barh(rows, [t.median for t in times], height=0.62, color=style.CORRECTED, label="median")
+    ax.plot([t.p99 for t in times], rows, "|", color=style.ODOMETRY, ms=13, mew=2.5, label="99th percentile")
     ax.set_yticks(rows, [t.name for t in times], parse_math=False)
     _finish(ax, "milliseconds per frame", "")
     return figure
@@ -76,7 +77,7 @@ def _mark_loops(record: RunRecord, distance_m: np.ndarray, ax: Axes) -> None:
         distance_m[queries],
         np.zeros(len(queries)),
         "|",
-        color=colours.ACCEPTED,
+        color=style.ACCEPTED,
         ms=9,
         mew=1.2,
         label="loop closed",

@@ -31,7 +31,7 @@ from slam.report.formatting import (
 from slam.report.interactive_map import draw_interactive_map, map_data
 from slam.report.loop_details import ImageSource, example_pairs, loop_details
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall, stage_curves, stage_figures
-from slam.report.svg import inline_svg
+from slam.report.style import inline_svg
 from slam.run_result import RunRecord
 
 DENSE_PAGE = "dense.html"  # written beside the report by `revisit dense`

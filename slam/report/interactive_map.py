@@ -6,11 +6,11 @@ from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
 from slam.report.formatting import is_scaled
+from slam.report.style import new_figure
 from slam.report.trajectory_figure import (
     anchor_ground_truth,
     draw_plan_view,
     make_panels,
-    new_figure,
     position_errors,
     set_limits,
     shared_window,

@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from place_recognition.evaluation.stages import CANDIDATE_COUNTS, SURE_PROBABILITY, Reliability, StageResults
-from slam.report import colours
-from slam.report.trajectory_figure import INK, new_figure, style_axes
+from slam.report import style
+from slam.report.style import INK, new_figure, style_axes
 
 Floats = NDArray[np.float32]
 Ids = NDArray[np.int64]
 
 _PANEL_INCHES = 4.6  # side of a panel
 _MAX_CELLS = 600  # drawn along a side of a matrix: about the pixels of a panel
-_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", colours.CORRECTED, colours.SCALE_END])
+_SHADES = LinearSegmentedColormap.from_list("shades", ["#ffffff", "#9ecae9", style.CORRECTED, style.SCALE_END])
 _STAGES = {"similarity": "Similarity or votes", "filtered": "After the filter"}
 # Colour and dashes of the curves. The dashes distinguish them in print and for the colour-blind.
 _LINES = (
-    (colours.CORRECTED, "-"),
-    (colours.ODOMETRY, "--"),
-    (colours.ACCEPTED, "-."),
-    (colours.REJECTED, (0, (1, 1))),
-    (colours.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
+    (style.CORRECTED, "-"),
+    (style.ODOMETRY, "--"),
+    (style.ACCEPTED, "-."),
+    (style.REJECTED, (0, (1, 1))),
+    (style.ONLINE, (0, (5, 1, 1, 1, 1, 1))),
     (INK, (0, (6, 3))),
-    (colours.GROUND_TRUTH, (0, (1, 2))),
+    (style.GROUND_TRUTH, (0, (1, 2))),
 )
 
 
@@ -91,17 +91,17 @@ def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, 
     _format_axes(ax, f"Detections: {len(detections)}", images)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
-    ax.plot(*_columns_first(detections[right]), "o", color=colours.ACCEPTED, ms=2.4, mew=0, label=label)
+    ax.plot(*_columns_first(detections[right]), "o", color=style.ACCEPTED, ms=2.4, mew=0, label=label)
     if truth is not None:
         wrong = detections[~right]
-        ax.plot(*_columns_first(wrong), "x", color=colours.REJECTED, ms=7, mew=1.6, label=f"false ({len(wrong)})")
+        ax.plot(*_columns_first(wrong), "x", color=style.REJECTED, ms=7, mew=1.6, label=f"false ({len(wrong)})")
     ax.legend(loc="upper right", frameon=False, labelcolor=INK)
 
 
 def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
     """Draw which images show the same place: Figure 4.9."""
     _format_axes(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", len(truth))
-    ax.plot(*_columns_first(np.argwhere(truth)), "s", color=colours.CORRECTED, ms=1.4, mew=0, rasterized=True)
+    ax.plot(*_columns_first(np.argwhere(truth)), "s", color=style.CORRECTED, ms=1.4, mew=0, rasterized=True)
 
 
 def plot_precision_recall(curves: Mapping[str, PrecisionRecall], title: str) -> Figure:
@@ -248,9 +248,9 @@ def draw_candidate_recall(ax: Axes, stages: StageResults | None, control: StageR
     if stages is None or not stages.candidate_recall:
         _write(ax, "no ground truth" if stages is None else "no candidates are reported")
         return
-    _draw_bars(ax, stages.candidate_recall, -_BAR / 2, colours.CORRECTED, "the paradigm", "")
+    _draw_bars(ax, stages.candidate_recall, -_BAR / 2, style.CORRECTED, "the paradigm", "")
     if control is not None and control.candidate_recall:
-        _draw_bars(ax, control.candidate_recall, _BAR / 2, colours.REJECTED, CONTROL_NAME, "///")
+        _draw_bars(ax, control.candidate_recall, _BAR / 2, style.REJECTED, CONTROL_NAME, "///")
     clear = {"edgecolor": "none", "facecolor": "none", "labelcolor": INK}
     ax.legend(loc="upper center", ncols=2, fontsize=9, **clear)
 
@@ -262,13 +262,13 @@ def draw_reliability(ax: Axes, reliability: Reliability | None) -> None:
     if reliability is None:
         _write(ax, "no probabilities, or no ground truth")
         return
-    ax.plot([0, 1], [0, 1], "--", color=colours.GROUND_TRUTH, lw=1.2)
+    ax.plot([0, 1], [0, 1], "--", color=style.GROUND_TRUTH, lw=1.2)
     filled = reliability.counts > 0
     counts = reliability.counts[filled]
     areas = _MIN_AREA + (_MAX_AREA - _MIN_AREA) * np.log(counts) / max(float(np.log(counts.max())), 1.0)
     means, shares = reliability.mean_probabilities[filled], reliability.true_shares[filled]
-    ax.plot(means, shares, "-", color=colours.CORRECTED, lw=1.0, alpha=0.6)
-    ax.scatter(means, shares, s=areas, color=colours.CORRECTED, alpha=0.8, linewidths=0, zorder=3)
+    ax.plot(means, shares, "-", color=style.CORRECTED, lw=1.0, alpha=0.6)
+    ax.scatter(means, shares, s=areas, color=style.CORRECTED, alpha=0.8, linewidths=0, zorder=3)
     text = (
         f"calibration error {reliability.expected_calibration_error:.3f}\n"
         f"false from {SURE_PROBABILITY} on: {reliability.sure_false} of {reliability.sure}\n"

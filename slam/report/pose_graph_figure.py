@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from slam.evaluation.pose_graph_errors import align_positions
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.robust.problem import BackEndResult, LoopProblem
-from slam.report import colours
-from slam.report.trajectory_figure import INK, new_figure, style_axes
+from slam.report import style
+from slam.report.style import INK, new_figure, style_axes
 
 Array = NDArray[np.float64]
 
@@ -30,20 +30,20 @@ def draw_pose_graph(name: str, problem: LoopProblem, result: BackEndResult, trut
     figure = new_figure(12.0, 6.4)
     axes = figure.subplots(1, 2)
     parts = (
-        (axes[0], "Before: odometry alone", "odometry", colours.ODOMETRY, problem.start),
-        (axes[1], "After: loops closed", "corrected", colours.CORRECTED, result.poses),
+        (axes[0], "Before: odometry alone", "odometry", style.ODOMETRY, problem.start),
+        (axes[1], "After: loops closed", "corrected", style.CORRECTED, result.poses),
     )
     plane = _plane(result.poses[:, :-1, -1] if truth is None else truth)
     for ax, title, label, colour, poses in parts:
         positions = poses[:, :-1, -1] if truth is None else align_positions(poses[:, :-1, -1], truth)
         positions = positions @ plane
-        _draw_loops(ax, positions, problem.loops[~result.kept], ("left out", colours.REJECTED, ":"))
-        _draw_loops(ax, positions, problem.loops[result.kept], ("kept", colours.ACCEPTED, "-"))
+        _draw_loops(ax, positions, problem.loops[~result.kept], ("left out", style.REJECTED, ":"))
+        _draw_loops(ax, positions, problem.loops[result.kept], ("kept", style.ACCEPTED, "-"))
         if truth is not None:  # above the estimate, dashed, so that both are seen where they agree
             ax.plot(
                 *(truth @ plane).T,
                 ls=(0, (6, 5)),
-                color=colours.GROUND_TRUTH,
+                color=style.GROUND_TRUTH,
                 lw=1.2,
                 label="ground truth",
                 zorder=4,

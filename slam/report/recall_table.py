@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from slam.report import colours
-from slam.report.trajectory_figure import INK, new_figure
+from slam.report import style
+from slam.report.style import INK, new_figure
 
 # Published R@P100 in per cent: the chapter, Table 4.2, which has no baselines.
 DATASETS = ("KITTI 00", "KITTI 05", "Malaga 2009 6L", "New College", "City Centre")
@@ -19,7 +19,7 @@ PUBLISHED: dict[str, tuple[float, ...]] = {
 }
 DISPUTED = ("sequence-histograms", "Malaga 2009 6L")
 PRESETS = ("published", "default")  # the measured columns; that of the published values stands before them
-_OFFSETS, _COLOURS = (-0.18, 0.18), (colours.ODOMETRY, colours.CORRECTED)  # of the bars of both presets
+_OFFSETS, _COLOURS = (-0.18, 0.18), (style.ODOMETRY, style.CORRECTED)  # of the bars of both presets
 HEADINGS = ("published value", "published preset", "default")
 FOOTNOTE = "* 76.8 in the paper itself (IROS 2016, Table II); 81.5 there is the figure of another method."
 
@@ -101,7 +101,7 @@ def plot_table(table: RecallTable) -> Figure:
             (PUBLISHED[n][DATASETS.index(data_set)], row) for row, n in enumerate(table.paradigms) if n in PUBLISHED
         ]
         values, at = zip(*known, strict=True) if known else ((), ())
-        ax.plot(values, at, "|", color=colours.REJECTED, ms=20, mew=2.5, label=HEADINGS[0])
+        ax.plot(values, at, "|", color=style.REJECTED, ms=20, mew=2.5, label=HEADINGS[0])
         for row, name in enumerate(table.paradigms):
             ax.text(103, row, table.cell(name, data_set), va="center", fontsize=7, color=INK)
         ax.set(xlim=(0, 100), title=data_set, xlabel="R@P100 [%]")

@@ -4,11 +4,7 @@ Both estimates are aligned with the ground truth, if there is one. Covariances o
 ellipses.
 """
 
-import io
-import warnings
 from dataclasses import dataclass
-from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,16 +14,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from odometry.se3 import inverse
-from slam.errors import OutputError
 from slam.evaluation.trajectory_errors import Similarity, distances_along, umeyama
-from slam.report import colours
-from slam.report.fonts import set_font_fallbacks
+from slam.report import style
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected
+from slam.report.style import INK, style_axes
 from slam.run_result import LoopRow, PointCloud, RunRecord
 
 Array = NDArray[np.float64]
 
-INK = "#1a1a1a"
 _NO_ELLIPSES = np.empty((0, 0, 2))
 _IDENTITY = Similarity(np.eye(3), np.zeros(3), 1.0)
 # Alignment.
@@ -192,24 +186,6 @@ def _canvas(tallness: float) -> tuple[Figure, list[Axes], list[Axes]]:
     return figure, rows[0], rows[1]
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure, width and height in inches, that shares no state with others."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def style_axes(ax: Axes) -> None:
-    """Give axes the common style of all figures."""
-    ax.grid(True, linewidth=0.5, alpha=0.25, color=INK)
-    ax.tick_params(colors=INK, labelsize=9)
-    ax.xaxis.label.set_color(INK)
-    ax.yaxis.label.set_color(INK)
-    for side, spine in ax.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(INK)
-
-
 def make_panels(record: RunRecord) -> tuple[Panel, Panel]:
     """Return the panels of odometry alone and of the corrected trajectory."""
     return (
@@ -230,7 +206,7 @@ def _panel(record: RunRecord, heading: str, name: str, cloud: PointCloud) -> Pan
     return Panel(
         title=f"{heading}\n{_ate(record, name)}",
         name=name,
-        colour=colours.ODOMETRY if name == "odometry" else colours.CORRECTED,
+        colour=style.ODOMETRY if name == "odometry" else style.CORRECTED,
         positions=aligned.apply(estimate[:, :3, 3]),
         landmarks=aligned.apply(points[:: len(points) // _MAX_LANDMARKS + 1]),
         truth=None if truth is None else truth[:, :3, 3],
@@ -254,13 +230,13 @@ def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
     ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
     if panel.truth is not None:
         truth = panel.truth[:, [0, 2]].T
-        ax.plot(*truth, ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
-    for name, colour in (("odometry", colours.ODOMETRY), ("corrected", colours.CORRECTED)):
+        ax.plot(*truth, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
+    for name, colour in (("odometry", style.ODOMETRY), ("corrected", style.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
         ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
     _draw_ellipses(ax, panel)
-    _draw_loops(ax, panel, kept(record), ("accepted loop", colours.ACCEPTED, "-"))
-    _draw_loops(ax, panel, rejected(record), ("rejected loop", colours.REJECTED, ":"))
+    _draw_loops(ax, panel, kept(record), ("accepted loop", style.ACCEPTED, "-"))
+    _draw_loops(ax, panel, rejected(record), ("rejected loop", style.REJECTED, ":"))
     _draw_start(ax, panel)
 
 
@@ -277,7 +253,7 @@ def _draw_height(ax: Axes, panel: Panel) -> None:
     ax.set_xlabel("distance travelled [m]")
     if panel.truth is not None:
         truth = panel.truth
-        ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=colours.GROUND_TRUTH, lw=1.2, zorder=4)
+        ax.plot(_distances(truth), -truth[:, 1], ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, zorder=4)
     ax.plot(_distances(panel.positions), -panel.positions[:, 1], "-", color=panel.colour, lw=1.5, zorder=3)
     low, high = ax.get_ylim()
     if high - low < _MIN_SIDE_M:  # a flat path is not magnified into mountains
@@ -323,30 +299,3 @@ def shared_window(panels: tuple[Panel, Panel]) -> tuple[Array, Array]:
     return (low + high) / 2, np.maximum((high - low) / 2, side * _MIN_ASPECT / 2) + max(
         _MARGIN * side, min(_MAX_MARGIN_M, side / 3)
     )
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG; the same figure gives the same bytes.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    try:
-        path.write_bytes(render_png(figure))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
-
-
-def render_png(figure: Figure) -> bytes:
-    """Render a figure as PNG on white, without the date and version that matplotlib would add."""
-    buffer = io.BytesIO()
-    save_figure(figure, buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def save_figure(figure: Figure, buffer: IO[Any], **options: Any) -> None:
-    """Write a figure to a buffer as `Figure.savefig` does; a letter that no font has becomes a box."""
-    set_font_fallbacks(figure)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph")
-        figure.savefig(buffer, **options)

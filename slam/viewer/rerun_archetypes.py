@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.mapping.tsdf import Surface
-from slam.report import colours
+from slam.report import style
 from slam.run_result import PointCloud
 from slam.viewer.viewer import FrameView
 
@@ -62,7 +62,7 @@ def line_drawer(colour: str) -> Callable[[Array], rr.LineStrips3D]:
     """Return a function that draws positions (N, 3), metres, as one line."""
 
     def draw(positions: Array) -> rr.LineStrips3D:
-        return rr.LineStrips3D([positions], colors=[colours.rgb(colour)], radii=rr.Radius.ui_points(1.4))
+        return rr.LineStrips3D([positions], colors=[style.rgb(colour)], radii=rr.Radius.ui_points(1.4))
 
     return draw
 
@@ -76,14 +76,14 @@ def draw_dashed_line(positions: Array) -> rr.LineStrips3D:
     """Draw positions (N, 3), metres, as a dashed grey line: rerun has no dashes, so each dash is a line."""
     length = max(len(positions) // (2 * _NUM_DASHES), 1) + 1
     pieces = [positions[k : k + length] for k in range(0, len(positions), 2 * (length - 1))]
-    return rr.LineStrips3D(pieces, colors=[colours.rgb(colours.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
+    return rr.LineStrips3D(pieces, colors=[style.rgb(style.GROUND_TRUTH)], radii=rr.Radius.ui_points(1.2))
 
 
 def draw_tracks(view: FrameView) -> rr.Arrows2D:
     """Draw tracks as arrows from the previous to the current pixel: inliers green, the others red."""
     shown = slice(None, None, len(view.pixels_current) // _MAX_TRACKS + 1)
     start, end, agrees = view.pixels_previous[shown], view.pixels_current[shown], view.inliers[shown]
-    good, bad = colours.rgb(colours.ACCEPTED), colours.rgb(colours.REJECTED)
+    good, bad = style.rgb(style.ACCEPTED), style.rgb(style.REJECTED)
     return rr.Arrows2D(
         origins=start, vectors=end - start, colors=np.where(agrees[:, None], good, bad).astype(np.uint8),
         radii=rr.Radius.ui_points(1.0),
@@ -97,16 +97,16 @@ def draw_loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> t
     """
     known = np.array([pair for pair in pairs if max(pair) < len(poses)], dtype=np.int64).reshape(-1, 2)
     ends = poses[:, :3, 3][known]
-    look = {"colors": colours.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
+    look = {"colors": style.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
     arrows = rr.Arrows3D(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], **look)
-    return arrows, rr.Points3D(ends[:, 0] - _LIFT_M, colors=colours.rgb(colour), radii=rr.Radius.ui_points(4.0))
+    return arrows, rr.Points3D(ends[:, 0] - _LIFT_M, colors=style.rgb(colour), radii=rr.Radius.ui_points(4.0))
 
 
 def draw_cloud(points: PointCloud, colour: str) -> rr.Points3D:
     """Draw a map in one colour, as bright as its points are in the images."""
     shown = slice(None, None, len(points.points) // _MAX_MAP_POINTS + 1)
     brightness = 0.25 + 0.75 * points.grey[shown, None] / 255.0
-    tinted = (brightness * np.array(colours.rgb(colour))).astype(np.uint8)
+    tinted = (brightness * np.array(style.rgb(colour))).astype(np.uint8)
     return rr.Points3D(points.points[shown], colors=tinted, radii=rr.Radius.ui_points(0.8))
 
 

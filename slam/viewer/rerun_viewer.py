@@ -18,12 +18,12 @@ from odometry.camera import StereoCamera
 from odometry.se3 import inverse
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.errors import OutputError
-from slam.report import colours
+from slam.report import style
 from slam.report.formatting import is_scaled, kept, rejected
 from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import LoopRow, RunRecord
 from slam.viewer import rerun_archetypes
-from slam.viewer.recording_file import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
+from slam.viewer.recordings import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
 from slam.viewer.rerun_archetypes import GrowingEntity, blueprint
 from slam.viewer.viewer import FrameView, LoopView
 from slam.viewer.viewer_process import start_viewer
@@ -40,11 +40,11 @@ _IMAGE_DISTANCE_LIMITS_M = (0.5, 4.0)
 _VIEWER_FLUSH_S = 5.0  # a viewer that has not received the rest by then is closed
 _FILE_FLUSH_S = 60.0  # a slow disk needs some time, a dead writer would keep us waiting for ever
 _CURVES = {
-    "plots/inliers": colours.CORRECTED,
-    "plots/score": colours.ONLINE,
-    "plots/error/odometry": colours.ODOMETRY,
-    "plots/error/online": colours.ONLINE,
-    "plots/error/corrected": colours.CORRECTED,
+    "plots/inliers": style.CORRECTED,
+    "plots/score": style.ONLINE,
+    "plots/error/odometry": style.ODOMETRY,
+    "plots/error/online": style.ONLINE,
+    "plots/error/corrected": style.CORRECTED,
 }
 
 
@@ -84,9 +84,9 @@ class RerunViewer:
         self._send_blueprint(self._positions)
         self._log_scenery()
         self._first_time: float | None = None
-        self._odometry = self._growing("world/odometry", rerun_archetypes.line_drawer(colours.ODOMETRY), _MAX_LINE_ROWS)
+        self._odometry = self._growing("world/odometry", rerun_archetypes.line_drawer(style.ODOMETRY), _MAX_LINE_ROWS)
         self._corrected = self._growing(
-            "world/corrected", rerun_archetypes.line_drawer(colours.CORRECTED), _MAX_LINE_ROWS
+            "world/corrected", rerun_archetypes.line_drawer(style.CORRECTED), _MAX_LINE_ROWS
         )
         self._landmarks = self._growing("world/landmarks", rerun_archetypes.draw_landmarks, _MAX_LANDMARK_ROWS)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
@@ -144,7 +144,7 @@ class RerunViewer:
         self._corrected.conclude(record.corrected[:, :3, 3])
         self._loops = {True: _pairs(kept(record)), False: _pairs(rejected(record))}
         self._log_loops(record.corrected)
-        self._recording.log("world/map_before", rerun_archetypes.draw_cloud(record.map_before, colours.ODOMETRY))
+        self._recording.log("world/map_before", rerun_archetypes.draw_cloud(record.map_before, style.ODOMETRY))
         self._recording.log("world/map_after", rerun_archetypes.draw_cloud(record.map_after, "#ffffff"))
         self._log_errors(record)
         if self._viewer is None:  # whoever watches has chosen a viewpoint, which a new blueprint would reset
@@ -221,10 +221,10 @@ class RerunViewer:
         for path, colour in _CURVES.items():
             log(
                 path,
-                rr.SeriesLines(colors=colours.rgb(colour), widths=1.5, names=path.split("/")[-1]),
+                rr.SeriesLines(colors=style.rgb(colour), widths=1.5, names=path.split("/")[-1]),
                 static=True,
             )
-        dots = rr.SeriesPoints(colors=colours.rgb(colours.ACCEPTED), marker_sizes=4.0, names="accepted as a revisit")
+        dots = rr.SeriesPoints(colors=style.rgb(style.ACCEPTED), marker_sizes=4.0, names="accepted as a revisit")
         log("plots/score/accepted", dots, static=True)
 
     def _image_distance_m(self) -> float:
@@ -251,8 +251,8 @@ class RerunViewer:
 
     def _log_loops(self, poses: Array) -> None:
         for accepted, name, colour in (
-            (True, "accepted", colours.ACCEPTED),
-            (False, "rejected", colours.REJECTED),
+            (True, "accepted", style.ACCEPTED),
+            (False, "rejected", style.REJECTED),
         ):
             arrows, ends = rerun_archetypes.draw_loops(self._loops[accepted], poses, colour)
             self._recording.log(f"world/loops/{name}", arrows)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 # Functions that numba compiles cannot be instrumented.
 _MODULES = [
     "slam.benchmark.sweep_config", "slam.config", "slam.datasets", "slam.evaluation.revisit_truth_files",
-    "slam.apps.train", "slam.io.ply", "slam.simulation.scenario.vehicle_path", "slam.io",
+    "slam.apps.train", "slam.io.landmarks", "slam.simulation.scenario.vehicle_path", "slam.io",
     "place_recognition.evaluation", "place_recognition.vocabulary.vocabulary_file", "rosbags", "tomllib",
     "yaml", "json", "csv",
 ]  # fmt: skip

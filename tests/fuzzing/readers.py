@@ -24,10 +24,9 @@ from slam.evaluation.revisit_truth_files import read_revisit_truth
 from slam.io.calibration import read_calibration
 from slam.io.frames_and_loops_csv import read_events, read_frames, read_loops, read_stages
 from slam.io.g2o import Graph, read_g2o
-from slam.io.landmarks import read_landmark_observers
+from slam.io.landmarks import read_cloud, read_landmark_observers
 from slam.io.matches import read_matches
 from slam.io.metrics import read_metrics
-from slam.io.ply import read_cloud
 from slam.io.trajectory_reader import read_trajectory_with_remarks
 from slam.simulation.scenario.vehicle_path import read_plan
 

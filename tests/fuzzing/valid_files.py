@@ -16,8 +16,7 @@ from place_recognition.vocabulary.vocabulary_tree import VocabularyTree
 from slam.config import RunConfig, to_toml
 from slam.io.calibration import write_calibration
 from slam.io.frames_and_loops_csv import FrameTable, write_events, write_frames, write_loops, write_stages
-from slam.io.landmarks import write_landmark_observers
-from slam.io.ply import write_cloud
+from slam.io.landmarks import write_cloud, write_landmark_observers
 from slam.io.trajectory_files import write_kitti, write_tum
 from slam.run_result import PointCloud
 

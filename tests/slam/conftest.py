@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from slam.benchmark.dask_executor import DaskExecutor
+from slam.benchmark.executors import DaskExecutor
 from slam.simulation import SimulationConfig, simulate
 
 
@@ -21,7 +21,7 @@ def circle_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cluster() -> Iterator[DaskExecutor]:
     """Two processes; the second death of an item is its last, as each takes seconds."""
     with pytest.MonkeyPatch.context() as patch, ExitStack() as open_:
-        patch.setattr("slam.benchmark.dask_executor._ALLOWED_DEATHS", 1)
+        patch.setattr("slam.benchmark.executors._ALLOWED_DEATHS", 1)
         started = open_.enter_context(DaskExecutor(2, None))
         patch.undo()
         yield started

@@ -3,10 +3,13 @@
 `{camera.toml, *.png}` or `{camera.toml, left/*.png, right/*.png}`; video files may replace the folders. `times.txt`
 beside the images holds their times, seconds, if their rate is not constant; names that are dates in seconds or
 nanoseconds are times too. The `camera.toml` of a single video is in its folder.
+
+Some layouts of public recordings become readable by a `camera.toml`: they are recognised, and a message says what to
+write.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +17,13 @@ from numpy.typing import NDArray
 
 from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
-from slam.datasets.dataset import DatasetSpec
+from slam.datasets.dataset import DatasetSpec, subfolders
 from slam.datasets.formats.camera_streams import find_times, open_camera_images, open_pair, open_stream
 from slam.datasets.formats.image_sequence import (
     IMAGE_SUFFIXES,
     list_images,
     open_image_folder,
 )
-from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.recording import (
     ImageDataset,
     LeftImages,
@@ -187,3 +189,78 @@ def _list_media(folder: Path) -> list[Path]:
     if list_images(folder):
         return [folder]
     return [item for item in sorted(folder.iterdir()) if is_video(item) or list_images(item)]
+
+
+@dataclass(frozen=True)
+class KnownLayout:
+    """A layout and its remedy.
+
+    Attributes:
+        name: name of the data set.
+        matches: whether a folder is one recording in this layout.
+        remedy: what to write, and where; {folder} is the folder.
+    """
+
+    name: str
+    matches: Callable[[Path], bool]
+    remedy: str
+
+
+def _has(*names: str) -> Callable[[Path], bool]:
+    return lambda folder: all((folder / name).exists() for name in names)
+
+
+def _is_icl_nuim(folder: Path) -> bool:
+    return (folder / "rgb").is_dir() and any(folder.glob("*.gt.freiburg"))
+
+
+def _has_associations(folder: Path) -> bool:
+    names = ("associations.txt", "associate.txt", "associated.txt", "association.txt")
+    return (folder / "rgb").is_dir() and any((folder / name).is_file() for name in names)
+
+
+LAYOUTS = (
+    KnownLayout(
+        "TartanAir",
+        _has("image_left", "pose_left.txt"),
+        "write {folder}/camera.toml with fx = 320, fy = 320, cx = 320, cy = 240, baseline = 0.25, fps = 10;"
+        " pose_left.txt has other axes and is not read",
+    ),
+    KnownLayout(
+        "TartanAir V2",
+        _has("image_lcam_front"),
+        "write {folder}/camera.toml with fx = 320, fy = 320, cx = 320, cy = 320, baseline = 0.25, fps = 10,"
+        ' left = "image_lcam_front", right = "image_rcam_front"; the poses have other axes and are not read',
+    ),
+    KnownLayout(
+        "ICL-NUIM",
+        _is_icl_nuim,
+        'write {folder}/camera.toml with fx = 481.2, fy = 480, cx = 319.5, cy = 239.5, fps = 30, left = "rgb", and use'
+        " --mono; the poses are numbered, not timed, and are not read",
+    ),
+    KnownLayout(
+        "4Seasons",
+        _has("undistorted_images"),
+        "write {folder}/undistorted_images/camera.toml with fx, fy, cx, cy and baseline from the undistorted_calib"
+        " files, and name the folder undistorted_images: the times are in the names of its images",
+    ),
+    KnownLayout(
+        "4Seasons",
+        _has("distorted_images", "times.txt"),
+        "unpack undistorted_images too, and name that folder with a camera.toml in it",
+    ),
+    KnownLayout(
+        "RGB-D with associations",
+        _has_associations,
+        "write {folder}/rgb.txt with a time in seconds and the file of its image, such as rgb/1.png, in each line",
+    ),
+)
+
+
+def describe_known_layout(path: Path) -> str:
+    """Return the name of the layout of a folder, or of one directly below, and its remedy; an empty text if unknown."""
+    for folder in (path, *subfolders(path)):
+        layout = next((layout for layout in LAYOUTS if layout.matches(folder)), None)
+        if layout is not None:
+            return f"this is the layout of {layout.name}: {layout.remedy.format(folder=folder)}"
+    return ""

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slam.datasets.formats.timestamped_lists import SPACE_SEPARATED_SECONDS, ListFormat, read_timestamped_rows
-from slam.datasets.time_sync import order_by_time, short_name
+from slam.datasets.time_sync import short_name
 from slam.errors import DataError
 from slam.io.files import read_lines
-from slam.io.trajectory_files import check_positions, read_kitti, read_trajectory
+from slam.io.trajectory_files import check_positions, read_kitti
 
 Array = NDArray[np.float64]
 
@@ -94,11 +94,9 @@ def _read(path: Path, image_times: Array) -> GroundTruthTrajectory:
         truth = _read_timed(path, SPACE_SEPARATED_SECONDS, (4, 5, 6, 7))
         _check_not_counted(path, truth.timestamps, image_times)
         return truth
-    times, poses = read_trajectory(path)
-    if times is None:
-        return _one_per_image(path, poses, image_times)
-    order = order_by_time(path, times, 1.0, range(1, len(times) + 1))
-    return GroundTruthTrajectory(order.seconds, poses[order.rows], order.remarks)
+    raise DataError(
+        f"{path}: expected KITTI poses (12 numbers a line) or TUM (8), found {len(words)}; export one of them"
+    )
 
 
 def _check_not_counted(path: Path, times: Array, image_times: Array) -> None:

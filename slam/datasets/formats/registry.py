@@ -13,6 +13,7 @@ from pathlib import Path
 from slam.datasets.dataset import Dataset, DatasetSpec, contains_dataset, subfolders
 from slam.datasets.formats.custom_camera import (
     describe_contents,
+    describe_known_layout,
     has_camera_toml,
     is_custom_camera,
     open_custom_camera,
@@ -23,7 +24,6 @@ from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.kitti import open_image_sequence, open_kitti
 from slam.datasets.formats.kitti_files import is_kitti
 from slam.datasets.formats.kitti_raw import is_kitti_raw, open_kitti_raw, open_kitti_raw_images
-from slam.datasets.formats.known_layouts import describe_known_layout
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
 from slam.datasets.formats.recording import ImageDataset, check_size
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images

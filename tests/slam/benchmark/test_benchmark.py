@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam.benchmark.executor import Executor, SerialExecutor
+from slam.benchmark.executors import Executor, SerialExecutor
 from slam.benchmark.job import Job, check_job, run_job
 from slam.benchmark.sweep import BenchmarkOptions, make_jobs, run_benchmark, run_jobs
 from slam.benchmark.sweep_config import read_sweep

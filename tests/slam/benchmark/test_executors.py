@@ -10,8 +10,7 @@ import distributed
 import psutil
 import pytest
 
-from slam.benchmark.dask_executor import DaskExecutor, make_executor
-from slam.benchmark.executor import Completed, Executor, Failed, SerialExecutor
+from slam.benchmark.executors import Completed, DaskExecutor, Executor, Failed, SerialExecutor, make_executor
 from slam.errors import ConfigError
 
 
@@ -91,7 +90,7 @@ def test_a_scheduler_whose_greeting_comes_with_other_news_is_greeted_again(
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("slam.benchmark.dask_executor._CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("slam.benchmark.executors._CONNECT_TIMEOUT_S", 0.2)
     with pytest.raises(ConfigError, match="--scheduler tcp://127"), DaskExecutor(0, "tcp://127.0.0.1:1"):
         pass
 

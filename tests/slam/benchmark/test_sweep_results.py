@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from slam.benchmark.sweep_report import recall_over_error_figure, render_page, write_benchmark_report
 from slam.benchmark.sweep_results import (
     ResultRow,
     escape_latex,
@@ -16,7 +15,10 @@ from slam.benchmark.sweep_results import (
     latex_table,
     make_row,
     median_rows,
+    recall_over_error_figure,
+    render_page,
     summary_table,
+    write_benchmark_report,
     write_csv,
     write_json,
 )

@@ -9,8 +9,7 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from slam.cli import app
 from slam.errors import DataError
-from slam.io.landmarks import read_landmark_observers, write_landmark_observers
-from slam.io.ply import write_cloud
+from slam.io.landmarks import read_landmark_observers, write_cloud, write_landmark_observers
 from slam.io.trajectory_files import write_tum
 from slam.mapping.landmark_map import LandmarkMap
 

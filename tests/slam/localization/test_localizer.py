@@ -1,4 +1,7 @@
-"""An image of another lap is placed where it was taken; what the map does not show is not found."""
+"""An image of another lap is placed where it was taken; what the map does not show is not found.
+
+Images that share words are alike; what all share does not count.
+"""
 
 from pathlib import Path
 
@@ -6,17 +9,18 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.image_processing.orb_and_sift import Sift
+from place_recognition.image_processing.extractors import Sift
 from place_recognition.image_processing.surf import Surf
 from slam.datasets.formats.registry import open_dataset
 from slam.errors import DataError
 from slam.evaluation.trajectory_errors import umeyama
 from slam.localization.keyframe_map import SavedMap
-from slam.localization.localizer import LocalizationResult, Localizer, NotLocalized
+from slam.localization.localizer import IndexConfig, LocalizationResult, Localizer, NotLocalized, PlaceIndex
 
 from .conftest import MAPPED
 
 LAP = 160  # frames; a metre each
+IMAGES, FEATURES = 12, 60
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +80,38 @@ def test_a_result_does_not_depend_on_earlier_images(locator: Localizer, saved: S
     assert isinstance(asked[1], LocalizationResult)
     assert np.array_equal(anew.T_world_camera, asked[1].T_world_camera)
     assert np.array_equal(anew.covariance, asked[1].covariance)
+
+
+@pytest.fixture(scope="module")
+def places() -> list[np.ndarray]:
+    """Descriptors of images of different places; every image shows the first ten of them as well."""
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(IMAGES, FEATURES, 64)).astype(np.float32)
+    drawn[:, :10] = drawn[0, :10]
+    return list(drawn / np.linalg.norm(drawn, axis=2, keepdims=True))
+
+
+@pytest.mark.parametrize("words", [100, 10000])
+def test_each_place_is_most_similar_to_itself(places: list[np.ndarray], words: int) -> None:
+    index = PlaceIndex.build(lambda: places, IndexConfig(words))
+    rng = np.random.default_rng(1)
+    for number, descriptors in enumerate(places):
+        again = descriptors[rng.permutation(FEATURES)[:40]] + rng.normal(size=(40, 64)).astype(np.float32) * 0.01
+        similarity = index.similarity(again)
+        assert similarity.argmax() == number
+        assert similarity.max() <= 1 + 1e-6
+
+
+def test_words_that_every_place_shows_carry_no_information(places: list[np.ndarray]) -> None:
+    index = PlaceIndex.build(lambda: places, IndexConfig())
+    similarity = index.similarity(places[3][:10])
+    assert np.ptp(similarity) < 0.05
+    assert np.ptp(index.similarity(places[3])) > 0.5
+
+
+def test_an_image_without_features_is_similar_to_no_place(places: list[np.ndarray]) -> None:
+    empty = np.empty((0, 64), np.float32)
+    index = PlaceIndex.build(lambda: [empty, *places], IndexConfig())
+    assert not index.similarity(empty).any()
+    assert index.similarity(places[0]).argmax() == 1
+    assert np.isfinite(index.similarity(places[0])).all()

@@ -11,8 +11,7 @@ from odometry import se3
 from slam.errors import OutputError
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.dense_mapper import OdometryTrajectory, group_key_frames
-from slam.mapping.mesh_writer import write_mesh
-from slam.mapping.submaps import Submap, SubmapStore
+from slam.mapping.submaps import Submap, SubmapStore, write_mesh
 from slam.mapping.tsdf import Surface
 
 from .scenes import ahead

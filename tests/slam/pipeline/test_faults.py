@@ -24,7 +24,7 @@ from slam.io.trajectory_files import read_tum
 from slam.pipeline import pipeline, result_files
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.system import Slam
-from slam.viewer import recording_file, rerun_viewer
+from slam.viewer import recordings, rerun_viewer
 
 from ..datasets.layouts import taken, write_folders
 
@@ -117,7 +117,7 @@ def test_without_room_for_the_recording_the_run_goes_on(
     assert revisit(recording, "--out", tmp_path / "whole", "--no-map") == 0
     names = {item.name for item in (tmp_path / "whole").iterdir()}
     assert "recording.rrd" in names
-    monkeypatch.setattr(recording_file.shutil, "disk_usage", disk_of(recording_file.RESERVE_BYTES))
+    monkeypatch.setattr(recordings.shutil, "disk_usage", disk_of(recordings.RESERVE_BYTES))
     assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
     assert "recording.rrd: it is left out, as the disk has less than 200 MB left" in caplog.text
     assert {item.name for item in (tmp_path / "out").iterdir()} == names - {"recording.rrd"}
@@ -128,7 +128,7 @@ def test_a_full_disk_ends_the_recording_and_its_beginning_can_be_read(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     free = iter([2, 2, 2, 2])  # of the reserve: at the start, then for each frame
-    monkeypatch.setattr(recording_file, "has_room", has_room := lambda _path: next(free, 0) > 1)
+    monkeypatch.setattr(recordings, "has_room", has_room := lambda _path: next(free, 0) > 1)
     monkeypatch.setattr(rerun_viewer, "has_room", has_room)
     assert revisit(recording, "--out", tmp_path / "out", "--no-map") == 0
     assert "recording.rrd: it ends before frame 3, as the disk has less than 200 MB left" in caplog.text

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from place_recognition.image_processing.extractors import EXTRACTORS, make_extractor
 from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
-from place_recognition.image_processing.registry import EXTRACTORS, make_extractor
 from slam.components import build_components
 from slam.config import RunConfig
 from slam.datasets.formats.kitti import open_kitti

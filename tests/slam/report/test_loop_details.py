@@ -8,7 +8,7 @@ import pytest
 
 from slam.report.interactive_map import draw_interactive_map, map_data
 from slam.report.loop_details import describe_outcome, describe_stages, loop_details, make_album
-from slam.report.svg import inline_svg
+from slam.report.style import inline_svg
 from slam.run_result import LoopRow
 
 from . import fabricate

@@ -10,7 +10,7 @@ from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from place_recognition.recognizer import Belief
 from slam.report.place_recognition_figures import plot_places, plot_precision_recall, reduce_to_cells
 from slam.report.recall_table import DATASETS, RecallTable, format_latex, format_text, plot_table
-from slam.report.trajectory_figure import render_png, save_png
+from slam.report.style import render_png, save_png
 
 
 def thin_diagonal(size: int) -> SimilarityMatrix:

@@ -5,7 +5,7 @@ import numpy as np
 from place_recognition.evaluation.stages import StageResults, measure_reliability, measure_stages
 from place_recognition.recognizer import Belief, StageScores
 from slam.report.place_recognition_figures import CONTROL_NAME, plot_stages, stage_curves, stage_figures
-from slam.report.trajectory_figure import render_png
+from slam.report.style import render_png
 
 TRUTH = np.eye(40, k=-20) > 0
 

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from slam.errors import OutputError
 from slam.report.charts import draw_error_over_distance, draw_inliers, draw_stage_times
 from slam.report.interactive_map import draw_interactive_map
-from slam.report.trajectory_figure import draw_before_after, render_png, save_png
+from slam.report.style import render_png, save_png
+from slam.report.trajectory_figure import draw_before_after
 from slam.run_result import PointCloud
 
 from . import fabricate

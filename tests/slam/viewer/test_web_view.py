@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.report import colours
+from slam.report import style
 from slam.viewer import viewer_process
 from slam.viewer.rerun_viewer import RerunViewer
 
@@ -30,7 +30,7 @@ def test_a_browser_shows_the_drive(caplog):
         with browser(WEBGL, console="SEVERE") as shown:
             shown.screen(800, 600)
             shown.visit(page_url)
-            assert wait_for(shown, colours.rgb(colours.ODOMETRY))
+            assert wait_for(shown, style.rgb(style.ODOMETRY))
             local = [url for url in shown.loaded() if urlsplit(url).hostname == "127.0.0.1"]
             assert any(url.endswith("ReadMessages") for url in local)
     finally:

@@ -161,6 +161,14 @@ def test_poses_that_are_counted_are_no_times(tmp_path: Path, rough: Taken) -> No
     assert "expected a time in seconds in each line, found 1, 2, 3, ... for images 0.05 s apart" in drive.remarks[0]
 
 
+def test_poses_in_other_columns_are_named(tmp_path: Path, rough: Taken) -> None:
+    folder = write_folders(tmp_path / "mine", rough, fps=RATE, ground_truth="poses.txt")
+    (folder / "poses.txt").write_text("time x y z\n" + "0 1 2 3 0 0 0\n" * len(rough.poses))
+    drive = open_dataset(folder)
+    assert drive.ground_truth is None
+    assert "poses.txt: expected KITTI poses (12 numbers a line) or TUM (8), found 7; export one" in drive.remarks[0]
+
+
 @pytest.mark.parametrize(
     ("times", "expected", "found"),
     [

@@ -14,10 +14,9 @@ from slam.io.g2o_problem import classify_edges
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
-from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, solve
+from slam.pose_graph.robust.backends import BACK_ENDS, LoopProblem, dcs, huber, solve, switchable
 from slam.pose_graph.robust.gnc import gnc_tls_weights
 from slam.pose_graph.robust.pcm import greedy_max_weight_clique
-from slam.pose_graph.robust.robust_losses import dcs, huber, switchable
 
 GROUPS = {"plane": SE2(), "space": SE3()}
 

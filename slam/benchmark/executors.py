@@ -1,6 +1,7 @@
-"""Executor on processes of dask.distributed (the extra `cluster`), on this machine or those of a scheduler.
+"""Executors: run a list of independent jobs in this process, or in many.
 
-Why dask, and what it costs: docs/decisions/cluster.md.
+Many processes, on this machine or those of a scheduler, are those of dask.distributed (the extra `cluster`). Why dask,
+and what it costs: docs/decisions/cluster.md.
 """
 
 import logging
@@ -8,12 +9,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import dataclass
 from itertools import count
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Generic, Protocol, Self, TypeVar
 from uuid import uuid4
 
-from slam.benchmark.executor import Completed, Executor, Failed, Item, Result, SerialExecutor
 from slam.errors import ConfigError
 
 _LOOPBACK = "127.0.0.1"
@@ -33,6 +34,64 @@ _DASK_SETTINGS = {
     # On a busy machine a process may be silent for long, and must not be given up.
     "distributed.deploy.lost-worker-timeout": "1 day",
 }
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Completed(Generic[Item, Result]):
+    """An item and the result of the work on it."""
+
+    item: Item
+    result: Result
+
+
+@dataclass(frozen=True)
+class Failed(Generic[Item]):
+    """An item whose work gave no result, and the reason in one line."""
+
+    item: Item
+    reason: str
+
+
+class Executor(Protocol):
+    """Runs work on items; a context manager that stops at its end whatever it has started.
+
+    Work is repeated if its process dies, so doing it twice must have the same effect as doing it once. Functions, items
+    and results are sent between processes and must be picklable.
+    """
+
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item and yield each outcome as soon as it is there, in any order."""
+
+    def __enter__(self) -> Self:
+        """Start the processes."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop the processes."""
+
+
+class SerialExecutor:
+    """Runs one item after the other in this process (an Executor)."""
+
+    def run(
+        self, work: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Completed[Item, Result] | Failed[Item]]:
+        """Do the work for every item in turn; an exception of the work is raised."""
+        return (Completed(item, work(item)) for item in items)
+
+    def __enter__(self) -> Self:
+        """Start nothing."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop nothing."""
 
 
 class DaskExecutor:

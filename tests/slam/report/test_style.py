@@ -12,9 +12,9 @@ from matplotlib import font_manager
 from matplotlib import image as images
 
 from place_recognition.evaluation.precision_recall import precision_recall
-from slam.report import fonts
+from slam.report import style
 from slam.report.place_recognition_figures import plot_precision_recall
-from slam.report.trajectory_figure import new_figure, save_png
+from slam.report.style import new_figure, save_png
 
 STREET = "街"
 FAMILY = "Noto Sans CJK SC"  # one of the fallback families
@@ -38,12 +38,12 @@ def font(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     builder.setupNameTable({"familyName": FAMILY, "styleName": "Regular"})
     builder.setupOS2(), builder.setupPost()
     builder.save(tmp_path / "block.ttf")
-    others = [entry for entry in font_manager.fontManager.ttflist if entry.name not in fonts.FALLBACK_FAMILIES]
+    others = [entry for entry in font_manager.fontManager.ttflist if entry.name not in style.FALLBACK_FAMILIES]
     monkeypatch.setattr(font_manager.fontManager, "ttflist", others)
     font_manager.fontManager.addfont(tmp_path / "block.ttf")
-    fonts._installed.cache_clear()
+    style._installed.cache_clear()
     yield FAMILY
-    fonts._installed.cache_clear()
+    style._installed.cache_clear()
 
 
 def drawn(title: str, path: Path) -> np.ndarray:
@@ -67,7 +67,7 @@ def test_a_letter_that_no_font_has_is_a_box_and_no_warning(tmp_path: Path):
 
 
 def test_usual_letters_are_drawn_as_without_other_fonts(tmp_path: Path, request: pytest.FixtureRequest):
-    fonts._installed.cache_clear()
+    style._installed.cache_clear()
     before = drawn("Straße, улица, ὁδός", tmp_path / "before.png")
     request.getfixturevalue("font")
     np.testing.assert_array_equal(drawn("Straße, улица, ὁδός", tmp_path / "after.png"), before)
@@ -77,7 +77,7 @@ def test_only_installed_families_are_asked_for(font: str):
     figure = new_figure(1.0, 1.0)
     text = figure.suptitle("a")
     own = text.get_fontfamily()
-    fonts.set_font_fallbacks(figure)
+    style.set_font_fallbacks(figure)
     assert text.get_fontfamily() == [*own, font]
 
 

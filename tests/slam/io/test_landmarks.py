@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.errors import DataError, OutputError
-from slam.io.ply import read_cloud, write_cloud
+from slam.io.landmarks import read_cloud, write_cloud
 from slam.run_result import PointCloud
 
 

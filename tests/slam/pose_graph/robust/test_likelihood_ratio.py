@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.pose_graph.robust.false_discovery import benjamini_hochberg, expected_false_positives
+from slam.pose_graph.robust.likelihood_ratio import benjamini_hochberg, expected_false_positives
 
 
 def test_one_in_twenty_false_loops_has_evidence_of_twenty_to_one() -> None:
