@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.klt_tracking import brightness_difference, is_level
 from place_recognition.image_processing.matching import mutual_matches
+from slam.datasets.formats.recording import MIN_SIDE_PX
 from slam.diagnostics.findings import ALL_USES, SLAM_USES, Finding, Use, report_fault, report_ok, report_warning
 
 Array = NDArray[np.float64]
@@ -32,7 +33,6 @@ _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
 _MAX_SWAPPED_SHARE = 0.2  # of them, in a pair that is swapped
 _MAX_FROZEN_SHARE = 0.2  # of right images that equal the one before, although the left ones do not
 # Images.
-_MIN_SIDE_PX = 16  # with less there is no room for the window in which a corner is followed
 _MAX_DARK, _MIN_BRIGHT = 30, 250  # grey values
 _MAX_BRIGHT_SHARE = 0.25  # of the pixels; with more, an image is over-exposed
 _MIN_DEVIATION = 4.0  # grey values, standard deviation of an image that is not blank
@@ -247,8 +247,8 @@ def check_static_area(ratio: float) -> Finding:
 def _check_sizes(images: Sequence[ImageStatistics]) -> Finding:
     shapes = sorted({image.shape for image in images})
     text = ", ".join(f"{width} x {height}" for height, width in shapes)
-    if shapes and min(map(min, shapes)) < _MIN_SIDE_PX:
-        trouble = f"images of {text} pixels: too small; give images of at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX}"
+    if shapes and min(map(min, shapes)) < MIN_SIDE_PX:
+        trouble = f"images of {text} pixels: too small; give images of at least {MIN_SIDE_PX} x {MIN_SIDE_PX}"
         return report_fault("sizes", trouble, ALL_USES, sizes=text)
     if len(shapes) > 1:
         return report_warning(

@@ -24,7 +24,7 @@ from slam.errors import DataError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_MIN_SIDE_PX = 16  # in smaller images there is nothing to follow or to recognise
+MIN_SIDE_PX = 8  # in smaller images there is nothing to follow or to recognise
 
 
 class Images(Protocol):
@@ -328,9 +328,9 @@ def read_size(images: Images) -> Size:
 
 def check_size(where: str, size: Size) -> None:
     """Raise DataError if images of a size (width, height) are too small; `where` is a file for the message."""
-    if min(size) < _MIN_SIDE_PX:
+    if min(size) < MIN_SIDE_PX:
         raise DataError(
-            f"{where}: images too small, expected at least {_MIN_SIDE_PX} x {_MIN_SIDE_PX} pixels, found"
+            f"{where}: images too small, expected at least {MIN_SIDE_PX} x {MIN_SIDE_PX} pixels, found"
             f" {size[0]} x {size[1]}; record or export larger ones"
         )
 

@@ -223,7 +223,7 @@ def test_a_time_that_goes_back_is_named_with_its_line(root: Path, folder: Path) 
 def test_images_of_one_pixel_are_too_small(root: Path, folder: Path) -> None:
     for file in [*(folder / "image_0").iterdir(), *(folder / "image_1").iterdir()]:
         cv2.imwrite(str(file), np.zeros((1, 1), np.uint8))
-    with pytest.raises(DataError, match=r"000000.png: images too small, expected at least 16 x 16 pixels, found 1 x 1"):
+    with pytest.raises(DataError, match=r"000000.png: images too small, expected at least 8 x 8 pixels, found 1 x 1"):
         open_kitti(root)
 
 
