@@ -159,6 +159,11 @@ class PlaceMap:
         begin = int(self._last_locations[place - 1]) + 1 if place else 0
         return range(begin, int(self._last_locations[place]) + 1)
 
+    def spans(self, places: Indices) -> Indices:
+        """Return the first and the last location (P, 2) of each of the places (P,)."""
+        first = np.where(places > 0, self._last_locations[places - 1] + 1, 0)
+        return np.stack([first, self._last_locations[places]], axis=1)
+
     def place_of(self, location: int) -> int:
         """Find the place that a location belongs to, which has ended."""
         return int(np.searchsorted(self._last_locations, location))

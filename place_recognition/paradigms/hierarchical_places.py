@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.voting import PlaceVotes, vote_for_places
+from place_recognition.belief.voting import PlaceVotes, expand_spans, vote_for_places
 from place_recognition.image_processing.matching import count_matches
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.map.place_map import PlaceMap, PlaceSegmentation, PlaceSegmentationConfig
@@ -164,9 +164,9 @@ class HierarchicalPlaces:
 
     def _record(self, query: int, votes: PlaceVotes) -> None:
         """Hand the votes of each place to the matrix sink, for all images of the place."""
-        spans = [self._places.images(int(place)) for place in votes.places]
-        locations = np.array([location for span in spans for location in span], np.int64)
-        values = np.repeat(votes.votes.astype(np.float64), [len(span) for span in spans])
+        spans = self._places.spans(votes.places)
+        locations, counts = expand_spans(spans), spans[:, 1] - spans[:, 0] + 1
+        values = np.repeat(votes.votes.astype(np.float64), counts)
         self._rows.add(query, locations, values)
 
     def state(self) -> dict[str, Any]:
