@@ -99,7 +99,7 @@ def vote_for_places(hit: Indices, places: PlaceMap, count: int, distinct: bool =
     return PlaceVotes(voted[above][order], votes[above][order], density[order])
 
 
-def expand_spans(spans: NDArray[np.int32]) -> Indices:
+def expand_spans(spans: NDArray[np.int32] | Indices) -> Indices:
     """Return all locations of spans (K, 2), both ends included, one span after the other."""
     lengths = spans[:, 1] - spans[:, 0] + 1
     begins = np.cumsum(lengths) - lengths
