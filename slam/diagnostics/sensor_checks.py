@@ -29,6 +29,7 @@ _MIN_MATCHES = 50  # in all pairs together, for a median
 # Median distance from the common row. Odometry accepts matches up to 3 px from their row.
 _MAX_GOOD_ROWS_PX, _MAX_POSSIBLE_ROWS_PX = 0.7, 2.0
 _MIN_DISPARITY_PX = -1.0  # of a match on the right side; points at infinity scatter about 0
+_MIN_SPREAD_PX = 0.3  # of the largest disparities: noise alone, as between copies of one image
 _MIN_POSITIVE_SHARE = 0.8  # of matches with a disparity of the right sign
 _MAX_SWAPPED_SHARE = 0.2  # of them, in a pair that is swapped
 _MAX_FROZEN_SHARE = 0.2  # of right images that equal the one before, although the left ones do not
@@ -138,6 +139,9 @@ def check_rectification(pairs: Sequence[tuple[Image, Image]]) -> Finding:
             "swap left and right" if ahead < _MAX_SWAPPED_SHARE else "left and right are not of one moment; use --mono"
         )
         trouble = f"{1 - ahead:.0%} of the matches lie to the wrong side; {remedy}"
+        return report_fault("rows", trouble, (Use.STEREO,), **figures)
+    if float(np.percentile(np.abs(disparity), 95)) < _MIN_SPREAD_PX:
+        trouble = "left and right show the same image: no match has a disparity; give the right camera's, or use --mono"
         return report_fault("rows", trouble, (Use.STEREO,), **figures)
     if off > _MAX_POSSIBLE_ROWS_PX:
         return report_fault("rows", f"{text}: not rectified; correct the calibration", (Use.STEREO,), **figures)

@@ -155,6 +155,16 @@ def test_blank_images_have_no_matches_and_that_is_a_warning() -> None:
     assert (found.status, found.figures["matches"]) == (Status.WARNING, 0)
 
 
+@pytest.mark.parametrize("quality", [None, 60])
+def test_a_right_image_that_is_a_copy_of_the_left_one_rules_out_stereo(quality: int | None) -> None:
+    left, right = Walls().pair(IDEAL, np.eye(4))
+    copy = left if quality is None else cv2.imdecode(cv2.imencode(".jpg", left, [1, quality])[1], 0)
+    found = check_rectification([(left, copy)] * 2)
+    assert (found.status, found.forbids) == (Status.FAULT, (Use.STEREO,))
+    assert "left and right show the same image" in found.text
+    assert check_rectification([(left, right)] * 2).status is Status.OK
+
+
 @pytest.mark.parametrize(
     ("gain", "offset", "status"),
     [(1.0, 0, Status.OK), (0.93, 5, Status.OK), (0.6, 0, Status.WARNING), (1.0, 25, Status.WARNING)],
