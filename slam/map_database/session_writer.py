@@ -46,7 +46,13 @@ class SessionInfo:
 
 
 class SessionRecorder(Protocol):
-    """Records a session: each frame with its loops, and checkpoints from which a run can be resumed."""
+    """Records a session: each frame with its loops, and checkpoints from which a run can be resumed.
+
+    Attributes:
+        frames: number of frames of the session that have been written.
+    """
+
+    frames: int
 
     def components_in_session(self, components: Components) -> Components:
         """The components for a system that counts the frames of this session only."""
@@ -81,6 +87,8 @@ class SessionRecorder(Protocol):
 
 class NullSessionRecorder:
     """Records nothing (a SessionRecorder)."""
+
+    frames = 0
 
     def components_in_session(self, components: Components) -> Components:
         """The components themselves."""

@@ -6,7 +6,7 @@ loop over the frames.
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
@@ -16,7 +16,7 @@ from rich.console import Console
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
 from slam.components import build_components, exclude_by_preset, override_config, read_checked_config
 from slam.config import RunConfig
-from slam.datasets.dataset import Dataset, DatasetSpec, thumbnail
+from slam.datasets.dataset import Dataset, DatasetSpec, Frame, thumbnail
 from slam.datasets.formats.registry import open_for_odometry
 from slam.datasets.prefetch import prefetch
 from slam.diagnostics.dataset_checks import inspect_opened
@@ -215,14 +215,18 @@ class Pipeline:
         """Process the dataset and write the results; whether the run was interrupted.
 
         Raises:
-            DataError: `revisit check` calls something a fault.
+            DataError: `revisit check` calls something a fault, or a frame cannot be read; those before it are kept.
             UnmeasuredError: hardly any motion was measured; the results are written.
             OutputError: some results could not be written; the others are.
         """
+        replaces = self.options.out.exists()  # a part of a run does not take the place of earlier results
         with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
             warnings = RunWarnings(messages, folder.path)
-            record = self._process(folder, warnings)
+            record, unreadable = self._process(folder, warnings, keep_partial=not replaces)
             folder.commit()
+        if unreadable is not None:
+            kept = f"the results of the {len(record.timestamps)} frames before it are in {self.options.out}"
+            raise DataError(f"{unreadable}; {kept}") from unreadable
         results.print(summary_table(record))
         results.print(f"Report: {self.options.out / 'report.html'}", highlight=False, markup=False)
         if not record.metrics["interrupted"]:
@@ -230,22 +234,26 @@ class Pipeline:
         warnings.check_written(self.options.out)
         return bool(record.metrics["interrupted"])
 
-    def _process(self, folder: RunFolder, warnings: RunWarnings) -> RunRecord:
-        """Check the dataset, process its frames and write the results into the folder."""
+    def _process(
+        self, folder: RunFolder, warnings: RunWarnings, keep_partial: bool
+    ) -> tuple[RunRecord, DataError | None]:
+        """Check the dataset, process its frames and write the results; the record, and the error of a frame."""
         warnings.extend(self._inspect(warnings.messages))
         origin = self._provenance()
         info = SessionInfo(self.dataset.name, self.dataset.camera, origin | {"run": self.run_id}, self.prior_map)
         recording = folder.path / "recording.rrd" if self.config.save_recording else None
         with open_session_recorder(folder, self.config, info) as recorder:
             with open_viewer(self.options.view, recording, self.dataset, self.run_id, warnings) as viewer:
-                result = process_dataset(self.dataset, self.config, viewer, warnings, recorder, self.build)
+                result = process_dataset(
+                    self.dataset, self.config, viewer, warnings, recorder, self.build, keep_partial
+                )
                 with stop_on_interrupt(warnings.messages):
                     record = make_record(result, origin)
                     warnings.attempt_to("end of the recording", lambda: viewer.finish(record))
             log.info("%d frames in %.1f s", len(record.timestamps), result.wall_seconds)
             with stop_on_interrupt(warnings.messages):
                 write_results(folder.path, record, result)
-        return record
+        return record, result.unreadable
 
     def _inspect(self, messages: Console) -> tuple[str, ...]:
         """What `revisit check` says about the dataset; its faults are errors."""
@@ -300,8 +308,15 @@ def process_dataset(
     warnings: RunWarnings,
     recorder: SessionRecorder | None = None,
     build: Build = build_components,
+    keep_partial: bool = False,
 ) -> PipelineResult:
-    """Process the frames one by one, from where the recorder's session stopped to the end or an interruption."""
+    """Process the frames one by one, from where the recorder's session stopped to the end or an interruption.
+
+    A frame that cannot be read is an interruption if `keep_partial`, unless the recorder keeps the frames before it.
+
+    Raises:
+        DataError: otherwise.
+    """
     import cv2
 
     settings = exclude_by_preset(config, dataset.timestamps)
@@ -313,8 +328,10 @@ def process_dataset(
     visualizer, start = RunVisualizer(slam, viewer, dataset, matrix), time.perf_counter()
     num_restored = recorder.restore(slam, matrix, run_log)
     visualizer.restore(run_log)
+    unreadable: list[DataError] = []
+    frames = _until_unreadable(prefetch(dataset, begin=num_restored, prepare=slam.describe), unreadable)
     with progress_bar(warnings.messages, "Processing") as progress, stop_on_interrupt() as stop:
-        for frame in timed(prefetch(dataset, begin=num_restored, prepare=slam.describe), slam.timer):
+        for frame in timed(frames, slam.timer):
             result = slam.process(frame)
             log_frame(result)
             run_log.add(result, visualizer.show(result))
@@ -323,8 +340,11 @@ def process_dataset(
             if stop.requested:
                 warnings.messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break
+    is_cut = stop.requested or bool(unreadable)
+    if unreadable and (recorder.frames or not keep_partial or not run_log.timestamps):
+        raise unreadable[0]
     with stop_on_interrupt(warnings.messages):
-        session = finish_session(slam, config.robust, run_log, recorder, warnings, ended=not stop.requested)
+        session = finish_session(slam, config.robust, run_log, recorder, warnings, ended=not is_cut)
     return PipelineResult(
         dataset=dataset,
         config=config,
@@ -332,12 +352,21 @@ def process_dataset(
         run_log=run_log,
         matrix=matrix,
         optimized=session.optimized,
-        interrupted=stop.requested,
+        interrupted=is_cut,
+        unreadable=unreadable[0] if unreadable else None,
         warnings=warnings,
         wall_seconds=time.perf_counter() - start,
         num_restored=num_restored,
         merge=session.merge,
     )
+
+
+def _until_unreadable(frames: Iterator[Frame], unreadable: list[DataError]) -> Iterator[Frame]:
+    """Yield frames up to the first that cannot be read, and append its error."""
+    try:
+        yield from frames
+    except DataError as error:
+        unreadable.append(error)
 
 
 def warm_up(dataset: Dataset, config: RunConfig, build: Build = build_components) -> None:

@@ -66,7 +66,8 @@ class PipelineResult:
         run_log: log of the frames and loop candidates.
         matrix: the recogniser's similarity matrix.
         optimized: the final trajectory and the decisions on the loops.
-        interrupted: True where the user stopped the run.
+        interrupted: True where the run ended before the last frame.
+        unreadable: error of the frame that ended it; None if none did.
         wall_seconds: time from the first frame to the end of the final optimisation, seconds.
         warnings: warnings so far; takes those of the files.
         num_restored: number of frames that were processed before the run was resumed.
@@ -80,6 +81,7 @@ class PipelineResult:
     matrix: MatrixRecorder
     optimized: OptimizationResult
     interrupted: bool
+    unreadable: DataError | None
     warnings: RunWarnings
     wall_seconds: float
     num_restored: int = 0

@@ -12,6 +12,8 @@ from markupsafe import escape
 from rich.console import Console
 
 from slam.errors import DataError, OutputError
+from slam.io.metrics import read_metrics
+from slam.io.trajectory_files import read_tum
 from slam.pipeline.pipeline import RunOptions, run_pipeline
 
 QUIET = Console(quiet=True)
@@ -173,6 +175,21 @@ def test_the_error_for_a_dataset_with_one_camera_names_it(test_data: Path, tmp_p
     with pytest.raises(DataError, match=r"kitti_clips.*left"):
         run(test_data / "kitti_clips", tmp_path / "out", "07")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("save_map", [True, False])
+def test_a_damaged_image_midway_costs_no_frame_before_it(clip05: Path, test_data: Path, tmp_path: Path, save_map: bool):
+    source = library_walk(test_data, tmp_path / "drive")
+    damaged = source / "sequences" / "00" / "image_1" / "000007.png"
+    damaged.unlink()
+    damaged.write_bytes(b"not a picture")
+    options = RunOptions(source=source, sequence="00", out=tmp_path / "out")
+    with pytest.raises(DataError, match=r"000007\.png: .*; the results of the 7 frames before it are in .*out"):
+        run_pipeline(options, {"save_recording": False, "save_map": save_map}, QUIET, QUIET)
+    _, poses = read_tum(tmp_path / "out" / "trajectory_corrected.tum")
+    assert len(poses) == 7
+    assert read_metrics(tmp_path / "out" / "metrics.json")["interrupted"]
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 def test_a_damaged_image_midway_leaves_an_earlier_run_untouched(clip05: Path, test_data: Path, tmp_path: Path):
