@@ -25,6 +25,8 @@ _MIN_STEP = 1e-5  # rad and m: a smaller step ends the reweighting
 _FINAL_STEPS = 2  # of plain least squares on the inliers
 # Where most matches are wrong, their median chi-square does not show the noise: at most this factor is believed.
 _MAX_NOISE_FACTOR = 4.0
+# No pair sees points of a larger disparity, in image widths, or so far aside, in multiples of their depth.
+_MAX_WIDTHS, _MAX_SLOPE = 2.0, 20.0
 _MIN_DEPTH = 1e-3  # metres: points in the image plane have no pixel
 _RANSAC_CONFIDENCE = 0.9999
 
@@ -99,7 +101,10 @@ def relative_pose(
     PnP RANSAC of a's landmarks in b's image, refined on the stereo pixels of both; None if too few landmarks agree.
     """
     start = _initial_pose(camera, points_a, points_b, config)
-    return None if start is None else _refine(camera, points_a, points_b, start, config)
+    try:
+        return None if start is None else _refine(camera, points_a, points_b, start, config)
+    except np.linalg.LinAlgError:  # a false start at which the landmarks determine no pose
+        return None
 
 
 def estimate_relative_scale(
@@ -175,6 +180,8 @@ def _refine(
     system = _StereoAlignment(camera, points_a, points_b, config)
     for _ in range(_MAX_ITERATIONS):
         chi2 = system.linearize(T_a_b)
+        if not np.isfinite(np.median(chi2)):
+            return None  # most landmarks are not before the camera
         step = system.step(1.0 / (1.0 + chi2 * _CHI2_MEDIAN / np.median(chi2)))  # Cauchy's weights
         T_a_b = T_a_b @ se3.exp(step)
         if np.abs(step).max() < _MIN_STEP:
@@ -187,6 +194,8 @@ def _refine(
     for _ in range(_FINAL_STEPS):
         T_a_b = T_a_b @ se3.exp(system.step(inliers))
         chi2 = system.linearize(T_a_b)
+    if not np.isfinite(chi2[inliers]).all():
+        return None  # the last steps have diverged
     variance = float(chi2[inliers].sum()) / (3 * int(inliers.sum()) - 6)
     bias = config.systematic_disparity_px * system.effect_of_disparity(inliers)
     covariance = max(variance, 1.0) * np.linalg.inv(system.information(inliers))
@@ -207,12 +216,15 @@ class _StereoAlignment:
         self._point_noise = self._to_point @ self._noise @ np.swapaxes(self._to_point, 1, 2)
 
     def linearize(self, T_a_b: Array) -> Array:
-        """Set errors and Jacobians at a pose; chi-square (K,) by the noise of both images."""
+        """Set errors and Jacobians at a pose; chi-square (K,) by the noise of both images, infinite where unseen."""
         points_b = se3.transform(se3.inverse(T_a_b), self._points_a)
+        seen = self._are_seen(points_b)
+        points_b[~seen] = [0.0, 0.0, 1.0]  # any visible point: its weight is zero
         J = _pixel_jacobian(self._camera, points_b)
         rotated = J @ T_a_b[:3, :3].T
         covariance = self._noise + rotated @ self._point_noise @ np.swapaxes(rotated, 1, 2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        whiten[~seen] = 0.0
         error = self._measured - _stereo_pixels(self._camera, points_b)
         self._error = (whiten @ error[:, :, None])[:, :, 0]
         # One more pixel of disparity in both images: change of the measurement, less change of the prediction
@@ -221,7 +233,15 @@ class _StereoAlignment:
         # T exp(xi) moves a point X of frame b by X x w - v, for xi = (w, v)
         motion = np.concatenate([skew(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
-        return np.asarray(np.sum(self._error**2, axis=1))
+        return np.where(seen, np.sum(self._error**2, axis=1), np.inf)
+
+    def _are_seen(self, points: Array) -> Mask:
+        """Which points (K, 3) a pair may see at all: a false pose puts some so near that their noise has no bound."""
+        camera, depth = self._camera, points[:, 2]
+        aside = np.abs(points[:, :2]).max(axis=1)
+        return np.asarray(
+            (camera.fx * camera.baseline < _MAX_WIDTHS * camera.width * depth) & (aside < _MAX_SLOPE * depth)
+        )
 
     def information(self, weights: Array | Mask) -> Array:
         """Information (6, 6) of the pose by the landmarks under weights (K,)."""

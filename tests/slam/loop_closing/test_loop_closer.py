@@ -141,6 +141,27 @@ def test_half_of_the_matches_may_be_wrong() -> None:
     assert answer.inliers[::2].mean() < 0.05
 
 
+@pytest.mark.parametrize("depth_m", [0.0, 1e-4, -1e-4, -5.0, 0.02])
+def test_a_wrong_match_that_the_pose_puts_into_the_image_plane_costs_nothing_else(depth_m: float) -> None:
+    """Its noise has no bound there: the covariance of its pixels could not be inverted, and the whole run ended."""
+    rng, points = np.random.default_rng(3), world().points
+    points_query = se3.transform(se3.inverse(MOTION), points)
+    visible = points_query[:, 2] > 3
+    wrong = se3.transform(MOTION, np.array([[60.0, 20.0, depth_m], [-3.0, 1.0, depth_m], [0.0, 0.0, depth_m]]))
+    points_match = np.concatenate([points[visible], wrong])
+    points_query = np.concatenate([points_query[visible], rng.uniform([-9, -4, 8], [9, 2, 40], (3, 3))])
+    answer = relative_pose(CAMERA, points_match, points_query, RelativePoseConfig())
+    assert answer is not None
+    np.testing.assert_allclose(answer.T_a_b, MOTION, atol=0.02)
+    assert answer.inliers[:-3].all()
+    assert not answer.inliers[-3:].any()
+
+
+def test_landmarks_that_determine_no_pose_have_none() -> None:
+    points = np.tile([[1.0, 0.5, 8.0]], (40, 1))  # one landmark, forty times
+    assert relative_pose(CAMERA, points, points, RelativePoseConfig()) is None
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_landmarks_near_infinity_do_not_throw_the_pose_off(seed: int) -> None:
     rng, T_match_query = np.random.default_rng(seed), se3.exp(np.array([0.0, 0.012, 0.0, 0.02, 0.04, 0.05]))
