@@ -26,6 +26,8 @@ from .valid_media import IMAGE, SIZE, written
 TIMES = np.array([0.0, 0.1, 0.2])
 POSES = np.stack([se3.exp(np.array([0.01, 0.02 * k, 0.0, 0.1, 0.0, 1.0 * k])) for k in range(3)])
 CALIB = "".join(f"P{k}: 10 0 8 {-5.0 * (k % 2)} 0 10 6 0 0 0 1 0\n" for k in range(4)).encode()
+RAW_CALIB = "".join(f"S_rect_0{k}: 16 12\nP_rect_0{k}: 10 0 8 {-5.0 * k} 0 10 6 0 0 0 1 0\n" for k in range(2)).encode()
+RAW_TIMES = b"".join(b"2011-09-30 12:40:25.%d00000000\n" % k for k in range(3))
 CAMERA = "fx = 10\nfy = 10\ncx = 7.5\ncy = 5.5\n"
 SENSOR = """T_BS:
   cols: 4
@@ -90,6 +92,39 @@ def own_camera(root: Path) -> None:
     images(root / "left", ("1.png", "2.png", "3.png"))
     images(root / "right", ("1.png", "2.png", "3.png"))
     write_tum(root / "poses.tum", TIMES, POSES)
+
+
+def kitti_raw(root: Path) -> None:
+    """A drive of KITTI's raw data; the calibration is left to be written."""
+    day = root / "2011_09_30"
+    for camera in ("00", "01"):
+        folder = day / "2011_09_30_drive_0001_sync" / f"image_{camera}"
+        images(folder / "data", tuple(f"{k:010d}.png" for k in range(3)))
+        (folder / "timestamps.txt").write_bytes(RAW_TIMES)
+    (day / "calib_cam_to_cam.txt").write_bytes(RAW_CALIB)
+
+
+def own_camera_without_calibration(root: Path) -> None:
+    own_camera(root)
+    (root / "camera.toml").write_text("fps = 10\n")
+
+
+def yaml_calibrations() -> list[bytes]:
+    """Calibrations of Kalibr, OpenCV and ORB-SLAM for the images of `own_camera`."""
+    cameras = (
+        f"cam{k}:\n  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [0.01, 0.0, 0.0, 0.0]\n"
+        "  intrinsics: [10, 10, 7.5, 5.5]\n  resolution: [16, 12]\n"
+        for k in range(2)
+    )
+    motion = "  T_cn_cnm1:\n  - [1, 0, 0, -0.1]\n  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n"
+    K = "!!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n  data: [10, 0, 7.5, 0, 10, 5.5, 0, 0, 1]\n"
+    D = "!!opencv-matrix\n  rows: 1\n  cols: 5\n  dt: d\n  data: [0.01, 0, 0, 0, 0]\n"
+    R = "!!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+    T = "!!opencv-matrix\n  rows: 3\n  cols: 1\n  dt: d\n  data: [-0.1, 0, 0]\n"
+    opencv = f"%YAML:1.0\n---\nM1: {K}D1: {D}M2: {K}D2: {D}R: {R}T: {T}"
+    intrinsics = "Camera.fx: 10\nCamera.fy: 10\nCamera.cx: 7.5\nCamera.cy: 5.5\nCamera.bf: 5.0\n"
+    orb = f"%YAML:1.0\n---\n{intrinsics}Camera.fps: 10\n"
+    return [text.encode() for text in ("".join(cameras) + motion, opencv, orb)]
 
 
 def camera_files() -> list[bytes]:

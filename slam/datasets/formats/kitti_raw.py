@@ -7,6 +7,7 @@ Cameras 00 and 01 are the grey pair of KITTI and the only pair of KITTI-360, 02 
 images are rectified and numbered; line n of `timestamps.txt` is the time of image n. OXTS and laser are not read.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,8 @@ def _times(path: Path, numbers: list[int], fps: float | None) -> tuple[Array, tu
 
 def _seconds(path: Path, line: int, text: str) -> float:
     try:
+        if not re.fullmatch(r"[-\d]+([ T][:.\d]+)?", text):  # NumPy takes words such as today, and warns of time zones
+            raise ValueError(text)
         return float(np.datetime64(text.replace(" ", "T"), "ns").astype(np.int64)) / 1e9
     except ValueError:
         expected = "a time such as 2011-09-30 12:40:25.078650880"
