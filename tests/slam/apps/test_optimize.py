@@ -8,6 +8,7 @@ import pytest
 
 from slam.cli import app
 from slam.io.g2o import read_g2o
+from slam.io.g2o_problem import classify_edges
 from slam.io.metrics import read_metrics
 
 INFORMATION = "400 0 0 400 0 40000"
@@ -223,3 +224,13 @@ def test_a_planar_truth_is_taken_in_the_plane_in_which_it_moves(tmp_path: Path) 
     up = np.arange(len(x)) % 9
     _, warnings = ate_against(tmp_path, [f"{-b} {3 * c} {a}" for a, b, c in zip(x, y, up, strict=True)])
     assert any("no clear plane; KITTI's (z, -x) is taken" in warning for warning in warnings)
+
+
+def test_negative_ids_are_of_the_robot_of_0(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o")
+    lines = [line.split() for line in graph.read_text().splitlines()]
+    shifted = [" ".join([line[0], str(int(line[1]) - 5), str(int(line[2]) - 5), *line[3:]]) for line in lines]
+    (tmp_path / "b.g2o").write_text("\n".join(shifted) + "\n")
+    for name in ("a", "b"):
+        edges = classify_edges(read_g2o(tmp_path / f"{name}.g2o"), name)
+        assert (int(edges.trusted.sum()), int(edges.connecting.sum()), edges.warnings) == (79, 0, ())

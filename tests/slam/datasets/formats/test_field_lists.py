@@ -10,6 +10,7 @@ from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.image_sequence import read_times
 from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.time_sync import find_ticks_per_second, order_by_time
+from slam.errors import DataError
 
 from ..layouts import RATE, Taken, finely, taken, write_euroc, write_folders, write_tum_rgbd
 
@@ -224,3 +225,9 @@ def test_times_in_steps_of_10_are_never_taken_in_silence(
     times, remarks = read_times(path, count)
     np.testing.assert_allclose(np.diff(times), step_s)
     assert remarks == (remark,)
+
+
+def test_times_with_decimal_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "times.txt").write_text("0\n0,033\n")
+    with pytest.raises(DataError, match="times.txt, line 2: expected decimal points, found decimal commas, '0,033'"):
+        read_times(tmp_path / "times.txt", 2)
