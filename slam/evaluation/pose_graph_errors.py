@@ -107,9 +107,9 @@ def _in_plane(file: Path, positions: Array) -> tuple[Array, list[str]]:
     """Return true positions (N, 3) in the plane (N, 2) in which they move, and a remark unless it is KITTI's."""
     spread = positions.std(axis=0)
     up = min(_PLANES, key=lambda axis: float(spread[axis]))  # of equal ones the first
-    least, middle, largest = np.sort(spread)
-    is_flat = least <= _MAX_FLATNESS * middle
-    if up != _KITTI_UP and not (is_flat and spread[_KITTI_UP] > _MIN_WIDTH * largest):
+    across, middle, along = np.sort(spread)
+    is_flat = across <= _MAX_FLATNESS * middle
+    if up != _KITTI_UP and not (is_flat and spread[_KITTI_UP] > _MIN_WIDTH * along):
         up, is_flat = _KITTI_UP, False
     name, axes, signs = _PLANES[up]
     moves = f"the truth spreads by {spread[0]:.3g}, {spread[1]:.3g} and {spread[2]:.3g} m along x, y and z"

@@ -103,8 +103,8 @@ def check_decimal_points(path: Path, number: int, line: str) -> None:
     words = re.split(r"[\s;]+", line.strip("; \t\r\n"))
     if "," in line and all(re.fullmatch(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?", word) for word in words):
         raise DataError(
-            f"{path}, line {number}: expected decimal points, found decimal commas, {line.strip()[:60]!r}; write decimal"
-            " points"
+            f"{path}, line {number}: expected decimal points, found decimal commas, {line.strip()[:60]!r};"
+            " write decimal points"
         )
 
 

@@ -229,5 +229,5 @@ def test_times_in_steps_of_10_are_never_taken_in_silence(
 
 def test_times_with_decimal_commas_are_named(tmp_path: Path) -> None:
     (tmp_path / "times.txt").write_text("0\n0,033\n")
-    with pytest.raises(DataError, match="times.txt, line 2: expected decimal points, found decimal commas, '0,033'"):
+    with pytest.raises(DataError, match=r"times\.txt, line 2: expected decimal points, found decimal commas, '0,033'"):
         read_times(tmp_path / "times.txt", 2)
