@@ -5,12 +5,14 @@ matplotlib are imported, as both read their environment once.
 """
 
 import codecs
+import io
 import os
 import stat
 import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 NUMBA_CACHE, MATPLOTLIB_CACHE = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
 _PACKAGES = ("odometry", "place_recognition", "slam")
@@ -124,6 +126,32 @@ def prepare_consoles() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors=_ENCODING_ERRORS)
+
+
+class _LastingOutput(io.FileIO):
+    """Standard output or error, which goes nowhere once its reader has gone (`revisit run ... | head -1`)."""
+
+    def write(self, data: Any, /) -> int:
+        """Write, or point the descriptor to the null device, for child processes too."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.fileno())
+            os.close(nowhere)
+            return super().write(data)
+
+
+def outlive_readers() -> None:
+    """Let a run go on to its end when the reader of its output has gone: a line that nobody reads costs no result."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if not isinstance(stream, io.TextIOWrapper) or stream.isatty():
+            continue
+        stream.flush()
+        file = io.BufferedWriter(_LastingOutput(stream.fileno(), "w", closefd=False))
+        lasting = io.TextIOWrapper(file, stream.encoding, stream.errors, line_buffering=stream.line_buffering)
+        setattr(sys, name, lasting)
 
 
 def _replace_unknown(error: UnicodeError) -> tuple[str, int]:

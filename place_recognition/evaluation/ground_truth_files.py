@@ -82,10 +82,12 @@ class NumberMatrix:
     Attributes:
         positive: (R, C) bool, which numbers are above 0.
         num_values: how many different numbers there are, at most `matlab_process.MAX_VALUES`.
+        num_nans: how many cells are NaN, neither above 0 nor not.
     """
 
     positive: NDArray[np.bool_]
     num_values: int
+    num_nans: int = 0
 
 
 def read_matrices(path: Path) -> dict[str, NumberMatrix]:
@@ -126,15 +128,15 @@ def _failure(code: int, errors: bytes) -> str:
 
 
 def _unpack(output: bytes) -> dict[str, NumberMatrix]:
-    """Read the matrices that the reader has written: for each "NAME ROWS COLUMNS VALUES", then its packed bits."""
+    """Read the matrices that the reader has written: for each "NAME ROWS COLUMNS VALUES NANS", then its bits."""
     matrices, at = {}, 0
     while at < len(output):
         end = output.index(b"\n", at)
-        name, rows, columns, num_values = output[at:end].decode().split(" ")
+        name, rows, columns, num_values, num_nans = output[at:end].decode().split(" ")
         shape = int(rows), int(columns)
         cells = shape[0] * shape[1]
         packed = np.frombuffer(output, np.uint8, -(-cells // 8), end + 1)
         positive = np.unpackbits(packed, count=cells).astype(np.bool_).reshape(shape)
-        matrices[name] = NumberMatrix(positive, int(num_values))
+        matrices[name] = NumberMatrix(positive, int(num_values), int(num_nans))
         at = end + 1 + len(packed)
     return matrices

@@ -16,7 +16,7 @@ MAX_DEPTH = 8  # of structures in structures
 
 
 def main() -> None:
-    """Write "NAME ROWS COLUMNS VALUES" and the packed bits "above 0" of every matrix with more than one number."""
+    """Write "NAME ROWS COLUMNS VALUES NANS" and the packed bits "above 0" of every matrix with more than one number."""
     path, limit = sys.argv[1], int(sys.argv[2])
     try:
         _limit_memory(limit)
@@ -51,7 +51,8 @@ def _write_matrices(path: str) -> None:
                 matrix.check_format(full_check=True)  # SciPy writes outside the array where an index is damaged
                 matrix = matrix.toarray()
             if cells > 1:
-                header = f"{full_name} {matrix.shape[0]} {matrix.shape[1]} {count_values(matrix)}\n"
+                counts = f"{count_values(matrix)} {count_nans(matrix)}"
+                header = f"{full_name} {matrix.shape[0]} {matrix.shape[1]} {counts}\n"
                 sys.stdout.buffer.write(header.encode())
                 sys.stdout.buffer.write(np.packbits(np.greater(matrix, 0)).tobytes())
 
@@ -66,6 +67,11 @@ def count_values(matrix: Any) -> int:
         if len(values) >= MAX_VALUES:
             return MAX_VALUES
     return len(values)
+
+
+def count_nans(matrix: Any) -> int:
+    """Count the cells of a matrix (R, C) that are NaN."""
+    return int((matrix != matrix).sum())  # NaN alone differs from itself; takes matrices of whole numbers too
 
 
 def _matrices(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.ground_truth_files import NumberMatrix, array_names, read_array, read_matrices
-from place_recognition.evaluation.matlab_process import MAX_VALUES, count_values
+from place_recognition.evaluation.matlab_process import MAX_VALUES, count_nans, count_values
 from place_recognition.evaluation.precision_recall import is_correct
 from place_recognition.recognizer import Belief
 
@@ -155,6 +155,9 @@ def read_truth_matrix(path: Path) -> TruthMatrix:
             f"{path}: expected 1 for the same place and 0 for another, found that most pairs of images are the same"
             " place; exchange 0 and 1 if 0 is the same place"
         )
+    if found.num_nans:
+        cells = "cell is" if found.num_nans == 1 else "cells are"
+        remarks = [*remarks, f"{found.num_nans} {cells} NaN and count as another place; write 0 or 1"]
     remarks = [*remarks, *which, *_describe_neighbours(truth)]
     return TruthMatrix(truth, tuple(f"{path}: {remark}" for remark in remarks))
 
@@ -210,7 +213,7 @@ def _matrix_in_numpy(path: Path) -> tuple[NumberMatrix, list[str]]:
         raise ValueError(f"{path}: expected a square truth matrix (N, N), found {truth.shape}; save one matrix")
     if truth.dtype.kind not in "biuf":
         raise ValueError(f"{path}: expected a truth matrix of numbers, found {truth.dtype}; save 0 and 1")
-    return NumberMatrix(np.greater(truth, 0), count_values(truth)), []
+    return NumberMatrix(np.greater(truth, 0), count_values(truth), count_nans(truth)), []
 
 
 def _matrix_in_matlab(path: Path) -> tuple[NumberMatrix, list[str]]:

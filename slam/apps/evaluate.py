@@ -22,6 +22,7 @@ from slam.evaluation.trajectory_errors import (
     TrajectoryErrors,
     pair_by_time,
     path_length,
+    scale_to_other,
     trajectory_errors,
     umeyama,
 )
@@ -35,6 +36,8 @@ from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
 MAX_POSE_SPACING_M = 10.0
 # Between the axes of estimate and truth after alignment: a body's and a camera's axes differ by about 90 degrees.
 MAX_AXES_ANGLE_DEG = 20.0
+# Pairs of which errors are computed; fewer, such as every thousandth pose, match by chance.
+MIN_PAIRS, MIN_MATCHED_SHARE = 3, 0.02
 MIN_WIDTH = 0.05  # of a path, against its length, that determines the alignment
 
 FRAMES_FILE = "frames.csv"  # beside the tables of a run: the times of its images
@@ -107,6 +110,8 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
 
 def _compare(estimate: Path, truth: Path, mono: bool) -> _Comparison:
     ours, theirs = read_trajectory_with_remarks(estimate), _in_camera(truth, read_trajectory_with_remarks(truth))
+    theirs = scale_to_other(truth, theirs, ours)
+    ours = scale_to_other(estimate, ours, theirs)
     pairs = _pair(estimate, ours, truth, theirs)
     errors = trajectory_errors(pairs.estimate, pairs.truth, "sim3" if mono else "se3")
     spacing_m = path_length(pairs.truth) / max(len(pairs.rows) - 1, 1)
@@ -147,7 +152,8 @@ def _trajectory_lines(done: _Comparison) -> list[str]:
 def _pair(estimate: Path, ours: Trajectory, truth: Path, theirs: Trajectory) -> PosePairs:
     if ours.times is not None and theirs.times is not None:
         pairs = pair_by_time(ours, theirs)
-        if len(pairs.rows) < 2:
+        possible = min(len(ours.times), len(theirs.times))
+        if len(pairs.rows) < max(2, min(MIN_PAIRS, possible), MIN_MATCHED_SHARE * possible):
             raise DataError(
                 f"{estimate}: expected times within {MAX_TIME_DIFFERENCE_S} s of those in {truth},"
                 f" found {len(pairs.rows)} of {len(ours.times)}, from {ours.times[0]:.3f} to {ours.times[-1]:.3f} s"

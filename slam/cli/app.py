@@ -11,7 +11,7 @@ import typer
 
 from slam.cli import evaluate, inspect, places, run
 from slam.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, FORMAT_NAMES
-from slam.environment import NUMBA_CACHE, prepare_consoles
+from slam.environment import NUMBA_CACHE, outlive_readers, prepare_consoles
 from slam.errors import ConfigError, RevisitError
 
 __all__ = ["EXIT_USAGE", "FORMAT_NAMES", "app", "main"]
@@ -61,6 +61,7 @@ _CACHE_REMEDY = f"set {NUMBA_CACHE} to a folder of yours"
 def main() -> None:
     """Run the command line; known errors become one line on standard error and an exit code."""
     prepare_consoles()
+    outlive_readers()
     sys.exit(_exit_code(app))
 
 

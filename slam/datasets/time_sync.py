@@ -24,6 +24,9 @@ MAX_GAP_S = 0.5  # between measured poses: across a longer gap, interpolation is
 _TICKS_PER_SECOND = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _POSSIBLE_STEP_S = (9e-4, 10.0)  # median step between images or poses of one drive; trackers measure at up to 1 kHz
 _USUAL_STEP_S = (1e-3, 1.0)  # a thousandfold range: among units that differ by a thousand, only one fits
+# Whole numbers in such steps are milliseconds at 100 to 250 Hz or seconds of a time lapse: many of them are the former.
+_UNCLEAR_STEPS = (4.0, 10.0)
+_MIN_MANY_TIMES = 100
 _DATES_S = (1e8, 1e10)  # clocks that count from 1970, in the years 1973 to 2286
 _MIN_CLOCK_S = 1e3  # a clock that reads more, and never less, has not begun with the recording: its zeros are no times
 
@@ -104,10 +107,20 @@ def find_ticks_per_second(ticks: Array, expected: float) -> float:
     if clock_unit is not None or len(known) == 1:
         return clock_unit or expected
     step = float(np.median(np.diff(known)))
+    if expected == 1.0 and len(known) >= _MIN_MANY_TIMES and are_unclear(known):
+        return _TICKS_PER_SECOND["milliseconds"]
     if _POSSIBLE_STEP_S[0] <= step / expected <= _POSSIBLE_STEP_S[1]:
         return expected
     usual = (unit for unit in _TICKS_PER_SECOND.values() if _USUAL_STEP_S[0] <= step / unit < _USUAL_STEP_S[1])
     return next(usual, expected)
+
+
+def are_unclear(ticks: Array) -> bool:
+    """Whether increasing times (N,) may be seconds of a time lapse as well as milliseconds of a fast camera."""
+    if len(ticks) < 2 or _shows_date(ticks):
+        return False
+    step = float(np.median(np.diff(ticks)))
+    return _UNCLEAR_STEPS[0] <= step <= _UNCLEAR_STEPS[1] and bool((ticks == np.round(ticks)).all())
 
 
 def find_clock_unit(ticks: Array) -> float | None:

@@ -17,6 +17,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LABELS = "_GT_LC.txt"  # beside GRAPH.g2o: pairs of ids of its true loops
+# Planes of a truth by the axis (x, y, z) that they leave out, each as the signed axes of the plane's x and y. KITTI's
+# camera looks along z with x to the right: in the plane x is forward and y to the left.
+_PLANES = {1: ("z, -x", (2, 0), (1.0, -1.0)), 2: ("x, y", (0, 1), (1.0, 1.0)), 0: ("y, z", (1, 2), (1.0, 1.0))}
+_KITTI_UP = 1
+_MAX_FLATNESS = 0.4  # spread along the axis left out, against the middle one; KITTI's hills reach 0.36
+_MIN_WIDTH = 0.05  # spread along y, against the largest, that is a motion: on a straight road noise decides
 _NO_POSES = "no ground truth was given"
 _NO_LABELS = f"there is no list of true loops beside the graph (GRAPH{LABELS})"
 
@@ -44,7 +50,8 @@ class GraphTruth:
 def find_truth(path: Path, graph: Graph, trusted: Mask, ground_truth: Path | None) -> GraphTruth:
     """Find the ground truth of a graph's poses in a file or a folder, and of its loops in the list beside the graph.
 
-    The pose of id i is that of line i, counted from zero. In the plane x is KITTI's z and y its -x.
+    The pose of id i is that of line i, counted from zero. Of a planar graph the truth is taken in the plane in which it
+    moves: KITTI's (z, -x) unless another is clearly the plane.
 
     Args:
         path: file of the graph.
@@ -90,9 +97,29 @@ def _positions(file: Path, graph: Graph) -> tuple[Array, tuple[str, ...]]:
             "give the truth of the same recording"
         )
     positions = poses[ids, :3, 3]
-    # KITTI's camera looks along z with x to the right; in the plane x is forward and y to the left.
-    planar = np.column_stack([positions[:, 2], -positions[:, 0]])
-    return (planar if graph.poses.shape[-1] == 3 else positions), trajectory.remarks
+    if graph.poses.shape[-1] != 3:
+        return positions, trajectory.remarks
+    planar, remark = _in_plane(file, positions)
+    return planar, (*trajectory.remarks, *remark)
+
+
+def _in_plane(file: Path, positions: Array) -> tuple[Array, list[str]]:
+    """Return true positions (N, 3) in the plane (N, 2) in which they move, and a remark unless it is KITTI's."""
+    spread = positions.std(axis=0)
+    up = min(_PLANES, key=lambda axis: float(spread[axis]))  # of equal ones the first
+    across, middle, along = np.sort(spread)
+    is_flat = across <= _MAX_FLATNESS * middle
+    if up != _KITTI_UP and not (is_flat and spread[_KITTI_UP] > _MIN_WIDTH * along):
+        up, is_flat = _KITTI_UP, False
+    name, axes, signs = _PLANES[up]
+    moves = f"the truth spreads by {spread[0]:.3g}, {spread[1]:.3g} and {spread[2]:.3g} m along x, y and z"
+    planar = positions[:, list(axes)] * signs
+    if not is_flat:
+        return planar, [
+            f"{file}: {moves}, which is no clear plane; KITTI's ({name}) is taken, so turn the truth if y is not up or"
+            " down"
+        ]
+    return planar, [] if up == _KITTI_UP else [f"{file}: {moves}; its plane is taken as ({name}), not KITTI's (z, -x)"]
 
 
 def _labels(path: Path, graph: Graph, trusted: Mask) -> tuple[Mask | None, list[str]]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, read_truth_matrix, truth_from_poses
 from slam.errors import ConfigError, DataError
-from slam.evaluation.trajectory_errors import distances_along, pair_by_time
+from slam.evaluation.trajectory_errors import distances_along, pair_by_time, scale_to_other
 from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
 
 MATRIX_SUFFIXES = (".mat", ".npz")
@@ -64,10 +64,12 @@ def read_revisit_truth(
         return RevisitTruth(truth.matrix, str(path), remarks=truth.remarks)
     rule = rule or RevisitRule()
     trajectory = read_trajectory_with_remarks(path)
+    images = None if image_times is None else Trajectory(image_times, np.tile(np.eye(4), (len(image_times), 1, 1)))
+    trajectory = trajectory if images is None else scale_to_other(path, trajectory, images)
     times, poses, remarks = trajectory.times, trajectory.poses, trajectory.remarks
-    if image_times is not None and times is not None:
-        poses, remark = _poses_of_images(path, trajectory, image_times)
-        times, remarks = image_times, (*remarks, remark)
+    if images is not None and times is not None:
+        poses, remark = _poses_of_images(path, trajectory, images)
+        times, remarks = images.times, (*remarks, remark)
     if times is None and fps is not None:
         times = np.arange(len(poses)) / fps
     if rule.min_time_gap_s > 0 and times is None:
@@ -78,20 +80,17 @@ def read_revisit_truth(
     return replace(revisit_truth_from_poses(poses, str(path), rule, times), remarks=remarks)
 
 
-def _poses_of_images(
-    path: Path, trajectory: Trajectory, image_times: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], str]:
-    """Return true poses (N, 4, 4) at the times (N,) of images, each of which must have one, and how they were found."""
-    images = Trajectory(image_times, np.tile(np.eye(4), (len(image_times), 1, 1)))
+def _poses_of_images(path: Path, trajectory: Trajectory, images: Trajectory) -> tuple[NDArray[np.float64], str]:
+    """Return true poses (N, 4, 4) at the times of N images, each of which must have one, and how they were found."""
     pairs = pair_by_time(images, trajectory)
-    if len(pairs.rows) < len(image_times) == len(trajectory.poses):
+    if len(pairs.rows) < len(images.poses) == len(trajectory.poses):
         return trajectory.poses, f"{path}: not the times of the images, but as many poses; image i has pose i"
-    if len(pairs.rows) < len(image_times):
+    if len(pairs.rows) < len(images.poses):
         raise DataError(
-            f"{path}: expected true poses at the times of all {len(image_times)} images, found"
+            f"{path}: expected true poses at the times of all {len(images.poses)} images, found"
             f" {len(pairs.rows)}; choose the truth of this recording"
         )
-    return pairs.truth, f"{path}: matched by time with the {len(image_times)} images"
+    return pairs.truth, f"{path}: matched by time with the {len(images.poses)} images"
 
 
 def revisit_truth_from_poses(

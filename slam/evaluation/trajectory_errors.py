@@ -13,7 +13,8 @@ estimated pose takes the true pose within `MAX_TIME_DIFFERENCE_S`, and else it h
 poses is one of constant twist, so a constant delay of one of the clocks costs no ATE.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -33,6 +34,10 @@ Alignment = Literal["se3", "sim3"]
 SEGMENT_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 SEGMENT_STEP_FRAMES = 10  # frames between the starts of segments
 MAX_TIME_DIFFERENCE_S = 0.01  # between two poses that are compared without interpolation
+# Poses 1 to 10 s apart may be 1 to 10 ms apart: only the other trajectory tells.
+_UNCLEAR_STEPS_S = (0.9, 10.5)
+_MAX_WRONG_SHARE, _MIN_RIGHT_SHARE = 0.2, 0.5  # of the poses that have a partner, as read and divided
+_MIN_SPAN_SHARE = 0.1  # of the other's span: all poses within a moment of the other trajectory prove nothing
 
 
 @dataclass(frozen=True)
@@ -267,6 +272,36 @@ def pair_by_time(estimate: Trajectory, truth: Trajectory) -> PosePairs:
     poses = np.concatenate([_interpolate(times[between], true_times, truth.poses), truth.poses[true_rows[alone]]])
     order = np.argsort(rows)
     return PosePairs(estimate.poses[rows[order]], poses[order], rows[order])
+
+
+def scale_to_other(path: Path, trajectory: Trajectory, other: Trajectory) -> Trajectory:
+    """Divide times by a thousand, with a remark, where the step leaves the unit open and only so they fit the other's.
+
+    Args:
+        path: file of the trajectory, for the remark.
+        trajectory: poses with or without times.
+        other: trajectory of the same drive.
+    """
+    times, others = trajectory.times, other.times
+    if times is None or others is None or len(times) < 2 or len(others) < 2:
+        return trajectory
+    step, scaled = float(np.median(np.diff(times))), times / 1e3
+    is_unclear = _UNCLEAR_STEPS_S[0] <= step <= _UNCLEAR_STEPS_S[1]
+    if not is_unclear or np.ptp(scaled) < _MIN_SPAN_SHARE * np.ptp(others):
+        return trajectory
+    if _matched_share(times, others) >= _MAX_WRONG_SHARE or _matched_share(scaled, others) < _MIN_RIGHT_SHARE:
+        return trajectory
+    remark = (
+        f"{path}: the times are {times[0]:g} to {times[-1]:g} in steps of {step:g} and fit the others only if divided"
+        " by 1000, and were"
+    )
+    return replace(trajectory, times=scaled, remarks=(*trajectory.remarks, remark))
+
+
+def _matched_share(times: Array, others: Array) -> float:
+    """Return which share of the times (N,) has a partner among others (M,), or of the others, whichever is larger."""
+    pairs = ((times, others), (others, times))
+    return max(len(np.union1d(_rows_between(a, b), _rows_near(a, b)[0])) / len(a) for a, b in pairs)
 
 
 def _rows_between(times: Array, true_times: Array) -> Rows:

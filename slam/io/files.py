@@ -1,6 +1,7 @@
 """Text files: writing in one piece, so that a file appears complete or not at all, and reading of lines and numbers."""
 
 import codecs
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -93,11 +94,26 @@ def read_numbers(path: Path, columns: int, min_rows: int = 1) -> NDArray[np.floa
     return np.array(rows, np.float64).reshape(-1, columns)
 
 
+def check_decimal_points(path: Path, number: int, line: str) -> None:
+    """Check that the numbers of a line, between blanks or semicolons, have no decimal commas.
+
+    Raises:
+        DataError: they have.
+    """
+    words = re.split(r"[\s;]+", line.strip("; \t\r\n"))
+    if "," in line and all(re.fullmatch(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?", word) for word in words):
+        raise DataError(
+            f"{path}, line {number}: expected decimal points, found decimal commas, {line.strip()[:60]!r};"
+            " write decimal points"
+        )
+
+
 def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
     words = line.split()
     expected = f"{path}, line {number}: expected {columns} finite number{'s' if columns > 1 else ''}"
     if len(words) != columns:
         raise DataError(f"{expected}, found {len(words)}; copy the file again")
+    check_decimal_points(path, number, line)
     try:
         values = [float(word) for word in words]
     except ValueError:

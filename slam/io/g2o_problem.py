@@ -79,7 +79,8 @@ def classify_edges(graph: Graph, name: str) -> ClassifiedEdges:
 def _are_successive(edges: Edges, ids: Ids) -> Mask:
     """Return which edges (M,) join two poses of one robot that follow each other by id; ids (N,) are sorted."""
     gaps = np.diff(ids.astype(np.float64))  # a difference of two symbols can be too large for an integer
-    is_one_robot = np.diff(ids >> _ROBOT_BITS) == 0
+    robots = np.maximum(ids, 0) >> _ROBOT_BITS  # a negative id has no letter, so it is of the robot of 0
+    is_one_robot = np.diff(robots) == 0
     usual = float(np.median(gaps[is_one_robot])) if is_one_robot.any() else 1.0
     follows = np.append(is_one_robot & (gaps <= _MAX_GAP_FACTOR * usual), False)
     successive: Mask = (np.abs(edges.first - edges.second) == 1) & follows[np.minimum(edges.first, edges.second)]

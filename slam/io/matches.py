@@ -66,7 +66,7 @@ def write_matrix(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 
 
 def read_matches(path: Path) -> tuple[Belief, ...]:
-    """Read beliefs, by query, from matches.csv or any table with the columns query, match and score.
+    """Read beliefs, by query, from matches.csv or any table with the columns query, match and score, in any case.
 
     A table without the column accepted or verified counts all its matches as such; what the other columns hold is not
     known where they are missing.
@@ -90,8 +90,11 @@ def read_matches(path: Path) -> tuple[Belief, ...]:
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
         lines = io.StringIO(read_text(path), newline="")
-        reader = csv.DictReader(lines, restval="", strict=True, skipinitialspace=True)
-        rows, header = [(reader.line_num, row) for row in reader], reader.fieldnames or ()
+        separator = _separator(lines.readline())
+        lines.seek(0)
+        reader = csv.DictReader(lines, restval="", strict=True, skipinitialspace=True, delimiter=separator)
+        reader.fieldnames = header = [name.strip().lower() for name in reader.fieldnames or ()]
+        rows = [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
         raise DataError(f"{path}: expected a table of matches, found none; check the path") from None
     except (OSError, ValueError, csv.Error) as error:
@@ -101,6 +104,11 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
         found = ", ".join(header) or "an empty file"
         raise DataError(f"{path}: expected the columns {', '.join(_NEEDED)}, found {found[:80]}; name them in line 1")
     return rows
+
+
+def _separator(header: str) -> str:
+    """Return what separates the names of the columns: spreadsheets of many countries write semicolons."""
+    return max(",;\t", key=header.count)  # of equally many the first
 
 
 def _row(belief: Belief) -> list[object]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import DataError
-from slam.io.files import PassedOver, read_lines
+from slam.io.files import PassedOver, check_decimal_points, read_lines
 from slam.io.trajectory_files import kitti_poses, tum_poses
 
 Array = NDArray[np.float64]
@@ -98,6 +98,8 @@ def _read_table(path: Path) -> _PoseTable:
         if text.startswith("#"):
             table.header = table.header if table.rows else _cells(text.lstrip("# "))
             continue
+        if len(text.split()) > 1 or ";" in text:  # else commas separate the cells
+            check_decimal_points(path, number, text)
         cells = _cells(text)
         if not any(cells):
             continue

@@ -85,3 +85,25 @@ def test_a_console_replaces_what_its_encoding_lacks(encoding: str) -> None:
 
 def test_a_console_that_shows_everything_changes_nothing() -> None:
     assert printed("ATE \N{EN DASH}", "utf-8") == "ATE \N{EN DASH}\n"
+
+
+def test_a_reader_that_goes_away_costs_no_result(tmp_path: Path) -> None:
+    done = tmp_path / "done"
+    code = (
+        "import pathlib, sys; from rich.console import Console; from slam.environment import outlive_readers;"
+        " outlive_readers(); sys.stdin.readline(); Console().print('a'); print('b', flush=True);"
+        f" print('c', file=sys.stderr); pathlib.Path({str(done)!r}).touch(); print('d')"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, **pipes) as process:  # type: ignore[call-overload]
+        process.stdout.close()
+        process.stderr.close()
+        process.stdin.write(b"go on\n")
+        process.stdin.close()
+        assert process.wait(60) == 0
+    assert done.exists()
+
+
+def test_a_reader_that_stays_reads_everything() -> None:
+    code = "from slam.environment import outlive_readers; outlive_readers(); print('a'); print('b', end='')"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True).stdout == b"a\nb"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.grey_levels import FULL_RANGE, GreyRange, measure_grey_range
-from slam.datasets.time_sync import find_clock_unit, find_ticks_per_second, short_name, unit_name
+from slam.datasets.time_sync import are_unclear, find_clock_unit, find_ticks_per_second, short_name, unit_name
 from slam.errors import DataError
 from slam.io.files import read_lines, read_numbers
 
@@ -168,8 +168,9 @@ def read_times(path: Path, count: int) -> tuple[Array, tuple[str, ...]]:
             " the line, or remove the file and give --fps"
         )
     unit = find_ticks_per_second(ticks, 1.0)
-    remark = f"{short_name(path)}: the times are read as {unit_name(unit)}; if they are seconds, give --fps instead"
-    return ticks / unit, () if unit == 1.0 else (remark,)
+    remark = f"{short_name(path)}: the times are read as {unit_name(unit)}; if they are "
+    remark += "milliseconds, divide them by 1000" if unit == 1.0 else "seconds, give --fps instead"
+    return ticks / unit, () if unit == 1.0 and not are_unclear(ticks) else (remark,)
 
 
 def read_or_count_times(path: Path, count: int, fps: float | None) -> tuple[Array | None, tuple[str, ...]]:

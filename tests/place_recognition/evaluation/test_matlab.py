@@ -234,3 +234,17 @@ def test_values_are_counted_up_to_a_bound_and_nan_once() -> None:
     assert count_values(np.array([[np.nan, 1.0], [0.0, np.nan], [1.0, np.nan]])) == 3
     assert count_values(np.arange(200).reshape(20, 10)) == MAX_VALUES
     assert count_values(np.array([[True, False]])) == 2
+
+
+@pytest.mark.parametrize(("num_nans", "words"), [(1, "1 cell is NaN"), (3, "3 cells are NaN")])
+def test_cells_that_are_not_numbers_are_counted(file: Path, num_nans: int, words: str) -> None:
+    truth = np.eye(12, k=-4)
+    truth[9, :num_nans] = np.nan
+    savemat(file, {"truth": truth})
+    np.savez(file.with_suffix(".npz"), truth=truth)
+    for path in (file, file.with_suffix(".npz")):
+        found = read_truth_matrix(path)
+        np.testing.assert_array_equal(found.matrix, truth > 0)
+        assert found.remarks == (f"{path}: {words} and count as another place; write 0 or 1",)
+    savemat(file, {"truth": np.eye(12, k=-4)})
+    assert read_truth_matrix(file).remarks == ()

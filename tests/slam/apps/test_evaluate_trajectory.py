@@ -218,3 +218,29 @@ def test_the_truth_of_a_vehicle_is_moved_to_its_camera_by_the_calibration_beside
     assert values["end_error_m"] < 1e-6
     assert values["t_rel_percent"] < 1e-6
     assert "poses of the vehicle, moved to the left camera" in values["warnings"][0]
+
+
+def test_the_other_file_tells_milliseconds_at_100_hz_from_steps_of_10_s(tmp_path: Path) -> None:
+    times, true_times = np.arange(300) / 10, np.arange(3000) / 100
+    motion = se3.log(drive(2)[1]) * 10
+    write_tum(tmp_path / "estimate.tum", times, stretched(np.array([se3.exp(t * motion) for t in times]), 1.01))
+    poses = np.array([se3.exp(t * motion) for t in true_times])
+    write_tum(tmp_path / "seconds.tum", true_times, poses)
+    write_tum(tmp_path / "thousandths.tum", np.arange(3000.0) * 10, poses)
+    right = values_of(tmp_path / "estimate.tum", tmp_path / "seconds.tum")
+    found = values_of(tmp_path / "estimate.tum", tmp_path / "thousandths.tum")
+    assert found["ate_m"] == pytest.approx(right["ate_m"])
+    assert (found["poses"], right["warnings"]) == (300, [])
+    assert found["warnings"] == [
+        f"{tmp_path}/thousandths.tum: the times are 0 to 29990 in steps of 10 and fit the others only if divided by"
+        " 1000, and were"
+    ]
+    swapped = values_of(tmp_path / "thousandths.tum", tmp_path / "estimate.tum")
+    assert (swapped["poses"], swapped["ate_m"]) == (2991, pytest.approx(right["ate_m"], rel=0.02))
+
+
+def test_poses_that_match_by_chance_give_no_errors(tmp_path: Path) -> None:
+    write_tum(tmp_path / "a.tum", np.arange(300) / 10, drive())
+    write_tum(tmp_path / "b.tum", np.arange(300) * 7.0, drive())
+    with pytest.raises(DataError, match=r"found 5 of 300, from 0.000 to 29.900 s against 0.000 to 2093.000 s"):
+        evaluate_trajectory_files(tmp_path / "a.tum", tmp_path / "b.tum")

@@ -8,6 +8,7 @@ import pytest
 
 from slam.cli import app
 from slam.io.g2o import read_g2o
+from slam.io.g2o_problem import classify_edges
 from slam.io.metrics import read_metrics
 
 INFORMATION = "400 0 0 400 0 40000"
@@ -198,3 +199,38 @@ def test_a_truth_with_lines_without_a_pose_is_refused_as_lines_stand_for_ids(
     error = capsys.readouterr().err
     assert "passed over 1 line without a pose" in error
     assert "(first in line 4); expected a pose in each line, as line i is the pose of id i" in error
+
+
+def ate_against(tmp_path: Path, rows: list[str]) -> tuple[float, list[str]]:
+    """Optimise the square against a truth in TUM's form (x y z of each pose); return the ATE and the warnings."""
+    file = tmp_path / "truth.tum"
+    file.write_text("".join(f"{0.1 * k} {row} 0 0 0 1\n" for k, row in enumerate(rows)))
+    out = tmp_path / f"out_{len(list(tmp_path.glob('out_*')))}"
+    assert run(square(tmp_path / "a.g2o"), "--out", out, "--ground-truth", file) == 0
+    metrics = read_metrics(out / "metrics.json")
+    return metrics["graph"]["ate_m"], metrics["warnings"]  # type: ignore[index, return-value]
+
+
+def test_a_planar_truth_is_taken_in_the_plane_in_which_it_moves(tmp_path: Path) -> None:
+    poses = np.loadtxt(truth(tmp_path / "kitti.txt")).reshape(-1, 3, 4)[:, :, 3]
+    x, y = poses[:, 2], -poses[:, 0]
+    kitti, silent = ate_against(tmp_path, [f"{-b} 0 {a}" for a, b in zip(x, y, strict=True)])
+    assert kitti < 0.2
+    assert not any("plane" in warning for warning in silent)
+    for row, plane in (("{0} {1} 0", "(x, y)"), ("{0} {1} 0.1", "(x, y)"), ("0 {0} {1}", "(y, z)")):
+        found, warnings = ate_against(tmp_path, [row.format(a, b) for a, b in zip(x, y, strict=True)])
+        assert found == pytest.approx(kitti)
+        assert any(f"taken as {plane}, not KITTI's (z, -x)" in warning for warning in warnings)
+    up = np.arange(len(x)) % 9
+    _, warnings = ate_against(tmp_path, [f"{-b} {3 * c} {a}" for a, b, c in zip(x, y, up, strict=True)])
+    assert any("no clear plane; KITTI's (z, -x) is taken" in warning for warning in warnings)
+
+
+def test_negative_ids_are_of_the_robot_of_0(tmp_path: Path) -> None:
+    graph = square(tmp_path / "a.g2o")
+    lines = [line.split() for line in graph.read_text().splitlines()]
+    shifted = [" ".join([line[0], str(int(line[1]) - 5), str(int(line[2]) - 5), *line[3:]]) for line in lines]
+    (tmp_path / "b.g2o").write_text("\n".join(shifted) + "\n")
+    for name in ("a", "b"):
+        edges = classify_edges(read_g2o(tmp_path / f"{name}.g2o"), name)
+        assert (int(edges.trusted.sum()), int(edges.connecting.sum()), edges.warnings) == (79, 0, ())

@@ -87,3 +87,11 @@ def test_a_truth_of_another_size_is_refused_and_an_unknown_one_is_not() -> None:
     check_truth_size(RevisitTruth(np.zeros((7, 7), np.bool_), "a"), 7, Path("drive"))
     with pytest.raises(DataError, match=r"expected a truth of 8 images as in drive, found 7"):
         check_truth_size(RevisitTruth(np.zeros((7, 7), np.bool_), "a"), 8, Path("drive"))
+
+
+def test_the_times_of_the_images_show_that_a_truth_is_in_milliseconds(tmp_path: Path, laps: np.ndarray) -> None:
+    write_tum(tmp_path / "poses.tum", np.arange(COUNT) * 10.0, laps)
+    truth = read_revisit_truth(tmp_path / "poses.tum", image_times=np.arange(COUNT) / 100)
+    np.testing.assert_array_equal(truth.required_matrix, revisit_truth_from_poses(laps, "poses").required_matrix)
+    assert "the times are 0 to 790 in steps of 10 and fit the others only if divided by 1000" in truth.remarks[0]
+    assert "matched by time with the 80 images" in truth.remarks[1]

@@ -77,3 +77,15 @@ def test_a_wrong_cell_of_a_stage_is_named(tmp_path: Path, columns: str, cells: s
     (tmp_path / "m.csv").write_text(f"query,match,score,{columns}\n7,3,2.5,{cells}\n")
     with pytest.raises(DataError, match=message):
         read_matches(tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ; "])
+@pytest.mark.parametrize("header", [["query", "match", "score"], ["Query", "MATCH", " Score "]])
+def test_separators_and_the_case_of_the_header_do_not_matter(tmp_path: Path, separator: str, header: list[str]) -> None:
+    path = tmp_path / "m.csv"
+    lines = [header, ["20", "3", "0.5"], ["21", "", ""]]
+    path.write_text("".join(separator.join(line) + "\n" for line in lines))
+    assert [(belief.query, belief.match, belief.score) for belief in read_matches(path)] == [
+        (20, 3, 0.5),
+        (21, None, 0.0),
+    ]

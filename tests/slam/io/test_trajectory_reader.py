@@ -147,6 +147,11 @@ def test_a_file_in_utf_16_and_one_with_a_mark_are_read(tmp_path: Path) -> None:
             "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 0\n",
             "line 2: expected 12 finite numbers, found nan or inf",
         ),
+        (
+            "1600000000,5 0,25 -0,5 0 0,0 0 0 1,0\n",
+            "line 1: expected decimal points, found decimal commas, '1600000000,5 0,25.*; write decimal points",
+        ),
+        ("0;0;0;0;0;0;0;1\n1,5;0,25;0;0;0;0;0;1\n", "line 2: expected decimal points, found decimal commas"),
         ("1 1e13 0 0 0 0 0 1\n", "pose 0: expected a position in metres"),
     ],
 )

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from slam.datasets.dataset import DatasetSpec
+from slam.datasets.formats.image_sequence import read_times
 from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.time_sync import find_ticks_per_second, order_by_time
+from slam.errors import DataError
 
 from ..layouts import RATE, Taken, finely, taken, write_euroc, write_folders, write_tum_rgbd
 
@@ -182,6 +184,11 @@ def test_poses_in_other_columns_are_named(tmp_path: Path, rough: Taken) -> None:
         ([1.4e15, 1.4e15 + 2e5, 1.4e15 + 4e5], 1e9, 1e6),  # microseconds at 5 Hz where nanoseconds are expected
         ([3.6e12, 3.6e12 + 5e7, 3.6e12 + 1e8], 1e9, 1e9),  # an hour after the start, not a year
         ([], 1e9, 1e9),
+        (list(range(0, 3000, 10)), 1.0, 1e3),  # 100 Hz: hundreds of images 10 s apart are rarer
+        (list(range(0, 1500, 5)), 1.0, 1e3),
+        (list(range(0, 300, 10)), 1.0, 1.0),
+        (list(range(300)), 1.0, 1.0),  # a picture a second
+        (list(range(1_600_000_000, 1_600_003_000, 10)), 1.0, 1.0),  # with dates
     ],
 )
 def test_the_unit_of_times_is_found_by_step_and_date(times: list[float], expected: float, found: float) -> None:
@@ -200,3 +207,27 @@ def test_a_recording_may_begin_at_zero_and_a_clock_may_not() -> None:
 
 def test_finely_measured_truth_covers_the_images(rough: Taken) -> None:
     assert len(finely(rough)[0]) == 41  # the count that "reversed" above depends on
+
+
+@pytest.mark.parametrize(
+    ("count", "step_s", "remark"),
+    [
+        (300, 0.01, "a/times.txt: the times are read as milliseconds; if they are seconds, give --fps instead"),
+        (30, 10.0, "a/times.txt: the times are read as seconds; if they are milliseconds, divide them by 1000"),
+    ],
+)
+def test_times_in_steps_of_10_are_never_taken_in_silence(
+    tmp_path: Path, count: int, step_s: float, remark: str
+) -> None:
+    path = tmp_path / "a" / "times.txt"
+    path.parent.mkdir()
+    path.write_text("".join(f"{10 * k}\n" for k in range(count)))
+    times, remarks = read_times(path, count)
+    np.testing.assert_allclose(np.diff(times), step_s)
+    assert remarks == (remark,)
+
+
+def test_times_with_decimal_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "times.txt").write_text("0\n0,033\n")
+    with pytest.raises(DataError, match=r"times\.txt, line 2: expected decimal points, found decimal commas, '0,033'"):
+        read_times(tmp_path / "times.txt", 2)
