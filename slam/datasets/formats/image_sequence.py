@@ -20,6 +20,7 @@ from slam.io.files import read_lines, read_numbers
 Array = NDArray[np.float64]
 
 _MEASURED_FILES = 16  # of a sequence of 16-bit images, to find their range
+_MAX_DIGITS = 18  # of a number in a name
 
 IMAGE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".jpe", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".webp", ".jp2")
@@ -204,6 +205,17 @@ def times_from_names(files: Sequence[Path]) -> tuple[Array | None, tuple[str, ..
         return None, ()
     remark = f"{files[0].parent.name}: the times are read from the names, as {unit_name(unit)}; --fps gives others"
     return ticks / unit, (remark,)
+
+
+def find_numbers(files: Sequence[Path]) -> NDArray[np.int64] | None:
+    """Read the numbers (N,), increasing, in which the names of images end; None if they do not all have one."""
+    parts = [match.groups() for file in files if (match := _NUMBERED.fullmatch(file.stem))]
+    if len(parts) < len(files) or len({(part[0], part[2], part[3]) for part in parts}) > 1 or parts[0][2]:
+        return None
+    if max(len(part[1]) for part in parts) > _MAX_DIGITS:
+        return None
+    numbers = np.array([int(part[1]) for part in parts], np.int64)
+    return numbers if (np.diff(numbers) > 0).all() else None
 
 
 def list_images(folder: Path) -> tuple[Path, ...]:

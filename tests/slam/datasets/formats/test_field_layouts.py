@@ -263,6 +263,54 @@ def test_the_rate_of_the_user_is_that_of_a_pair_of_videos(tmp_path: Path, ideal:
 # Layouts of other data sets.
 
 
+def write_numbered(root: Path, left: list[int], right: list[int]) -> Path:
+    """Two folders of images whose grey value is their number."""
+    for side, numbers in (("left", left), ("right", right)):
+        (root / side).mkdir(parents=True)
+        for number in numbers:
+            cv2.imwrite(str(root / side / f"{side}_{number:04d}.png"), np.full((48, 64), number, np.uint8))
+    (root / "camera.toml").write_text("fx = 50\nfy = 50\ncx = 32\ncy = 24\nbaseline = 0.1\nfps = 10\n")
+    return root
+
+
+def without(*numbers: int) -> list[int]:
+    return [number for number in range(1, 41) if number not in numbers]
+
+
+@pytest.mark.parametrize(("left", "right"), [((30,), (36,)), ((), (36,))])
+def test_two_folders_are_paired_by_the_numbers_in_their_names(
+    tmp_path: Path, left: tuple[int, ...], right: tuple[int, ...]
+) -> None:
+    drive = open_dataset(write_numbered(tmp_path, without(*left), without(*right)))
+    first = "right/right_0030.png" if left else "left/left_0036.png"
+    assert drive.remarks == (
+        f"images are paired by the numbers in their names; {first} is the first without a partner",
+        f"{len(left) + len(right)} images without a partner in the other camera are left out",
+    )
+    kept = without(*left, *right)
+    assert [(frame.left[0, 0], frame.right[0, 0]) for frame in drive] == [(number, number) for number in kept]
+    np.testing.assert_allclose(drive.timestamps, (np.array(kept) - 1) / 10)
+
+
+def test_numbers_that_pair_the_images_differently_from_their_order_are_refused(tmp_path: Path) -> None:
+    root = write_numbered(tmp_path, [1, 2, 4, 5], [1, 2, 3, 5])
+    with pytest.raises(DataError, match=r"right: expected an image of the number of left/left_0004.png, found right_0"):
+        open_dataset(root)
+
+
+def test_a_list_of_times_for_both_cameras_needs_the_same_numbers_in_both(tmp_path: Path) -> None:
+    root = write_numbered(tmp_path, without(30), without(36))
+    (root / "times.txt").write_text("".join(f"{0.1 * index}\n" for index in range(39)))
+    with pytest.raises(DataError, match=r"expected an image of the number of left/left_0031.png, found right_0030.png"):
+        open_dataset(root)
+
+
+def test_cameras_that_count_from_different_numbers_are_paired_by_order(tmp_path: Path) -> None:
+    drive = open_dataset(write_numbered(tmp_path, [1, 3, 5, 9], [2, 4, 6, 10]))
+    assert [(frame.left[0, 0], frame.right[0, 0]) for frame in drive] == [(1, 2), (3, 4), (5, 6), (9, 10)]
+    assert drive.remarks == ()
+
+
 def write_kitti_raw(root: Path, drive: Taken, cameras: tuple[str, ...] = ("00", "01")) -> Path:
     """The raw data of KITTI: a calibration above the drive, one line of timestamps.txt for each image."""
     date = root / "2011_09_30"
