@@ -507,3 +507,49 @@ def test_the_remedy_for_tartanair_makes_it_readable(tmp_path: Path, ideal: Taken
     (root / "camera.toml").write_text("fx = 320\nfy = 320\ncx = 160\ncy = 120\nbaseline = 0.25\nfps = 10\n")
     drive = open_for_odometry(DatasetSpec(root), mono=False)
     np.testing.assert_array_equal(drive[3].right, ideal.pairs[3][1])
+
+
+# Pairs of 16 bits.
+
+
+def make_deep(folder: Path, bits: int) -> None:
+    """Turn images of 8 bits into images of 16 bits that use only the lowest."""
+    for path in folder.glob("*.png"):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), grey.astype(np.uint16) << (bits - 8))
+
+
+PAIRS = {
+    "kitti": ("image_0", "image_1"),
+    "kitti-raw": ("image_00", "image_01"),
+    "euroc": ("cam0", "cam1"),
+    "own-camera": ("left", "right"),
+}
+
+
+def write_layout(root: Path, name: str, drive: Taken, write_drive: Callable[..., Path]) -> Path:
+    writers: dict[str, Callable[[], Path]] = {
+        "kitti": lambda: write_drive(root),
+        "kitti-raw": lambda: write_kitti_raw(root, drive),
+        "euroc": lambda: write_euroc(root / "MH", drive),
+        "own-camera": lambda: write_folders(root / "own", drive, fps=RATE),
+    }
+    return writers[name]()
+
+
+@pytest.mark.parametrize(("name", "lost"), [*((name, False) for name in PAIRS), ("kitti-raw", True)])
+def test_both_cameras_of_sixteen_bits_have_one_scale(
+    tmp_path: Path, ideal: Taken, write_drive: Callable[..., Path], name: str, lost: bool
+) -> None:
+    root = write_layout(tmp_path, name, ideal, write_drive)
+    before = open_dataset(root)[1]
+    assert before.right is not None
+    for camera, bits in zip(PAIRS[name], (10, 12), strict=True):
+        for folder in [item for item in tmp_path.rglob("*") if camera in item.parts and item.is_dir()]:
+            make_deep(folder, bits)
+    if lost:
+        max(tmp_path.rglob("image_01/data/*.png")).unlink()
+    frame = open_dataset(root)[1]  # the scale is that of 12 bits, at which the left images are four times as dark
+    assert frame.right is not None
+    assert np.abs(frame.right.astype(float) - before.right).max() <= 1
+    assert np.abs(frame.left.astype(float) - before.left / 4.0).max() <= 2
