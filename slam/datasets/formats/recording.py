@@ -25,6 +25,8 @@ from slam.errors import DataError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+LEFT_ALONE = "the left camera alone is used"  # end of the remark that says why a pair is not used
+
 MIN_SIDE_PX = 8  # in smaller images there is nothing to follow or to recognise
 
 

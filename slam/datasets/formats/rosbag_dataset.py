@@ -15,6 +15,7 @@ from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.custom_camera import rectification_of
 from slam.datasets.formats.recording import (
+    LEFT_ALONE,
     CameraStream,
     ImageDataset,
     LeftImages,
@@ -128,7 +129,7 @@ def _remarks_of_choice(bag: Bag, topics: CameraTopics, used: CameraTopics) -> tu
         return ()
     faults = "".join(f"; {topic}: {fault}" for topic, fault in bag.rejected.items())
     trouble = f"neither CameraInfo (P of both cameras) nor {CAMERA_TOML} has a baseline"
-    return (f"{trouble}: the left camera alone is used{faults}",)
+    return (f"{trouble}: {LEFT_ALONE}{faults}",)
 
 
 def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:

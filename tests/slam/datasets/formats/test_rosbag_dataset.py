@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.datasets.dataset import DatasetSpec
-from slam.datasets.formats.registry import open_dataset, open_images
+from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.formats.rosbag_file import is_bag
 from slam.errors import DataError
 
@@ -310,6 +310,10 @@ def test_a_baseline_to_a_camera_that_is_not_rectified_is_none(tmp_path: Path) ->
     dataset = open_dataset(path)
     assert not dataset.has_right
     assert "neither CameraInfo (P of both cameras) nor camera.toml has a baseline" in dataset.remarks[0]
+    with pytest.raises(
+        DataError, match=r"found left ones only \(neither CameraInfo \(P of .*; use one camera with --mo"
+    ):
+        open_for_odometry(DatasetSpec(path), mono=False)
 
 
 def spoil(path: Path, kind: str) -> Path:
