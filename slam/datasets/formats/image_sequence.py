@@ -100,7 +100,8 @@ def check_one_camera(files: tuple[Path, ...]) -> None:
     """Raise DataError if the names of most images differ in left and right only: they are those of two cameras."""
     names = {file.stem.lower() for file in files}
     for left, right in _CAMERA_WORDS:
-        word = re.compile(rf"(?<![a-z]){left}(?!{'[a-z]' if left.isalpha() else '[0-9]'})")
+        is_word = rf"(?<![a-z]){left}(?!{'[a-z]' if left.isalpha() else '[0-9]'})"
+        word = re.compile(left if left == "left" else is_word)  # leftimg0000 is one of a left camera too
         pairs = {name: word.sub(right, name) for name in names}
         both = [name for name, other in pairs.items() if other != name and other in names]
         if len(files) < 4 * len(both):

@@ -126,9 +126,9 @@ def test_a_picture_beside_one_folder_or_one_video_decides_nothing(tmp_path: Path
 
 
 def test_left_and_right_images_in_one_folder_are_named(tmp_path: Path, ideal: Taken) -> None:
-    for number, (first, second) in enumerate(
-        [("{}_left", "{}_right"), ("Left{}", "Right{}"), ("l_{}", "r_{}"), ("cam0_{}", "cam1_{}"), ("{}-L", "{}-R")]
-    ):
+    names = [("{}_left", "{}_right"), ("Left{}", "Right{}"), ("l_{}", "r_{}"), ("cam0_{}", "cam1_{}"), ("{}-L", "{}-R")]
+    names += [("leftimg{:04d}", "rightimg{:04d}"), ("camLeft{}", "camRight{}")]
+    for number, (first, second) in enumerate(names):
         root = tmp_path / str(number)
         root.mkdir()
         for k, (left, right) in enumerate(ideal.pairs):
