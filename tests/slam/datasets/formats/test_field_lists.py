@@ -9,6 +9,7 @@ import pytest
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.time_sync import find_ticks_per_second, order_by_time
+from slam.errors import DataError
 
 from ..layouts import RATE, Taken, finely, taken, write_euroc, write_folders, write_tum_rgbd
 
@@ -200,3 +201,23 @@ def test_a_recording_may_begin_at_zero_and_a_clock_may_not() -> None:
 
 def test_finely_measured_truth_covers_the_images(rough: Taken) -> None:
     assert len(finely(rough)[0]) == 41  # the count that "reversed" above depends on
+
+
+@pytest.mark.parametrize("write", [write_euroc, write_tum_rgbd])
+def test_a_few_listed_images_that_are_missing_are_left_out(tmp_path: Path, write: Callable[..., Path]) -> None:
+    drive = taken("radtan", 12)
+    root = write(tmp_path / "freiburg1", drive)
+    whole = open_images(DatasetSpec(root))
+    table = next(path for path in (root / "mav0/cam0/data.csv", root / "rgb.txt") if path.is_file())
+    files = sorted((root / "mav0/cam0/data" if write is write_euroc else root / "rgb").glob("*.png"))
+    files[5].unlink()
+    images = open_images(DatasetSpec(root))
+    place = f"{table.parent.name}/{table.name}"
+    assert f"{place}: 1 of 12 listed images are missing and left out, the first is {files[5].name}" in images.remarks
+    np.testing.assert_array_equal(images.timestamps, np.delete(whole.timestamps, 5))
+    np.testing.assert_array_equal(images[5], whole[6])
+    files[7].unlink()
+    with pytest.raises(
+        DataError, match=rf"{table.name}: expected the image .*{files[5].name}, which .* 2 of 12 listed"
+    ):
+        open_images(DatasetSpec(root))
