@@ -125,17 +125,18 @@ def _times_by_number(
         DataError: there are equally many images, but their order and their numbers pair them differently.
     """
     left, right = (find_numbers(sequence.files) for sequence in images)
-    seconds = [time.seconds for time in times]
-    is_by_order = not times[1].are_recorded or np.array_equal(seconds[0], seconds[1])
-    if left is None or right is None or seconds[0] is None or not is_by_order or _are_same_steps(left, right):
+    first, second = (time.seconds for time in times)
+    if left is None or right is None or first is None or second is None or _are_same_steps(left, right):
         return times
+    if times[1].are_recorded and not np.array_equal(first, second):
+        return times  # each camera has its own times
     alone = np.setxor1d(left, right)
     if times[1].are_recorded or len(alone) > _MAX_ALONE * (len(left) + len(right)):
         _refuse_first_difference(images, left, right)
         return times
     files = {**dict(zip(right, images[1].files, strict=True)), **dict(zip(left, images[0].files, strict=True))}
     remark = f"images are paired by the numbers in their names; {short_name(files[alone[0]])} is the first without"
-    start, step_s = min(left[0], right[0]), _median_step(seconds[0]) / _median_step(left)
+    start, step_s = min(left[0], right[0]), _median_step(first) / _median_step(left)
     return ImageTimes((left - start) * step_s, (f"{remark} a partner",)), ImageTimes((right - start) * step_s)
 
 
