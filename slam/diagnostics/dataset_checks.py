@@ -165,7 +165,7 @@ def _check_seen(dataset: Dataset, seen: _Samples, use: Use) -> list[Finding]:
 
 
 def _report_remarks(dataset: Dataset | ImageDataset) -> list[Finding]:
-    return [report_warning("left out", remark) for remark in dataset.remarks]
+    return [report_warning("reading", remark) for remark in dataset.remarks]
 
 
 def _reader(dataset: Dataset, is_pair: bool) -> Callable[[int], tuple[Image, Image | None]]:

@@ -10,18 +10,22 @@ from slam.datasets.camera_toml import CAMERA_TOML
 from slam.datasets.formats.image_sequence import (
     ImageSequence,
     check_one_camera,
+    find_numbers,
     list_images,
     read_times,
     times_from_names,
 )
 from slam.datasets.formats.recording import CameraStream
+from slam.datasets.time_sync import find_clock_unit, short_name
 from slam.datasets.video import VIDEO_SUFFIXES, Video, open_video
 from slam.errors import DataError
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 # Steps of a video without a gap, relative to their median; relative difference of two equal rates.
 _MAX_EVEN_STEP, _MAX_RATE_DIFFERENCE = 1.5, 1e-3
+_MAX_ALONE = 0.1  # share of images without a partner by number; more are two recordings, or a copy that failed
 
 
 @dataclass(frozen=True)
@@ -101,13 +105,61 @@ def open_pair(left: Path, right: Path, fps: float | None) -> tuple[CameraStream,
     if all(isinstance(video, Video) and video.has_times for video in images):
         times = _own_times(times, find_times(left, images[0], None), find_times(right, images[1], None))
         _check_gaps(left, right, times)
-    elif not times[1].are_recorded and len(images[0]) != len(images[1]):
+    elif isinstance(images[0], ImageSequence) and isinstance(images[1], ImageSequence):
+        times = _times_by_number((images[0], images[1]), times)
+    if not times[1].are_recorded and len(images[0]) != len(images[1]):
         # Without times of its own, one missing image would shift all later ones to the wrong partner.
         raise DataError(
             f"{right}: expected {len(images[0])} images as in {left.name}, found {len(images[1])}; copy it again, or"
             " use the left camera alone with --mono"
         )
     return _stream(left, images[0], times[0]), _stream(right, images[1], times[1])
+
+
+def _times_by_number(
+    images: tuple[ImageSequence, ImageSequence], times: tuple[ImageTimes, ImageTimes]
+) -> tuple[ImageTimes, ImageTimes]:
+    """Times that pair the images of equal numbers, where order alone would pair them and a few numbers differ.
+
+    Raises:
+        DataError: there are equally many images, but their order and their numbers pair them differently.
+    """
+    left, right = (find_numbers(sequence.files) for sequence in images)
+    first, second = (time.seconds for time in times)
+    if left is None or right is None or first is None or second is None or _are_same_steps(left, right):
+        return times
+    if times[1].are_recorded and not np.array_equal(first, second):
+        return times  # each camera has its own times
+    alone = np.setxor1d(left, right)
+    if times[1].are_recorded or len(alone) > _MAX_ALONE * (len(left) + len(right)):
+        _refuse_first_difference(images, left, right)
+        return times
+    files = {**dict(zip(right, images[1].files, strict=True)), **dict(zip(left, images[0].files, strict=True))}
+    remark = f"images are paired by the numbers in their names; {short_name(files[alone[0]])} is the first without"
+    start, step_s = min(left[0], right[0]), _median_step(first) / _median_step(left)
+    return ImageTimes((left - start) * step_s, (f"{remark} a partner",)), ImageTimes((right - start) * step_s)
+
+
+def _are_same_steps(left: Numbers, right: Numbers) -> bool:
+    """Whether two cameras have the same numbers, or counted in their own ways so that order alone pairs them."""
+    if np.array_equal(left, right):
+        return True
+    has_common = len(np.intersect1d(left, right)) > 0
+    return not has_common and (
+        find_clock_unit(left.astype(float)) is not None or np.array_equal(np.diff(left), np.diff(right))
+    )
+
+
+def _refuse_first_difference(images: tuple[ImageSequence, ImageSequence], left: Numbers, right: Numbers) -> None:
+    """Raise DataError if there are equally many images, of which two in the same place have different numbers."""
+    if len(left) != len(right):
+        return
+    at = int(np.argmax(left != right))
+    one, other = images[0].files[at], images[1].files[at]
+    raise DataError(
+        f"{other.parent}: expected an image of the number of {short_name(one)}, found {other.name} in its place; copy"
+        " the missing images, or remove those without a partner"
+    )
 
 
 def _own_times(
@@ -120,7 +172,7 @@ def _own_times(
     return replace(left, seconds=left.seconds * factor), replace(right, seconds=right.seconds * factor)
 
 
-def _median_step(seconds: Array) -> float:
+def _median_step(seconds: Array | Numbers) -> float:
     return float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
 
 

@@ -25,6 +25,7 @@ from slam.datasets.formats.image_sequence import (
     open_image_folder,
 )
 from slam.datasets.formats.recording import (
+    LEFT_ALONE,
     ImageDataset,
     LeftImages,
     RawRecording,
@@ -113,7 +114,7 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     if spec.left_only:
         right = None
     elif right is not None and not settings.is_pair:
-        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: the left camera alone is used")
+        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: {LEFT_ALONE}")
     elif right is None and settings.is_pair:
         remarks = (
             *remarks,

@@ -20,6 +20,7 @@ from slam.io.files import read_lines, read_numbers
 Array = NDArray[np.float64]
 
 _MEASURED_FILES = 16  # of a sequence of 16-bit images, to find their range
+_MAX_DIGITS = 18  # of a number in a name
 
 IMAGE_SUFFIXES = frozenset(
     (".png", ".jpg", ".jpeg", ".jpe", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".webp", ".jp2")
@@ -40,6 +41,7 @@ class ImageSequence:
         timestamps: (N,) seconds, increasing; None where neither a file nor a frame rate gives them.
         ground_truth: T_world_camera (N, 4, 4), metres, or None.
         remarks: notes for the user about times and ground truth.
+        partner_files: images of the other camera of a pair; those of 16 bits have one scale in both.
     """
 
     name: str
@@ -47,6 +49,7 @@ class ImageSequence:
     timestamps: Array | None
     ground_truth: Array | None = None
     remarks: tuple[str, ...] = ()
+    partner_files: tuple[Path, ...] = ()
 
     def __len__(self) -> int:
         return len(self.files)
@@ -64,8 +67,9 @@ class ImageSequence:
 
     @cached_property
     def _grey_range(self) -> GreyRange:
-        """Range of 16-bit images, by some from all parts of the sequence."""
-        some = (_read(path) for path in self.files[:: max(len(self.files) // _MEASURED_FILES, 1)])
+        """Range of 16-bit images, by some from all parts of the sequence and of its partner's."""
+        cameras = (self.files, self.partner_files)
+        some = (_read(path) for files in cameras for path in files[:: max(len(files) // _MEASURED_FILES, 1)])
         ranges = [measure_grey_range(image) for image in some if image is not None and image.dtype == np.uint16]
         return reduce(GreyRange.joined, ranges) if ranges else FULL_RANGE
 
@@ -96,7 +100,8 @@ def check_one_camera(files: tuple[Path, ...]) -> None:
     """Raise DataError if the names of most images differ in left and right only: they are those of two cameras."""
     names = {file.stem.lower() for file in files}
     for left, right in _CAMERA_WORDS:
-        word = re.compile(rf"(?<![a-z]){left}(?!{'[a-z]' if left.isalpha() else '[0-9]'})")
+        is_word = rf"(?<![a-z]){left}(?!{'[a-z]' if left.isalpha() else '[0-9]'})"
+        word = re.compile(left if left == "left" else is_word)  # leftimg0000 is one of a left camera too
         pairs = {name: word.sub(right, name) for name in names}
         both = [name for name, other in pairs.items() if other != name and other in names]
         if len(files) < 4 * len(both):
@@ -124,14 +129,17 @@ def read_grey(path: Path, find_range: Callable[[], GreyRange] = lambda: FULL_RAN
         raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
     if image is None:
         raise DataError(f"{path}: expected an image, found a file that cannot be read; copy it again")
+    if image.dtype.kind == "f":
+        found = f"{8 * image.itemsize}-bit floats"
+        raise DataError(f"{path}: expected an image of 8 or 16 bits, found {found}; save as 8 or 16 bit")
     return find_range().to_8_bits(image) if image.dtype == np.uint16 else np.asarray(image, np.uint8)
 
 
 def _read(path: Path) -> NDArray[Any] | None:
-    """Read an image (H, W), uint8 or uint16, grey; None if it cannot be read."""
+    """Read an image (H, W), grey, of uint8, uint16 or floats; None if it cannot be read."""
     try:
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-        if image is None or image.dtype in (np.uint8, np.uint16):
+        if image is None or image.dtype in (np.uint8, np.uint16) or image.dtype.kind == "f":
             return image
         return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     except cv2.error:  # raised for a header with a size that OpenCV refuses to allocate
@@ -205,6 +213,17 @@ def times_from_names(files: Sequence[Path]) -> tuple[Array | None, tuple[str, ..
         return None, ()
     remark = f"{files[0].parent.name}: the times are read from the names, as {unit_name(unit)}; --fps gives others"
     return ticks / unit, (remark,)
+
+
+def find_numbers(files: Sequence[Path]) -> NDArray[np.int64] | None:
+    """Read the numbers (N,), increasing, in which the names of images end; None if they do not all have one."""
+    parts = [match.groups() for file in files if (match := _NUMBERED.fullmatch(file.stem))]
+    if len(parts) < len(files) or len({(part[0], part[2], part[3]) for part in parts}) > 1 or parts[0][2]:
+        return None
+    if max(len(part[1]) for part in parts) > _MAX_DIGITS:
+        return None
+    numbers = np.array([int(part[1]) for part in parts], np.int64)
+    return numbers if (np.diff(numbers) > 0).all() else None
 
 
 def list_images(folder: Path) -> tuple[Path, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from slam.datasets.formats.ground_truth import read_one_pose_per_image
 from slam.datasets.formats.image_sequence import (
     ImageSequence,
     open_image_folder,
-    read_grey,
     read_or_count_times,
     read_times,
 )
@@ -78,19 +78,29 @@ class KittiDataset:
         """
         if not 0 <= index < len(self):
             raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
-        left = self._image(self.files.left[index])
-        right = None if self.files.right is None else self._image(self.files.right[index])
+        left_images, right_images = self._images
+        left = self._image(left_images, index)
+        right = None if right_images is None else self._image(right_images, index)
         return Frame(index, float(self.timestamps[index]), left, right)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
-    def _image(self, path: Path) -> NDArray[np.uint8]:
-        image = read_grey(path)
+    @cached_property
+    def _images(self) -> tuple[ImageSequence, ImageSequence | None]:
+        """Images of both cameras; those of 16 bits have one scale."""
+        left, right = self.files.left, self.files.right
+        if right is None:
+            return ImageSequence(self.name, left, None), None
+        first = ImageSequence(self.name, left, None, partner_files=right)
+        return first, ImageSequence(self.name, right, None, partner_files=left)
+
+    def _image(self, images: ImageSequence, index: int) -> NDArray[np.uint8]:
+        image = images[index]
         expected = (self.camera.height, self.camera.width)
         if image.shape != expected:
             raise DataError(
-                f"{path}: expected {expected[1]} x {expected[0]} pixels as in {self.files.left[0]},"
+                f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.files.left[0]},"
                 f" found {image.shape[1]} x {image.shape[0]}; copy the image again"
             )
         return image

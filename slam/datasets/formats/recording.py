@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_pose_file
+from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.timestamped_lists import ListFormat, read_image_list
 from slam.datasets.rectification import ImageMap, Rectification, Size
 from slam.datasets.time_sync import MAX_PAIR_OFFSET_S, associate_timestamps, interpolate_poses
@@ -23,6 +24,8 @@ from slam.errors import DataError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+LEFT_ALONE = "the left camera alone is used"  # end of the remark that says why a pair is not used
 
 MIN_SIDE_PX = 8  # in smaller images there is nothing to follow or to recognise
 
@@ -359,6 +362,7 @@ def _synchronize(recording: RawRecording) -> RawRecording:
     if right is None:
         return recording
     recording = replace(recording, remarks=(*recording.remarks, *right.remarks))
+    left, right = _with_scale_of_both(left, right), _with_scale_of_both(right, left)
     pairs = associate_timestamps(left.timestamps, right.timestamps)
     if not len(pairs):
         raise DataError(
@@ -373,6 +377,17 @@ def _synchronize(recording: RawRecording) -> RawRecording:
         right=right.subset(pairs[:, 1]),
         remarks=(*recording.remarks, *remarks),
     )
+
+
+def _with_scale_of_both(stream: CameraStream, partner: CameraStream) -> CameraStream:
+    """Return a stream of a pair whose images of 16 bits have the same scale in both cameras."""
+    all_of = partner.images.images if isinstance(partner.images, ImageSubset) else partner.images
+    if isinstance(stream.images, ImageSubset):
+        inner = _with_scale_of_both(replace(stream, images=stream.images.images), partner)
+        return replace(stream, images=replace(stream.images, images=inner.images))
+    if not isinstance(stream.images, ImageSequence) or not isinstance(all_of, ImageSequence):
+        return stream
+    return replace(stream, images=replace(stream.images, partner_files=all_of.files))
 
 
 def _interpolate_ground_truth(

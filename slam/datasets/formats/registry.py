@@ -25,7 +25,7 @@ from slam.datasets.formats.kitti import open_image_sequence, open_kitti
 from slam.datasets.formats.kitti_files import is_kitti
 from slam.datasets.formats.kitti_raw import is_kitti_raw, open_kitti_raw, open_kitti_raw_images
 from slam.datasets.formats.place_datasets import open_city_centre, open_malaga, open_new_college
-from slam.datasets.formats.recording import ImageDataset, check_size
+from slam.datasets.formats.recording import LEFT_ALONE, ImageDataset, check_size
 from slam.datasets.formats.rosbag_dataset import open_bag, open_bag_images
 from slam.datasets.formats.rosbag_file import is_bag
 from slam.datasets.formats.tum_rgbd import is_tum_rgbd, open_tum_rgbd, open_tum_rgbd_images
@@ -147,9 +147,9 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
     """
     dataset = open_dataset(replace(spec, left_only=mono))
     if not dataset.has_right and not mono:
-        raise DataError(
-            f"{spec.path}: expected left and right images, found left ones only; use one camera with --mono"
-        )
+        reasons = "".join(f" ({remark})" for remark in dataset.remarks if LEFT_ALONE in remark)
+        found = f"found left ones only{reasons}"
+        raise DataError(f"{spec.path}: expected left and right images, {found}; use one camera with --mono")
     return dataset
 
 

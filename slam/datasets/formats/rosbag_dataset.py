@@ -15,6 +15,7 @@ from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.custom_camera import rectification_of
 from slam.datasets.formats.recording import (
+    LEFT_ALONE,
     CameraStream,
     ImageDataset,
     LeftImages,
@@ -66,7 +67,7 @@ def open_bag(spec: DatasetSpec) -> RectifiedDataset:
         settings = None
     is_pair = topics.right is not None and _is_pair(bag, topics, settings)
     used = topics if is_pair else CameraTopics(topics.left)
-    left, *others = open_topics(bag.path, used.names)
+    left, *others = open_topics(bag.path, used.names, _used_infos(bag, used) if settings is None else {})
     recording = RawRecording(
         spec.path.stem,
         CameraStream(left, left.timestamps),
@@ -128,7 +129,7 @@ def _remarks_of_choice(bag: Bag, topics: CameraTopics, used: CameraTopics) -> tu
         return ()
     faults = "".join(f"; {topic}: {fault}" for topic, fault in bag.rejected.items())
     trouble = f"neither CameraInfo (P of both cameras) nor {CAMERA_TOML} has a baseline"
-    return (f"{trouble}: the left camera alone is used{faults}",)
+    return (f"{trouble}: {LEFT_ALONE}{faults}",)
 
 
 def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:
@@ -142,6 +143,11 @@ def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:
         if info.rpartition("/")[0] not in (image_topic(topic), image_topic(topic).rpartition("/")[0]):
             remarks.append(f"{info} is taken for {topic}")
     return tuple(remarks)
+
+
+def _used_infos(bag: Bag, used: CameraTopics) -> dict[str, CameraInfo]:
+    topics = [find_info_topic(bag, topic) for topic in used.names]
+    return {topic: bag.camera_infos[topic] for topic in topics if topic in bag.camera_infos}
 
 
 def _is_pair(bag: Bag, topics: CameraTopics, settings: CameraToml | None) -> bool:

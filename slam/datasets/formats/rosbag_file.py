@@ -3,11 +3,12 @@
 Finds camera topics and reads their messages by index, in the order of their time stamps.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -197,19 +198,61 @@ def join_ranges(first: GreyRange | None, second: GreyRange | None) -> GreyRange 
     return first.joined(second) if first is not None and second is not None else first or second
 
 
-def open_topics(path: Path, topics: tuple[str, ...]) -> list[BagImages]:
+@dataclass
+class _InfoListing:
+    """The CameraInfo messages of a topic.
+
+    Attributes:
+        used: the one that is used for all images.
+        count: number of messages.
+        others: numbers of the messages that describe another camera; those that cannot be used are not among them.
+    """
+
+    used: CameraInfo
+    count: int = 0
+    others: list[int] = field(default_factory=list)
+
+    def add(self, _: int, message: Any) -> None:
+        """Add a message."""
+        try:
+            if not read_camera_info(message).is_as(self.used):
+                self.others.append(self.count)
+        except ValueError:
+            pass
+        self.count += 1
+
+    def describe(self, topic: str) -> list[str]:
+        """A remark about messages that describe another camera."""
+        what = "differ from the one that is used for all images, the first is message"
+        split = "split the recording there"
+        return [f"{topic}: {len(self.others)} CameraInfo {what} {self.others[0]}; {split}"] if self.others else []
+
+
+def open_topics(
+    path: Path, topics: tuple[str, ...], infos: Mapping[str, CameraInfo] = MappingProxyType({})
+) -> list[BagImages]:
     """Read the times of all images of some topics; images of 16 bits get the same scale in all of them.
+
+    Args:
+        path: file or folder of the bag.
+        topics: image topics.
+        infos: by topic of CameraInfo, the message that is used; the first camera's remarks tell if others differ.
 
     Raises:
         DataError: the bag has no such images, none can be decoded, or the bag is damaged.
     """
     listings = {topic: _Listing() for topic in topics}
+    info_listings = {topic: _InfoListing(info) for topic, info in infos.items()}
     with _open_reader(path) as reader:
         connections = [c for topic in topics for c in _connections_of(reader, path, topic)]
+        connections += [c for c in reader.connections if c.topic in infos and c.msgtype == CAMERA_INFO_TYPE]
         for connection, time, data in reader.messages(connections=connections):
-            listings[connection.topic].add(time, reader.deserialize(data, connection.msgtype))
+            listing = listings.get(connection.topic) or info_listings[connection.topic]
+            listing.add(time, reader.deserialize(data, connection.msgtype))
     grey_range = reduce(join_ranges, [listing.grey_range for listing in listings.values()], None)
-    return [_images_of(path, topic, listings[topic], grey_range) for topic in topics]
+    first, *others = [_images_of(path, topic, listings[topic], grey_range) for topic in topics]
+    changes = [remark for topic, infos_of in info_listings.items() for remark in infos_of.describe(topic)]
+    return [replace(first, remarks=(*changes, *first.remarks)), *others]
 
 
 def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange | None) -> BagImages:

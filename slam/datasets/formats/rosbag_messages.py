@@ -78,6 +78,12 @@ class CameraInfo:
         """Whether the message defines a rectified camera."""
         return bool(self.P[0, 0] > 0 and self.P[1, 1] > 0)
 
+    def is_as(self, other: "CameraInfo") -> bool:
+        """Whether two messages describe the same camera."""
+        ours, theirs = ((i.model, i.size, i.binning, i.roi_offset, i.roi_size) for i in (self, other))
+        has_same_view = np.array_equal(self.R_view_camera, other.R_view_camera)
+        return ours == theirs and has_same_view and np.array_equal(self.P, other.P)
+
     @property
     def offset_right_m(self) -> float:
         """Position to the right of the pair's left camera: 0 for the left or a single camera, else the baseline."""

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from slam.errors import DataError
 from slam.io.files import read_lines
 
 Array = NDArray[np.float64]
+
+_MAX_MISSING = 0.1  # share of listed images that may be missing; more are a copy that failed
 
 
 @dataclass(frozen=True)
@@ -35,27 +38,47 @@ SPACE_SEPARATED_SECONDS = ListFormat(r"\s+", 1.0)
 def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageSequence:
     """Read a list of images: time and file name in each line. They are sorted by time, with a remark.
 
+    A few listed images that do not exist are left out, with a remark.
+
     Args:
         path: list to read.
         folder: folder that the file names are relative to.
         list_format: syntax of the list.
 
     Raises:
-        DataError: the list is missing, empty or damaged, or an image is missing.
+        DataError: the list is missing, empty or damaged, or more than a tenth of the images are missing.
     """
     lines, cells = _cells(path, list_format, 2)
     ticks = np.array([_number(path, line, row[0]) for line, row in zip(lines, cells, strict=True)])
     ordered = order_by_time(path, ticks, list_format.ticks_per_second, lines)
     files = tuple(folder / cells[row][1] for row in ordered.rows)
-    missing = next((file for file in files if not _is_file(file)), None)
-    if missing is not None:
-        raise DataError(f"{path}: expected the image {missing}, which it lists, found none; unpack it again")
+    is_there = np.array([_is_file(file) for file in files], bool)
+    missing = _describe_missing(path, files, is_there)
     if not files:
         raise DataError(f"{path}: expected a time in each line, found none; export it again")
     listed = {folder / row[1] for row in cells}
     return ImageSequence(
-        path.parent.name, files, ordered.seconds, remarks=(*ordered.remarks, *_describe_unlisted(path, listed))
+        path.parent.name,
+        tuple(compress(files, is_there)),
+        ordered.seconds[is_there],
+        remarks=(*ordered.remarks, *missing, *_describe_unlisted(path, listed)),
     )
+
+
+def _describe_missing(path: Path, files: tuple[Path, ...], is_there: NDArray[np.bool_]) -> list[str]:
+    """A remark about listed images that do not exist. Raises DataError if they are more than a tenth."""
+    count = len(files) - int(is_there.sum())
+    if not count:
+        return []
+    first = files[int(np.argmin(is_there))]
+    if count > _MAX_MISSING * len(files):
+        raise DataError(
+            f"{path}: expected the image {first}, which it lists, found none; {count} of {len(files)} listed images are"
+            " missing: unpack them again"
+        )
+    return [
+        f"{short_name(path)}: {count} of {len(files)} listed images are missing and left out, the first is {first.name}"
+    ]
 
 
 def _describe_unlisted(path: Path, listed: set[Path]) -> list[str]:

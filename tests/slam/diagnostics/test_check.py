@@ -129,7 +129,7 @@ def test_one_camera_serves_for_one(tmp_path: Path, ideal: Taken) -> None:
     (folder / "camera.toml").write_text("fx=260\nfy=260\ncx=160\ncy=118\nfps=20\n")
     inspection = checked(folder)
     assert inspection.possible_uses == (Use.MONO, Use.PLACES)
-    assert "the left camera alone is used" in found(inspection, Status.WARNING)["left out"].text
+    assert "the left camera alone is used" in found(inspection, Status.WARNING)["reading"].text
 
 
 def test_images_without_calibration_serve_for_places(tmp_path: Path, ideal: Taken) -> None:

@@ -126,9 +126,9 @@ def test_a_picture_beside_one_folder_or_one_video_decides_nothing(tmp_path: Path
 
 
 def test_left_and_right_images_in_one_folder_are_named(tmp_path: Path, ideal: Taken) -> None:
-    for number, (first, second) in enumerate(
-        [("{}_left", "{}_right"), ("Left{}", "Right{}"), ("l_{}", "r_{}"), ("cam0_{}", "cam1_{}"), ("{}-L", "{}-R")]
-    ):
+    names = [("{}_left", "{}_right"), ("Left{}", "Right{}"), ("l_{}", "r_{}"), ("cam0_{}", "cam1_{}"), ("{}-L", "{}-R")]
+    names += [("leftimg{:04d}", "rightimg{:04d}"), ("camLeft{}", "camRight{}")]
+    for number, (first, second) in enumerate(names):
         root = tmp_path / str(number)
         root.mkdir()
         for k, (left, right) in enumerate(ideal.pairs):
@@ -261,6 +261,54 @@ def test_the_rate_of_the_user_is_that_of_a_pair_of_videos(tmp_path: Path, ideal:
 
 
 # Layouts of other data sets.
+
+
+def write_numbered(root: Path, left: list[int], right: list[int]) -> Path:
+    """Two folders of images whose grey value is their number."""
+    for side, numbers in (("left", left), ("right", right)):
+        (root / side).mkdir(parents=True)
+        for number in numbers:
+            cv2.imwrite(str(root / side / f"{side}_{number:04d}.png"), np.full((48, 64), number, np.uint8))
+    (root / "camera.toml").write_text("fx = 50\nfy = 50\ncx = 32\ncy = 24\nbaseline = 0.1\nfps = 10\n")
+    return root
+
+
+def without(*numbers: int) -> list[int]:
+    return [number for number in range(1, 41) if number not in numbers]
+
+
+@pytest.mark.parametrize(("left", "right"), [((30,), (36,)), ((), (36,))])
+def test_two_folders_are_paired_by_the_numbers_in_their_names(
+    tmp_path: Path, left: tuple[int, ...], right: tuple[int, ...]
+) -> None:
+    drive = open_dataset(write_numbered(tmp_path, without(*left), without(*right)))
+    first = "right/right_0030.png" if left else "left/left_0036.png"
+    assert drive.remarks == (
+        f"images are paired by the numbers in their names; {first} is the first without a partner",
+        f"{len(left) + len(right)} images without a partner in the other camera are left out",
+    )
+    kept = without(*left, *right)
+    assert [(frame.left[0, 0], frame.right[0, 0]) for frame in drive] == [(number, number) for number in kept]
+    np.testing.assert_allclose(drive.timestamps, (np.array(kept) - 1) / 10)
+
+
+def test_numbers_that_pair_the_images_differently_from_their_order_are_refused(tmp_path: Path) -> None:
+    root = write_numbered(tmp_path, [1, 2, 4, 5], [1, 2, 3, 5])
+    with pytest.raises(DataError, match=r"right: expected an image of the number of left/left_0004.png, found right_0"):
+        open_dataset(root)
+
+
+def test_a_list_of_times_for_both_cameras_needs_the_same_numbers_in_both(tmp_path: Path) -> None:
+    root = write_numbered(tmp_path, without(30), without(36))
+    (root / "times.txt").write_text("".join(f"{0.1 * index}\n" for index in range(39)))
+    with pytest.raises(DataError, match=r"expected an image of the number of left/left_0031.png, found right_0030.png"):
+        open_dataset(root)
+
+
+def test_cameras_that_count_from_different_numbers_are_paired_by_order(tmp_path: Path) -> None:
+    drive = open_dataset(write_numbered(tmp_path, [1, 3, 5, 9], [2, 4, 6, 10]))
+    assert [(frame.left[0, 0], frame.right[0, 0]) for frame in drive] == [(1, 2), (3, 4), (5, 6), (9, 10)]
+    assert drive.remarks == ()
 
 
 def write_kitti_raw(root: Path, drive: Taken, cameras: tuple[str, ...] = ("00", "01")) -> Path:
@@ -459,3 +507,49 @@ def test_the_remedy_for_tartanair_makes_it_readable(tmp_path: Path, ideal: Taken
     (root / "camera.toml").write_text("fx = 320\nfy = 320\ncx = 160\ncy = 120\nbaseline = 0.25\nfps = 10\n")
     drive = open_for_odometry(DatasetSpec(root), mono=False)
     np.testing.assert_array_equal(drive[3].right, ideal.pairs[3][1])
+
+
+# Pairs of 16 bits.
+
+
+def make_deep(folder: Path, bits: int) -> None:
+    """Turn images of 8 bits into images of 16 bits that use only the lowest."""
+    for path in folder.glob("*.png"):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), grey.astype(np.uint16) << (bits - 8))
+
+
+PAIRS = {
+    "kitti": ("image_0", "image_1"),
+    "kitti-raw": ("image_00", "image_01"),
+    "euroc": ("cam0", "cam1"),
+    "own-camera": ("left", "right"),
+}
+
+
+def write_layout(root: Path, name: str, drive: Taken, write_drive: Callable[..., Path]) -> Path:
+    writers: dict[str, Callable[[], Path]] = {
+        "kitti": lambda: write_drive(root),
+        "kitti-raw": lambda: write_kitti_raw(root, drive),
+        "euroc": lambda: write_euroc(root / "MH", drive),
+        "own-camera": lambda: write_folders(root / "own", drive, fps=RATE),
+    }
+    return writers[name]()
+
+
+@pytest.mark.parametrize(("name", "lost"), [*((name, False) for name in PAIRS), ("kitti-raw", True)])
+def test_both_cameras_of_sixteen_bits_have_one_scale(
+    tmp_path: Path, ideal: Taken, write_drive: Callable[..., Path], name: str, lost: bool
+) -> None:
+    root = write_layout(tmp_path, name, ideal, write_drive)
+    before = open_dataset(root)[1]
+    assert before.right is not None
+    for camera, bits in zip(PAIRS[name], (10, 12), strict=True):
+        for folder in [item for item in tmp_path.rglob("*") if camera in item.parts and item.is_dir()]:
+            make_deep(folder, bits)
+    if lost:
+        max(tmp_path.rglob("image_01/data/*.png")).unlink()
+    frame = open_dataset(root)[1]  # the scale is that of 12 bits, at which the left images are four times as dark
+    assert frame.right is not None
+    assert np.abs(frame.right.astype(float) - before.right).max() <= 1
+    assert np.abs(frame.left.astype(float) - before.left / 4.0).max() <= 2

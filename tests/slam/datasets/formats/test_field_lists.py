@@ -231,3 +231,23 @@ def test_times_with_decimal_commas_are_named(tmp_path: Path) -> None:
     (tmp_path / "times.txt").write_text("0\n0,033\n")
     with pytest.raises(DataError, match=r"times\.txt, line 2: expected decimal points, found decimal commas, '0,033'"):
         read_times(tmp_path / "times.txt", 2)
+
+
+@pytest.mark.parametrize("write", [write_euroc, write_tum_rgbd])
+def test_a_few_listed_images_that_are_missing_are_left_out(tmp_path: Path, write: Callable[..., Path]) -> None:
+    drive = taken("radtan", 12)
+    root = write(tmp_path / "freiburg1", drive)
+    whole = open_images(DatasetSpec(root))
+    table = next(path for path in (root / "mav0/cam0/data.csv", root / "rgb.txt") if path.is_file())
+    files = sorted((root / "mav0/cam0/data" if write is write_euroc else root / "rgb").glob("*.png"))
+    files[5].unlink()
+    images = open_images(DatasetSpec(root))
+    place = f"{table.parent.name}/{table.name}"
+    assert f"{place}: 1 of 12 listed images are missing and left out, the first is {files[5].name}" in images.remarks
+    np.testing.assert_array_equal(images.timestamps, np.delete(whole.timestamps, 5))
+    np.testing.assert_array_equal(images[5], whole[6])
+    files[7].unlink()
+    with pytest.raises(
+        DataError, match=rf"{table.name}: expected the image .*{files[5].name}, which .* 2 of 12 listed"
+    ):
+        open_images(DatasetSpec(root))

@@ -48,6 +48,13 @@ def test_images_of_sixteen_bits_keep_the_high_bits_of_the_sensor(tmp_path: Path,
         assert np.abs(images[number].astype(int) - (grey.astype(int) >> (3 - number))).max() <= 2
 
 
+def test_floats_are_refused_by_name(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.tiff"), np.ones((8, 8), np.float32))
+    images = open_image_sequence(tmp_path)
+    with pytest.raises(DataError, match=r"1.tiff: expected .* 8 or 16 bits, found 32-bit floats; save as 8 or 16 bit"):
+        images[0]
+
+
 def test_a_file_of_times_beside_the_images_is_used(tmp_path: Path) -> None:
     write(tmp_path, "1.png", "2.png")
     (tmp_path / "times.txt").write_text("5.0\n7.5\n")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.datasets.dataset import DatasetSpec
-from slam.datasets.formats.registry import open_dataset, open_images
+from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.formats.rosbag_file import is_bag
 from slam.errors import DataError
 
@@ -233,6 +233,25 @@ def test_the_first_usable_camera_info_counts(tmp_path: Path) -> None:
     assert "passed over before the first usable one: 2 (expected positive focal lengths" in dataset.remarks[0]
 
 
+def test_a_camera_info_that_changes_is_named_with_its_message(tmp_path: Path) -> None:
+    messages = Messages().images("/cam/image_raw", STEPS)
+    for number, fx in enumerate((FX, FX, FX, 2 * FX, 0.0, 2 * FX)):
+        messages.add("/cam/camera_info", Info(fx=fx).message(), START + 0.1 * number)
+    dataset = open_dataset(messages.write(tmp_path / "drive.bag"))
+    assert dataset.camera.fx == FX
+    assert dataset.remarks == (
+        "/cam/camera_info: 2 CameraInfo differ from the one that is used for all images, the first is message 3; split"
+        " the recording there",
+    )
+
+
+def test_a_camera_info_that_does_not_change_is_not_worth_a_word(tmp_path: Path) -> None:
+    messages = Messages().images("/cam/image_raw", STEPS)
+    for number in range(6):
+        messages.add("/cam/camera_info", Info().message(), START + 0.1 * number)
+    assert open_dataset(messages.write(tmp_path / "drive.bag")).remarks == ()
+
+
 @pytest.mark.parametrize(
     ("info", "camera"),
     [
@@ -310,6 +329,10 @@ def test_a_baseline_to_a_camera_that_is_not_rectified_is_none(tmp_path: Path) ->
     dataset = open_dataset(path)
     assert not dataset.has_right
     assert "neither CameraInfo (P of both cameras) nor camera.toml has a baseline" in dataset.remarks[0]
+    with pytest.raises(
+        DataError, match=r"found left ones only \(neither CameraInfo \(P of .*; use one camera with --mo"
+    ):
+        open_for_odometry(DatasetSpec(path), mono=False)
 
 
 def spoil(path: Path, kind: str) -> Path:
