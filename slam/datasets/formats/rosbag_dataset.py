@@ -140,7 +140,7 @@ def _remarks_of_infos(bag: Bag, used: CameraTopics) -> tuple[str, ...]:
         if info is None:
             continue
         remarks += [bag.remarks[info]] if info in bag.remarks else []
-        if info.rpartition("/")[0] not in (image_topic(topic), image_topic(topic).rpartition("/")[0]):
+        if image_topic(topic).rpartition("/")[0].startswith(info.rpartition("/")[0] + "/"):
             remarks.append(f"{info} is taken for {topic}")
     return tuple(remarks)
 

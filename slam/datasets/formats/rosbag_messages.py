@@ -146,7 +146,12 @@ def _parse_distortion(model: str, coefficients: tuple[float, ...]) -> tuple[str,
         return "none", ()
     if model not in DISTORTION_MODELS:
         raise ValueError(f"expected one of the distortion models {', '.join(DISTORTION_MODELS)}, found {model!r}")
-    return model, coefficients
+    counts = DISTORTION_MODELS[model]
+    if len(coefficients) in counts:
+        return model, coefficients
+    # Drivers fill D up with zeros, such as a fifth number of a fisheye lens.
+    enough = next((n for n in counts if n < len(coefficients) and not any(coefficients[n:])), None)
+    return model, coefficients[:enough]
 
 
 def read_timestamp(message: Any) -> float:

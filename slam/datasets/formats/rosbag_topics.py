@@ -81,7 +81,13 @@ def _usable(topics: tuple[str, ...]) -> tuple[str, ...]:
 
 def _pair_of(left: str, topics: tuple[str, ...]) -> CameraTopics | None:
     """The pair of topics whose names differ only in left and right, or in 0 and 1; None if there is none."""
-    for left_word, right_word in (("left", "right"), ("infra1", "infra2"), ("cam0", "cam1"), ("camera0", "camera1")):
+    for left_word, right_word in (
+        ("left", "right"),
+        ("infra1", "infra2"),
+        ("Infrared_1", "Infrared_2"),
+        ("cam0", "cam1"),
+        ("camera0", "camera1"),
+    ):
         right = left.replace(left_word, right_word)
         if right != left and right in topics:
             return CameraTopics(left, right)
@@ -104,6 +110,7 @@ def find_info_topic(bag: Bag, topic: str) -> str | None:
     namespace, _, name = image.rpartition("/")
     own = [
         *_infos_in(bag, image),
+        *_infos_in(bag, f"{namespace.removesuffix('/image')}/info"),  # as librealsense records
         *(i for i in _infos_in(bag, namespace) if _words(name) - _PROCESSING_WORDS <= _info_words(i) <= _words(name)),
         *(i for i in _infos_in(bag, namespace) if not _info_words(i) and _is_one_camera(bag, namespace)),
     ]

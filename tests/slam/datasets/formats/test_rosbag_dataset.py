@@ -208,6 +208,7 @@ def test_a_calibration_that_may_be_of_several_cameras_is_of_none(
         ("/cam/camera_info_left", "/cam/image_left"),
         ("/cam/left_camera_info", "/cam/left_image_raw"),
         ("/camera_info", "/camera"),
+        ("/device_0/sensor_1/Color_0/info/camera_info", "/device_0/sensor_1/Color_0/image/data"),
         ("/cam/image/camera_info", "/cam/image"),
         ("/cam/camera_info", "/cam/front/image_raw"),
     ],

@@ -128,6 +128,14 @@ def test_the_field_names_of_ros_1_are_understood() -> None:
     np.testing.assert_array_equal(read_camera_info(large).P, read_camera_info(info()).P)
 
 
+def test_zeros_that_fill_up_the_coefficients_are_taken_off() -> None:
+    found = read_camera_info(info(d=[0.1, -0.2, 0.01, 0.02, 0.0], distortion_model="equidistant")).model
+    assert found.coefficients == (0.1, -0.2, 0.01, 0.02)
+    assert read_camera_info(info(d=[0.1, -0.2, 0.01, 0.02, 0.3, 0.0, 0.0])).model.coefficients[4:] == (0.3,)
+    with pytest.raises(ValueError, match="expected 4 coefficients of equidistant, found 5"):
+        read_camera_info(info(d=[0.1] * 5, distortion_model="equidistant"))
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
