@@ -148,8 +148,12 @@ def outlive_readers() -> None:
         stream = getattr(sys, name)
         if not isinstance(stream, io.TextIOWrapper) or stream.isatty():
             continue
+        try:
+            descriptor = stream.fileno()
+        except OSError:  # a stream in memory, which nobody can close
+            continue
         stream.flush()
-        file = io.BufferedWriter(_LastingOutput(stream.fileno(), "w", closefd=False))
+        file = io.BufferedWriter(_LastingOutput(descriptor, "w", closefd=False))
         lasting = io.TextIOWrapper(file, stream.encoding, stream.errors, line_buffering=stream.line_buffering)
         setattr(sys, name, lasting)
 

@@ -5,6 +5,7 @@ loop over the frames.
 """
 
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -219,7 +220,8 @@ class Pipeline:
             UnmeasuredError: hardly any motion was measured; the results are written.
             OutputError: some results could not be written; the others are.
         """
-        replaces = self.options.out.exists()  # a part of a run does not take the place of earlier results
+        # A part of a run does not take the place of earlier results. (A name that is no path is refused next.)
+        replaces = os.access(self.options.out, os.F_OK)
         with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
             warnings = RunWarnings(messages, folder.path)
             record, unreadable = self._process(folder, warnings, keep_partial=not replaces)
