@@ -119,9 +119,7 @@ def is_unmasked(pixels: Array, mask: Image | None) -> NDArray[np.bool_]:
 
 def match_brightness(reference: Image, image: Image) -> Image:
     """Change an image (H, W) uint8 to the mean and the contrast of a reference image."""
-    gain, difference = brightness_difference(reference, image)
-    mean = cv2.mean(image)[0]
-    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=mean + difference - gain * mean))
+    return _rescale(image, _measure_brightness(image), _measure_brightness(reference))
 
 
 def level_pair(left: Image, right: Image) -> Image:
@@ -129,9 +127,10 @@ def level_pair(left: Image, right: Image) -> Image:
 
     The two cameras of a pair may have exposures of their own. The trackers and matchers compare grey levels.
     """
-    gain, difference = brightness_difference(left, right)
+    wanted, measured = _measure_brightness(left), _measure_brightness(right)
+    gain, difference = _compare_brightness(wanted, measured)
     is_blank = not 1 / _MAX_LEVEL_GAIN <= gain <= _MAX_LEVEL_GAIN
-    return right if is_level(gain, difference) or is_blank else match_brightness(left, right)
+    return right if is_level(gain, difference) or is_blank else _rescale(right, measured, wanted)
 
 
 def is_level(gain: float, difference: float) -> bool:
@@ -141,8 +140,24 @@ def is_level(gain: float, difference: float) -> bool:
 
 def brightness_difference(reference: Image, image: Image) -> tuple[float, float]:
     """Compare a reference image with an image (H, W) uint8: ratio of the contrasts, difference of the means."""
-    (mean, deviation), (mean_reference, deviation_reference) = (cv2.meanStdDev(each) for each in (image, reference))
-    return float(deviation_reference[0, 0] / max(deviation[0, 0], 1.0)), float(mean_reference[0, 0] - mean[0, 0])
+    return _compare_brightness(_measure_brightness(reference), _measure_brightness(image))
+
+
+def _measure_brightness(image: Image) -> tuple[float, float]:
+    """Mean and standard deviation of an image (H, W) uint8, grey levels."""
+    mean, deviation = cv2.meanStdDev(image)
+    return float(mean[0, 0]), float(deviation[0, 0])
+
+
+def _compare_brightness(wanted: tuple[float, float], measured: tuple[float, float]) -> tuple[float, float]:
+    """Ratio of the contrasts and difference of the means."""
+    return wanted[1] / max(measured[1], 1.0), wanted[0] - measured[0]
+
+
+def _rescale(image: Image, measured: tuple[float, float], wanted: tuple[float, float]) -> Image:
+    """Change an image (H, W) uint8 from the measured mean and contrast to the wanted ones."""
+    gain, _ = _compare_brightness(wanted, measured)
+    return np.asarray(cv2.convertScaleAbs(image, alpha=gain, beta=wanted[0] - gain * measured[0]))
 
 
 def _corner_strength(image: Image) -> NDArray[np.float32]:

@@ -41,7 +41,6 @@ from place_recognition.vocabulary.word_tree import HybridWordIndex
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
-ALL_WORDS = 1_000_000  # more words than a sequence has
 
 # Scores of two word vectors by their cosine.
 SCORES: dict[str, Callable[[ArrayLike], NDArray[np.float64]]] = {

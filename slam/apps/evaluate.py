@@ -30,7 +30,7 @@ from slam.io.frames_and_loops_csv import read_frames
 from slam.io.matches import read_matches, write_curve
 from slam.io.metrics import metrics_text, write_metrics
 from slam.io.run_folder import RunFolder
-from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
+from slam.io.trajectory_reader import Trajectory, read_trajectory
 
 # KITTI's segments end at the first pose beyond their length: with poses farther apart they are longer than they count.
 MAX_POSE_SPACING_M = 10.0
@@ -109,7 +109,7 @@ def evaluate_trajectory_files(estimate: Path, truth: Path, mono: bool = False, j
 
 
 def _compare(estimate: Path, truth: Path, mono: bool) -> _Comparison:
-    ours, theirs = read_trajectory_with_remarks(estimate), _in_camera(truth, read_trajectory_with_remarks(truth))
+    ours, theirs = read_trajectory(estimate), _in_camera(truth, read_trajectory(truth))
     theirs = scale_to_other(truth, theirs, ours)
     ours = scale_to_other(estimate, ours, theirs)
     pairs = _pair(estimate, ours, truth, theirs)

@@ -48,8 +48,8 @@ class GreyRange:
             return f"16-bit images with values from {self.dark} to {self.bright}: black to white between these"
         return "" if self.bit_depth == _BIT_DEPTHS[-1] else f"16-bit images with values of {self.bit_depth} bits"
 
-    def joined(self, other: "GreyRange") -> "GreyRange":
-        """Range of two sets of images."""
+    def join(self, other: "GreyRange") -> "GreyRange":
+        """Return the range of two sets of images."""
         return GreyRange(
             min(self.dark, other.dark), max(self.bright, other.bright), max(self.max_value, other.max_value)
         )

@@ -33,12 +33,12 @@ _MIN_CLOCK_S = 1e3  # a clock that reads more, and never less, has not begun wit
 
 @dataclass(frozen=True)
 class OrderedTimes:
-    """The rows of a list in the order of time.
+    """The rows of a list, or the images of a recording, in the order of time.
 
     Attributes:
-        rows: (K,) indices of the rows that are used.
+        rows: (K,) indices of those that are used.
         seconds: (K,) their times, increasing.
-        remarks: unit, order and rows that were left out, where they are not as expected.
+        remarks: unit, order and what was left out, where they are not as expected.
     """
 
     rows: Indices
@@ -214,22 +214,7 @@ def _interpolate(times: Array, pose_times: Array, poses: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True)
-class TimeOrder:
-    """Images in the order of their times.
-
-    Attributes:
-        indices: (N,) of the images that are used, in the order of time.
-        times: (N,) of these images, seconds, increasing.
-        remarks: which images were left out, and what was assumed.
-    """
-
-    indices: Indices
-    times: Array
-    remarks: tuple[str, ...]
-
-
-def order_timestamps(stamps: Array, received: Array) -> TimeOrder:
+def order_timestamps(stamps: Array, received: Array) -> OrderedTimes:
     """Put images into the order of their time stamps; leave copies and images without a time stamp out.
 
     Where the stamps tell no order, because all are missing, most are equal, or the clock was set back so that two parts
@@ -263,7 +248,7 @@ def _reason_against(stamps: Array) -> str:
     return ""
 
 
-def _sorted_out(indices: Indices, times: Array, remarks: tuple[str, ...]) -> TimeOrder:
+def _sorted_out(indices: Indices, times: Array, remarks: tuple[str, ...]) -> OrderedTimes:
     """Sort images by time, and leave copies and those of another epoch out."""
     late = indices[times < np.maximum.accumulate(times)]
     order = np.argsort(times, kind="stable")
@@ -277,7 +262,7 @@ def _sorted_out(indices: Indices, times: Array, remarks: tuple[str, ...]) -> Tim
         *_count_remark(np.sort(copies), "with the time stamp of another left out as copies"),
         *_count_remark(np.sort(far), "days away from the others by the time stamps left out"),
     )
-    return TimeOrder(indices[is_new & is_near], times[is_new & is_near], remarks)
+    return OrderedTimes(indices[is_new & is_near], times[is_new & is_near], remarks)
 
 
 def _is_of_largest_group(times: Array) -> NDArray[np.bool_]:

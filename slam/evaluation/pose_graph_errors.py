@@ -11,7 +11,7 @@ from slam.errors import DataError
 from slam.evaluation.trajectory_errors import umeyama
 from slam.io.files import read_numbers
 from slam.io.g2o import Graph
-from slam.io.trajectory_reader import read_trajectory_with_remarks
+from slam.io.trajectory_reader import read_trajectory
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -84,7 +84,7 @@ def _file_for(path: Path, folder: Path) -> Path:
 
 
 def _positions(file: Path, graph: Graph) -> tuple[Array, tuple[str, ...]]:
-    trajectory = read_trajectory_with_remarks(file)
+    trajectory = read_trajectory(file)
     if trajectory.num_left_out:
         raise DataError(
             f"{'; '.join(trajectory.remarks)}; expected a pose in each line, as line i is the pose of id i;"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, read_truth_matrix, truth_from_poses
 from slam.errors import ConfigError, DataError
 from slam.evaluation.trajectory_errors import distances_along, pair_by_time, scale_to_other
-from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
+from slam.io.trajectory_reader import Trajectory, read_trajectory
 
 MATRIX_SUFFIXES = (".mat", ".npz")
 
@@ -63,7 +63,7 @@ def read_revisit_truth(
             raise DataError(str(error)) from error
         return RevisitTruth(truth.matrix, str(path), remarks=truth.remarks)
     rule = rule or RevisitRule()
-    trajectory = read_trajectory_with_remarks(path)
+    trajectory = read_trajectory(path)
     images = None if image_times is None else Trajectory(image_times, np.tile(np.eye(4), (len(image_times), 1, 1)))
     trajectory = trajectory if images is None else scale_to_other(path, trajectory, images)
     times, poses, remarks = trajectory.times, trajectory.poses, trajectory.remarks

@@ -71,7 +71,7 @@ class _PoseTable:
         return np.array(self.rows, np.float64)
 
 
-def read_trajectory_with_remarks(path: Path) -> Trajectory:
+def read_trajectory(path: Path) -> Trajectory:
     """Read KITTI poses, TUM or EuRoC's csv, told apart by the columns.
 
     Raises:

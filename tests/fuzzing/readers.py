@@ -27,7 +27,7 @@ from slam.io.g2o import Graph, read_g2o
 from slam.io.landmarks import read_cloud, read_landmark_observers
 from slam.io.matches import read_matches
 from slam.io.metrics import read_metrics
-from slam.io.trajectory_reader import read_trajectory_with_remarks
+from slam.io.trajectory_reader import read_trajectory
 from slam.simulation.scenario.vehicle_path import read_plan
 
 from . import generation as made
@@ -103,7 +103,7 @@ def _video(name: str) -> Read:
 
 
 def _trajectory(root: Path) -> None:
-    trajectory = read_trajectory_with_remarks(root / "poses.txt")
+    trajectory = read_trajectory(root / "poses.txt")
     times, poses = trajectory.times, trajectory.poses
     assert np.isfinite(poses).all(), "accepted poses that are not finite"
     assert times is None or (np.isfinite(times).all() and (np.diff(times) > 0).all()), "accepted times out of order"

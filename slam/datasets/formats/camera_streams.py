@@ -182,7 +182,7 @@ def _check_gaps(left: Path, right: Path, times: tuple[ImageTimes, ImageTimes]) -
     steps = [np.diff(each) for each in seconds]
     if len(seconds) < 2 or len(seconds[0]) == len(seconds[1]) or min(map(len, steps)) == 0:
         return
-    medians = [float(np.median(step)) for step in steps]
+    medians = [_median_step(each) for each in seconds]
     are_even = all(step.max() < _MAX_EVEN_STEP * median for step, median in zip(steps, medians, strict=True))
     if are_even and abs(medians[0] / medians[1] - 1) < _MAX_RATE_DIFFERENCE:
         raise DataError(

@@ -71,7 +71,7 @@ class ImageSequence:
         cameras = (self.files, self.partner_files)
         some = (_read(path) for files in cameras for path in files[:: max(len(files) // _MEASURED_FILES, 1)])
         ranges = [measure_grey_range(image) for image in some if image is not None and image.dtype == np.uint16]
-        return reduce(GreyRange.joined, ranges) if ranges else FULL_RANGE
+        return reduce(GreyRange.join, ranges) if ranges else FULL_RANGE
 
     def where(self, index: int) -> str:
         """Path of an image, for error messages."""

@@ -195,7 +195,7 @@ class _Listing:
 
 def join_ranges(first: GreyRange | None, second: GreyRange | None) -> GreyRange | None:
     """Range of two sets of images, of which either may have 8 bits."""
-    return first.joined(second) if first is not None and second is not None else first or second
+    return first.join(second) if first is not None and second is not None else first or second
 
 
 @dataclass
@@ -261,8 +261,8 @@ def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange 
     arrived = np.array(listing.arrived, np.int64)
     numbers, damaged = listing.usable(f"{path}, {topic}")
     order = order_timestamps(np.array(listing.stamps), arrived / 1e9)
-    is_usable = np.isin(order.indices, numbers)
-    numbers, times = order.indices[is_usable], order.times[is_usable]
+    is_usable = np.isin(order.rows, numbers)
+    numbers, times = order.rows[is_usable], order.seconds[is_usable]
     if not len(numbers):
         raise DataError(f"{path}, {topic}: expected images with usable time stamps, found none; record it again")
     scale = [grey_range.remark] if grey_range is not None and grey_range.remark else []

@@ -120,8 +120,8 @@ def test_images_are_ordered_once_each_whatever_the_order_of_receipt(stamps: list
     times = np.random.default_rng(seed).permutation(stamps) / 10.0
     received = 100.0 + np.arange(len(times)) / 10.0
     order = order_timestamps(times, received)
-    assert (np.diff(order.times) > 0).all()
+    assert (np.diff(order.seconds) > 0).all()
     if not any("times of receipt" in remark for remark in order.remarks):
-        np.testing.assert_array_equal(order.times, np.unique(times))
-        np.testing.assert_array_equal(times[order.indices], order.times)
-    assert bool(order.remarks) == (not np.array_equal(order.indices, np.arange(len(times))) or order.times[0] >= 100.0)
+        np.testing.assert_array_equal(order.seconds, np.unique(times))
+        np.testing.assert_array_equal(times[order.rows], order.seconds)
+    assert bool(order.remarks) == (not np.array_equal(order.rows, np.arange(len(times))) or order.seconds[0] >= 100.0)

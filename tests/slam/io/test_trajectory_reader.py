@@ -9,7 +9,7 @@ import pytest
 from odometry import se3
 from slam.errors import DataError
 from slam.io.trajectory_files import write_kitti, write_tum
-from slam.io.trajectory_reader import Trajectory, read_trajectory_with_remarks
+from slam.io.trajectory_reader import Trajectory, read_trajectory
 
 COUNT = 6
 TIMES = 1.4e9 + np.arange(COUNT) / 8  # exact in binary and in nanoseconds
@@ -24,7 +24,7 @@ def rows_of(folder: Path) -> list[list[str]]:
 
 def read(folder: Path, lines: list[str], name: str = "a.txt") -> Trajectory:
     (folder / name).write_text("\n".join(lines) + "\n")
-    return read_trajectory_with_remarks(folder / name)
+    return read_trajectory(folder / name)
 
 
 def assert_same(found: Trajectory, rows: slice | list[int] = slice(None)) -> None:
@@ -35,7 +35,7 @@ def assert_same(found: Trajectory, rows: slice | list[int] = slice(None)) -> Non
 
 def test_kitti_has_no_times_and_keeps_its_order(tmp_path: Path) -> None:
     write_kitti(tmp_path / "a.txt", POSES)
-    found = read_trajectory_with_remarks(tmp_path / "a.txt")
+    found = read_trajectory(tmp_path / "a.txt")
     assert found.times is None
     np.testing.assert_array_equal(found.poses, POSES)
 
@@ -94,7 +94,7 @@ def test_other_units_since_the_start_become_seconds(tmp_path: Path, factor: floa
 @pytest.mark.parametrize("step", [0.005, 0.1, 1.0, 10.0])
 def test_seconds_stay_seconds(tmp_path: Path, step: float) -> None:
     write_tum(tmp_path / "a.tum", np.arange(COUNT) * step, POSES)
-    found = read_trajectory_with_remarks(tmp_path / "a.tum")
+    found = read_trajectory(tmp_path / "a.tum")
     np.testing.assert_array_equal(found.times, np.arange(COUNT) * step)  # type: ignore[arg-type]
     assert found.remarks == ()
 
@@ -131,7 +131,7 @@ def test_a_file_in_utf_16_and_one_with_a_mark_are_read(tmp_path: Path) -> None:
     text = "\r\n".join(" ".join(row) for row in rows_of(tmp_path))
     for data in (codecs.BOM_UTF8 + text.encode(), codecs.BOM_UTF16_LE + text.encode("utf-16-le")):
         (tmp_path / "a.txt").write_bytes(data)
-        assert_same(read_trajectory_with_remarks(tmp_path / "a.txt"))
+        assert_same(read_trajectory(tmp_path / "a.txt"))
 
 
 @pytest.mark.parametrize(
@@ -158,4 +158,4 @@ def test_a_file_in_utf_16_and_one_with_a_mark_are_read(tmp_path: Path) -> None:
 def test_what_is_no_trajectory_is_named_with_its_line(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.txt").write_text(text)
     with pytest.raises(DataError, match=rf"a\.txt.*{message}"):
-        read_trajectory_with_remarks(tmp_path / "a.txt")
+        read_trajectory(tmp_path / "a.txt")
