@@ -162,17 +162,18 @@ def read_times(path: Path, count: int) -> tuple[Array, tuple[str, ...]]:
     Raises:
         DataError: the file is missing, has another number of times, or they do not increase.
     """
-    first = next((line.split() for line in read_lines(path) if line.strip() and line.strip()[0] != "#"), [])
-    ticks = read_numbers(path, 3 if len(first) == 3 else 1)[:, 1 if len(first) == 3 else 0]
+    lines = enumerate(read_lines(path), start=1)
+    rows = [(number, line.split()) for number, line in lines if line.strip() and line.strip()[0] != "#"]
+    columns = 3 if rows and len(rows[0][1]) == 3 else 1
+    ticks = read_numbers(path, columns)[:, columns // 2]
     if len(ticks) != count:
         raise DataError(
             f"{path}: expected {count} times, one for each image, found {len(ticks)}; copy the whole recording again"
         )
     if (np.diff(ticks) <= 0).any():
         at = int(np.argmax(np.diff(ticks) <= 0)) + 1
-        lines = [number for number, line in enumerate(read_lines(path), 1) if line.strip() and line.strip()[0] != "#"]
         raise DataError(
-            f"{path}: expected increasing times, found {ticks[at]} after {ticks[at - 1]} in line {lines[at]}; correct"
+            f"{path}: expected increasing times, found {ticks[at]} after {ticks[at - 1]} in line {rows[at][0]}; correct"
             " the line, or remove the file and give --fps"
         )
     unit = find_ticks_per_second(ticks, 1.0)
