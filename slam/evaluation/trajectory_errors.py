@@ -67,6 +67,19 @@ class Similarity:
 
 
 @dataclass(frozen=True)
+class SegmentRule:
+    """Which segments of a trajectory the KITTI rule takes.
+
+    Attributes:
+        lengths_m: lengths of the segments, metres.
+        step_frames: frames between the starts of segments.
+    """
+
+    lengths_m: tuple[float, ...] = SEGMENT_LENGTHS_M
+    step_frames: int = SEGMENT_STEP_FRAMES
+
+
+@dataclass(frozen=True)
 class SegmentErrors:
     """Mean errors of all segments by the KITTI rule.
 
@@ -178,17 +191,17 @@ def absolute_trajectory_error(estimate: Array, truth: Array, alignment: Alignmen
     return _rms(umeyama(positions, target, alignment).apply(positions) - target)
 
 
-def kitti_errors(estimate: Array, truth: Array) -> SegmentErrors | None:
-    """Compute mean errors over segments of 100 to 800 m that start at every tenth frame; no alignment.
+def kitti_errors(estimate: Array, truth: Array, rule: SegmentRule | None = None) -> SegmentErrors | None:
+    """Compute mean errors over segments, by default of 100 to 800 m that start at every tenth frame; no alignment.
 
     A segment ends at the first frame whose path length from its start exceeds the segment length, as in KITTI's devkit.
     The rotation angle is computed differently (see `_angles`): with ground truth of seven digits the formula of the
     devkit gives 0.06 to 0.3 deg/100 m more for a good trajectory. State this beside published figures.
 
     Returns:
-        The errors, or None if the path has no segment of 100 m.
+        The errors, or None if the path is shorter than every segment.
     """
-    starts, ends, lengths = _segments(distances_along(truth))
+    starts, ends, lengths = _segments(distances_along(truth), rule or SegmentRule())
     if len(starts) == 0:
         return None
     motion_truth = se3.inverse(truth[starts]) @ truth[ends]
@@ -217,9 +230,9 @@ def path_length(T_world_camera: Array) -> float:
     return float(distances_along(T_world_camera)[-1])
 
 
-def _segments(distances_m: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    starts = np.repeat(np.arange(0, len(distances_m), SEGMENT_STEP_FRAMES), len(SEGMENT_LENGTHS_M))
-    lengths = np.tile(SEGMENT_LENGTHS_M, len(starts) // len(SEGMENT_LENGTHS_M))
+def _segments(distances_m: Array, rule: SegmentRule) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    starts = np.repeat(np.arange(0, len(distances_m), rule.step_frames), len(rule.lengths_m))
+    lengths = np.tile(rule.lengths_m, len(starts) // len(rule.lengths_m))
     ends = np.searchsorted(distances_m, distances_m[starts] + lengths, side="right")
     fits = ends < len(distances_m)
     return starts[fits], ends[fits], lengths[fits]
