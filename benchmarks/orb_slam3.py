@@ -1,11 +1,12 @@
 """ORB-SLAM3 on a stereo drive, by the wheel `pyorbslam3`: a peer to measure, GPL-3, in an environment of its own.
 
-    python benchmarks/orb_slam3.py LEFT RIGHT CALIB TIMES OUT --vocabulary FILE
+    python benchmarks/orb_slam3.py LEFT RIGHT CALIB TIMES OUT --vocabulary FILE [--no-loops]
 
 The first arguments are those of every program that `peers.py` runs; it makes the environment and the vocabulary. The
 settings are those that ORB-SLAM3 gives for KITTI and, for images of less than half a megapixel, for EuRoC. Images are
 given at the rate of TIMES, as in ORB-SLAM3's own examples: its mapping runs beside the tracking and must keep up.
-`odometry.txt` holds the poses as they were tracked, and `corrected.txt` those of the map at the end. A pair that was
+`odometry.txt` holds the poses as they were tracked, and `corrected.txt` those of the map at the end, which is left out
+with --no-loops. A pair that was
 not tracked has the pose of the one before it.
 """
 
@@ -41,6 +42,7 @@ ORBextractor.scaleFactor: 1.2
 ORBextractor.nLevels: 8
 ORBextractor.iniThFAST: 20
 ORBextractor.minThFAST: 7
+loopClosing: {loops}
 Viewer.KeyFrameSize: 0.05
 Viewer.KeyFrameLineWidth: 1.0
 Viewer.GraphLineWidth: 0.9
@@ -54,7 +56,7 @@ Viewer.ViewpointF: 500.0
 """
 
 
-def write_settings(path: Path, drive: StereoDrive, frame_s: float) -> None:
+def write_settings(path: Path, drive: StereoDrive, frame_s: float, loops: bool) -> None:
     """Write ORB-SLAM3's settings of a drive whose pairs are some seconds apart."""
     P_left, P_right = drive.read_projections()
     left, _ = next(drive.read_pairs())
@@ -62,7 +64,7 @@ def write_settings(path: Path, drive: StereoDrive, frame_s: float) -> None:
     intrinsics = {"fx": P_left[0, 0], "fy": P_left[1, 1], "cx": P_left[0, 2], "cy": P_left[1, 2]}
     numbers = intrinsics | {"bf": P_left[0, 3] - P_right[0, 3], "fps": 1 / frame_s}
     texts = {name: repr(float(value)) for name, value in numbers.items()}  # reals must have a point
-    path.write_text(SETTINGS.format(width=width, height=height, features=features, **texts))
+    path.write_text(SETTINGS.format(width=width, height=height, features=features, loops=int(loops), **texts))
 
 
 def track(slam: Any, drive: StereoDrive) -> tuple[list[Array | None], list[float]]:
@@ -113,18 +115,19 @@ def _matrix(row: Array) -> Array:
     return pose
 
 
-def run(drive: StereoDrive, vocabulary: Path) -> None:
+def run(drive: StereoDrive, vocabulary: Path, loops: bool) -> None:
     """Run ORB-SLAM3 and write its results."""
     import pyorbslam3
 
     times, settings = drive.read_times(), drive.out / "settings.yaml"
-    write_settings(settings, drive, float(np.median(np.diff(times))) if len(times) > 1 else 0.1)
+    write_settings(settings, drive, float(np.median(np.diff(times))) if len(times) > 1 else 0.1, loops)
     slam = pyorbslam3.Slam(vocabulary, settings, pyorbslam3.Sensor.STEREO)
     poses, spent_ms = track(slam, drive)
     slam.shutdown()
-    slam.save_trajectory_tum(str(drive.out / "final.tum"))
     drive.write_poses("odometry.txt", fill(poses))
-    drive.write_poses("corrected.txt", fill(read_final(drive.out / "final.tum", times)))
+    if loops:
+        slam.save_trajectory_tum(str(drive.out / "final.tum"))
+        drive.write_poses("corrected.txt", fill(read_final(drive.out / "final.tum", times)))
     np.savetxt(drive.out / "milliseconds.txt", spent_ms, fmt="%.3f")
     lost = sum(pose is None for pose in poses)
     if lost:
@@ -134,5 +137,6 @@ def run(drive: StereoDrive, vocabulary: Path) -> None:
 if __name__ == "__main__":
     parser = make_parser(__doc__)
     parser.add_argument("--vocabulary", type=Path, required=True)
+    parser.add_argument("--no-loops", action="store_true")
     given = parser.parse_args()
-    run(take_drive(given), given.vocabulary)
+    run(take_drive(given), given.vocabulary, not given.no_loops)

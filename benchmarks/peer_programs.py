@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -193,10 +194,12 @@ def given_program(name: str, path: Path | None, option: str) -> Peer:
     return Program(name, (str(path.absolute()),))
 
 
-def orb_slam3(python: Path, vocabulary: Path) -> Program:
-    """Return ORB-SLAM3 in an environment of its own."""
-    start = (str(python), str(HERE / "orb_slam3.py"))
-    return Program("ORB-SLAM3", start, ("--vocabulary", str(vocabulary)), _ORB_SLAM3_LOOPS)
+def orb_slam3(python: Path, vocabulary: Path, closes_loops: bool = True) -> Program:
+    """Return ORB-SLAM3 in an environment of its own, with or without its loop closing."""
+    start, options = (str(python), str(HERE / "orb_slam3.py")), ("--vocabulary", str(vocabulary))
+    if not closes_loops:
+        return Program("ORB-SLAM3 odometry", start, (*options, "--no-loops"))
+    return Program("ORB-SLAM3", start, options, _ORB_SLAM3_LOOPS)
 
 
 def make_environment(folder: Path, packages: Sequence[str]) -> Path:
@@ -263,6 +266,7 @@ def run_measured(command: Sequence[str], out: Path) -> Cost:
     Raises:
         PeerError: it cannot be started, or fails.
     """
+    shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     cost = out.with_name(f"{out.name}.json")
     environment = os.environ | {"PYTHONPATH": str(HERE.parent)}

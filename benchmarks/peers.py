@@ -6,9 +6,9 @@ A DRIVE is a KITTI root with one sequence, or ROOT:SEQUENCE, with `poses/` or, f
 of `ROOT/loops_measured.csv`. The programs run one after the other, each as a process of its own:
 
 * Revisit: `revisit run` with its defaults, without recording and map;
-* ORB-SLAM3: the wheel pyorbslam3 (GPL-3) in an environment of its own, DIR/orb_slam3, which the script makes; its
-  vocabulary (orb_vocabulary.py) is --vocabulary FILE, or trained on --vocabulary-images FOLDER..., which must judge
-  nothing here, or else on a rendered drive;
+* ORB-SLAM3, and its odometry (loop closing off): the wheel pyorbslam3 (GPL-3) in an environment of its own,
+  DIR/orb_slam3, which the script makes; its vocabulary (orb_vocabulary.py) is --vocabulary FILE, or trained on
+  --vocabulary-images FOLDER..., which must judge nothing here, or else on a rendered drive;
 * KLT + PnP: klt_odometry.py, a simple control;
 * LIBVISO2 and RTAB-Map: programs of your own, called as `PROGRAM LEFT RIGHT CALIB TIMES OUT`: two folders of images,
   KITTI's calib.txt with P0 and P1, a file of times, and an empty folder, into which the program writes its poses as
@@ -24,7 +24,7 @@ frames, so that loading and compiling do not count; reading images does. Where a
 (ORB-SLAM3, which waits for the next frame), "ms" is their median. "MB" is the peak of the resident memory. A value is
 the median of --repeat runs, ± half of their range. Only processor times count on a machine that has other work.
 
-With `--places SOURCE TRUTH` the script compares place recognition instead: see place_peers.py.
+Place recognition and its peers: places.py.
 """
 
 import argparse
@@ -146,17 +146,17 @@ def describe(drive: PeerDrive) -> str:
     return f"{drive.name}: {drive.frames} pairs, {length:.0f} m, turns of up to {fastest:.1f} deg a frame"
 
 
-def prepare_orb_slam3(given: argparse.Namespace) -> Peer:
-    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there."""
+def prepare_orb_slam3(given: argparse.Namespace) -> list[Peer]:
+    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there; returns it with and without loops."""
     try:
         python = make_environment(given.out / "orb_slam3", (ORB_SLAM3, "opencv-python-headless"))
     except PeerError as error:
-        return Missing("ORB-SLAM3", str(error))
+        return [Missing("ORB-SLAM3", str(error))]
     vocabulary = given.vocabulary or given.out / "orb_vocabulary.txt"
     if not vocabulary.exists():
         folders = given.vocabulary_images or [simulate(_RENDERED, given.out / "vocabulary_images")]
         write_text(vocabulary, train(describe_images(folders, DEFAULT_IMAGES)))
-    return orb_slam3(python, vocabulary)
+    return [orb_slam3(python, vocabulary), orb_slam3(python, vocabulary, closes_loops=False)]
 
 
 def open_drives(text: str, folder: Path) -> PeerDrives:
@@ -189,7 +189,7 @@ def main() -> None:
     drives = [open_drives(text, runs / str(number) / "drive") for number, text in enumerate(given.drives)]
     peers: list[Peer] = [
         Revisit(),
-        prepare_orb_slam3(given),
+        *prepare_orb_slam3(given),
         klt(),
         given_program("LIBVISO2", given.libviso2, "--libviso2"),
         given_program("RTAB-Map", given.rtabmap, "--rtabmap"),
