@@ -147,7 +147,7 @@ def describe(drive: PeerDrive) -> str:
 
 
 def prepare_orb_slam3(given: argparse.Namespace) -> list[Peer]:
-    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there; returns it with and without loops."""
+    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there; with and without its loops."""
     try:
         python = make_environment(given.out / "orb_slam3", (ORB_SLAM3, "opencv-python-headless"))
     except PeerError as error:

@@ -31,6 +31,8 @@ WRONG_PATHS = {
     "odometry_memory": [NOWHERE, "00"],
     "odometry_window": [NOWHERE],
     "online_graph": [NOWHERE],
+    "orb_vocabulary": [NOWHERE, "--out", "made"],
+    "peers": [NOWHERE],
     "places": [NOWHERE],
     "places_at_scale": [NOWHERE, "--out", "made"],
     "places_speed": [NOWHERE],

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from odometry import se3
 from slam.errors import DataError
 from slam.evaluation.trajectory_errors import (
+    SegmentRule,
     absolute_trajectory_error,
     end_error,
     kitti_errors,
@@ -158,6 +159,19 @@ def test_a_degree_too_much_every_hundred_metres_is_one() -> None:
 def test_a_segment_needs_a_longer_path_than_its_length() -> None:
     assert kitti_errors(straight(101), straight(101)) is None
     assert kitti_errors(straight(102), straight(102)) is not None
+
+
+def test_segments_of_a_tenth_measure_a_model_of_the_drive_alike() -> None:
+    truth = walk(4, 600)
+    estimate = noisy(truth, seed=4)
+    whole, models = kitti_errors(estimate, truth), (estimate.copy(), truth.copy())
+    for model in models:
+        model[:, :3, 3] *= 0.1
+    found = kitti_errors(*models, SegmentRule((10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0)))
+    assert found.t_rel_percent == pytest.approx(whole.t_rel_percent, rel=1e-9)
+    assert found.r_rel_deg_per_100m == pytest.approx(10 * whole.r_rel_deg_per_100m, rel=1e-9)
+    every_frame = kitti_errors(estimate, truth, SegmentRule((100.0,), step_frames=1))
+    assert every_frame.t_rel_percent != kitti_errors(estimate, truth, SegmentRule((100.0,))).t_rel_percent
 
 
 def test_a_short_drive_says_why_it_has_no_t_rel() -> None:
