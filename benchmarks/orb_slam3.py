@@ -1,16 +1,17 @@
 """ORB-SLAM3 on a stereo drive, by the wheel `pyorbslam3`: a peer to measure, GPL-3, in an environment of its own.
 
-    python benchmarks/orb_slam3.py LEFT RIGHT CALIB TIMES OUT --vocabulary FILE [--no-loops]
+    python benchmarks/orb_slam3.py LEFT RIGHT CALIB TIMES OUT --vocabulary FILE
 
 The first arguments are those of every program that `peers.py` runs; it makes the environment and the vocabulary. The
 settings are those that ORB-SLAM3 gives for KITTI and, for images of less than half a megapixel, for EuRoC. Images are
 given at the rate of TIMES, as in ORB-SLAM3's own examples: its mapping runs beside the tracking and must keep up.
-`odometry.txt` holds the poses as they were tracked, and `corrected.txt` those of the map at the end, which is left out
-with --no-loops. A pair that was
-not tracked has the pose of the one before it.
+`odometry.txt` chains the motions as they were tracked, without the jumps of closed loops: where a loop has moved the
+map, the motion of the frame before is repeated (this build crashes with loop closing switched off). `corrected.txt`
+holds the poses of the map at the end. A frame that was not tracked has the pose of the one before it.
 """
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,6 @@ ORBextractor.scaleFactor: 1.2
 ORBextractor.nLevels: 8
 ORBextractor.iniThFAST: 20
 ORBextractor.minThFAST: 7
-loopClosing: {loops}
 Viewer.KeyFrameSize: 0.05
 Viewer.KeyFrameLineWidth: 1.0
 Viewer.GraphLineWidth: 0.9
@@ -56,7 +56,7 @@ Viewer.ViewpointF: 500.0
 """
 
 
-def write_settings(path: Path, drive: StereoDrive, frame_s: float, loops: bool) -> None:
+def write_settings(path: Path, drive: StereoDrive, frame_s: float) -> None:
     """Write ORB-SLAM3's settings of a drive whose pairs are some seconds apart."""
     P_left, P_right = drive.read_projections()
     left, _ = next(drive.read_pairs())
@@ -64,24 +64,46 @@ def write_settings(path: Path, drive: StereoDrive, frame_s: float, loops: bool) 
     intrinsics = {"fx": P_left[0, 0], "fy": P_left[1, 1], "cx": P_left[0, 2], "cy": P_left[1, 2]}
     numbers = intrinsics | {"bf": P_left[0, 3] - P_right[0, 3], "fps": 1 / frame_s}
     texts = {name: repr(float(value)) for name, value in numbers.items()}  # reals must have a point
-    path.write_text(SETTINGS.format(width=width, height=height, features=features, loops=int(loops), **texts))
+    path.write_text(SETTINGS.format(width=width, height=height, features=features, **texts))
 
 
-def track(slam: Any, drive: StereoDrive) -> tuple[list[Array | None], list[float]]:
-    """Track all pairs: T_first_camera, None where it was lost, and the milliseconds of each pair."""
-    times = drive.read_times()
-    poses: list[Array | None] = []
-    spent_ms = []
-    for (left, right), seconds, pause_s in zip(
-        drive.read_pairs(), times, np.diff(times, append=times[-1]), strict=True
-    ):
+@dataclass(frozen=True)
+class TrackedFrame:
+    """What ORB-SLAM3 answered about a frame.
+
+    Attributes:
+        pose: T_first_camera (4, 4); None where it was lost.
+        map_changed: whether a loop, or the adjustment after one, has moved the map since the frame before.
+        spent_ms: time of the call.
+    """
+
+    pose: Array | None
+    map_changed: bool
+    spent_ms: float
+
+
+def track(slam: Any, drive: StereoDrive) -> list[TrackedFrame]:
+    """Track all pairs at the rate of the drive."""
+    times, frames = drive.read_times(), []
+    pauses_s = np.diff(times, append=times[-1])
+    for (left, right), seconds, pause_s in zip(drive.read_pairs(), times, pauses_s, strict=True):
         start = time.perf_counter()
         result = slam.track_stereo(left, right, float(seconds))
         spent_s = time.perf_counter() - start
-        poses.append(np.array(result.pose_wc) if result.pose_valid else None)
-        spent_ms.append(1e3 * spent_s)
+        pose = np.array(result.pose_wc) if result.pose_valid else None
+        frames.append(TrackedFrame(pose, bool(slam.map_changed()), 1e3 * spent_s))
         time.sleep(max(0.0, pause_s - spent_s))
-    return poses, spent_ms
+    return frames
+
+
+def chain(frames: list[TrackedFrame]) -> list[Array]:
+    """Chain the motions from frame to frame; where the map has changed, that of the frame before is repeated."""
+    poses, motion = fill([frame.pose for frame in frames]), np.eye(4)
+    chained = poses[:1]
+    for previous, pose, frame in zip(poses, poses[1:], frames[1:], strict=False):
+        motion = motion if frame.map_changed else np.linalg.inv(previous) @ pose
+        chained.append(chained[-1] @ motion)
+    return chained
 
 
 def fill(poses: list[Array | None]) -> list[Array]:
@@ -115,28 +137,26 @@ def _matrix(row: Array) -> Array:
     return pose
 
 
-def run(drive: StereoDrive, vocabulary: Path, loops: bool) -> None:
+def run(drive: StereoDrive, vocabulary: Path) -> None:
     """Run ORB-SLAM3 and write its results."""
     import pyorbslam3
 
     times, settings = drive.read_times(), drive.out / "settings.yaml"
-    write_settings(settings, drive, float(np.median(np.diff(times))) if len(times) > 1 else 0.1, loops)
+    write_settings(settings, drive, float(np.median(np.diff(times))) if len(times) > 1 else 0.1)
     slam = pyorbslam3.Slam(vocabulary, settings, pyorbslam3.Sensor.STEREO)
-    poses, spent_ms = track(slam, drive)
+    frames = track(slam, drive)
     slam.shutdown()
-    drive.write_poses("odometry.txt", fill(poses))
-    if loops:
-        slam.save_trajectory_tum(str(drive.out / "final.tum"))
-        drive.write_poses("corrected.txt", fill(read_final(drive.out / "final.tum", times)))
-    np.savetxt(drive.out / "milliseconds.txt", spent_ms, fmt="%.3f")
-    lost = sum(pose is None for pose in poses)
+    drive.write_poses("odometry.txt", chain(frames))
+    slam.save_trajectory_tum(str(drive.out / "final.tum"))
+    drive.write_poses("corrected.txt", fill(read_final(drive.out / "final.tum", times)))
+    np.savetxt(drive.out / "milliseconds.txt", [frame.spent_ms for frame in frames], fmt="%.3f")
+    lost = sum(frame.pose is None for frame in frames)
     if lost:
-        (drive.out / "remark.txt").write_text(f"{lost} of {len(poses)} frames were not tracked\n")
+        (drive.out / "remark.txt").write_text(f"{lost} of {len(frames)} frames were not tracked\n")
 
 
 if __name__ == "__main__":
     parser = make_parser(__doc__)
     parser.add_argument("--vocabulary", type=Path, required=True)
-    parser.add_argument("--no-loops", action="store_true")
     given = parser.parse_args()
-    run(take_drive(given), given.vocabulary, not given.no_loops)
+    run(take_drive(given), given.vocabulary)

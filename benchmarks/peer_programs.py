@@ -194,12 +194,10 @@ def given_program(name: str, path: Path | None, option: str) -> Peer:
     return Program(name, (str(path.absolute()),))
 
 
-def orb_slam3(python: Path, vocabulary: Path, closes_loops: bool = True) -> Program:
-    """Return ORB-SLAM3 in an environment of its own, with or without its loop closing."""
-    start, options = (str(python), str(HERE / "orb_slam3.py")), ("--vocabulary", str(vocabulary))
-    if not closes_loops:
-        return Program("ORB-SLAM3 odometry", start, (*options, "--no-loops"))
-    return Program("ORB-SLAM3", start, options, _ORB_SLAM3_LOOPS)
+def orb_slam3(python: Path, vocabulary: Path) -> Program:
+    """Return ORB-SLAM3 in an environment of its own."""
+    start = (str(python), str(HERE / "orb_slam3.py"))
+    return Program("ORB-SLAM3", start, ("--vocabulary", str(vocabulary)), _ORB_SLAM3_LOOPS)
 
 
 def make_environment(folder: Path, packages: Sequence[str]) -> Path:

@@ -6,16 +6,16 @@ A DRIVE is a KITTI root with one sequence, or ROOT:SEQUENCE, with `poses/` or, f
 of `ROOT/loops_measured.csv`. The programs run one after the other, each as a process of its own:
 
 * Revisit: `revisit run` with its defaults, without recording and map;
-* ORB-SLAM3, and its odometry (loop closing off): the wheel pyorbslam3 (GPL-3) in an environment of its own,
-  DIR/orb_slam3, which the script makes; its vocabulary (orb_vocabulary.py) is --vocabulary FILE, or trained on
-  --vocabulary-images FOLDER..., which must judge nothing here, or else on a rendered drive;
+* ORB-SLAM3: the wheel pyorbslam3 (GPL-3) in an environment of its own, DIR/orb_slam3, which the script makes; its
+  vocabulary (orb_vocabulary.py) is --vocabulary FILE, or trained on --vocabulary-images FOLDER..., which must judge
+  nothing here, or else on a rendered drive;
 * KLT + PnP: klt_odometry.py, a simple control;
 * LIBVISO2 and RTAB-Map: programs of your own, called as `PROGRAM LEFT RIGHT CALIB TIMES OUT`: two folders of images,
   KITTI's calib.txt with P0 and P1, a file of times, and an empty folder, into which the program writes its poses as
   `odometry.txt` in KITTI's format, one line for each pair, and, where it closes loops, `corrected.txt` and `loops.csv`
   (columns query and match). peer_contract.py has the details.
 
-Columns: ATE after SE(3) alignment before loop closing ("ATE m", for ORB-SLAM3 of the poses as they were tracked) and
+Columns: ATE after SE(3) alignment before loop closing ("ATE m"; of ORB-SLAM3 the motions as they were tracked) and
 after ("closed m"); ATE of the last of the two after Sim(3) alignment; t_rel, r_rel (deg per 100 m) and the end error
 before loop closing, by KITTI's rule, on drives shorter than 100 m with segments of 10 to 80 m from every frame; loops,
 true and false by the true poses. Without poses: the mean error of position and angle over the measured pairs.
@@ -146,17 +146,17 @@ def describe(drive: PeerDrive) -> str:
     return f"{drive.name}: {drive.frames} pairs, {length:.0f} m, turns of up to {fastest:.1f} deg a frame"
 
 
-def prepare_orb_slam3(given: argparse.Namespace) -> list[Peer]:
-    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there; with and without its loops."""
+def prepare_orb_slam3(given: argparse.Namespace) -> Peer:
+    """Make the environment and the vocabulary of ORB-SLAM3, unless they are there."""
     try:
         python = make_environment(given.out / "orb_slam3", (ORB_SLAM3, "opencv-python-headless"))
     except PeerError as error:
-        return [Missing("ORB-SLAM3", str(error))]
+        return Missing("ORB-SLAM3", str(error))
     vocabulary = given.vocabulary or given.out / "orb_vocabulary.txt"
     if not vocabulary.exists():
         folders = given.vocabulary_images or [simulate(_RENDERED, given.out / "vocabulary_images")]
         write_text(vocabulary, train(describe_images(folders, DEFAULT_IMAGES)))
-    return [orb_slam3(python, vocabulary), orb_slam3(python, vocabulary, closes_loops=False)]
+    return orb_slam3(python, vocabulary)
 
 
 def open_drives(text: str, folder: Path) -> PeerDrives:
@@ -189,7 +189,7 @@ def main() -> None:
     drives = [open_drives(text, runs / str(number) / "drive") for number, text in enumerate(given.drives)]
     peers: list[Peer] = [
         Revisit(),
-        *prepare_orb_slam3(given),
+        prepare_orb_slam3(given),
         klt(),
         given_program("LIBVISO2", given.libviso2, "--libviso2"),
         given_program("RTAB-Map", given.rtabmap, "--rtabmap"),

@@ -266,6 +266,16 @@ def test_frames_that_orb_slam3_lost_have_the_pose_before_them(tmp_path: Path) ->
     assert [pose[:3, 3].tolist() for pose in filled] == [[0, 0, 0], [1, 2, 3], [1, 2, 3], [4, 5, 6]]
 
 
+def test_the_odometry_of_orb_slam3_does_not_jump_where_a_loop_moves_its_map() -> None:
+    tracked = ahead(6, 1.0)
+    tracked[3:, 0, 3] += 5.0  # the map is moved between frames 2 and 3
+    tracked[3:, 2, 3] += 0.5
+    frames = [orb_slam3.TrackedFrame(pose, index == 3, 1.0) for index, pose in enumerate(tracked)]
+    assert np.array(orb_slam3.chain(frames)) == pytest.approx(ahead(6, 1.0))
+    still_open = [orb_slam3.TrackedFrame(pose, False, 1.0) for pose in tracked]
+    assert np.array(orb_slam3.chain(still_open)) == pytest.approx(tracked)
+
+
 def test_the_output_of_ibow_lcd_is_read_as_beliefs(tmp_path: Path) -> None:
     file = tmp_path / "loops.txt"
     file.write_text("0\t2\t0\t0\n30\t0\t4\t25\n31\t1\t5\t9\n")
