@@ -1,11 +1,11 @@
-"""Drift and time of the stereo odometry on drives in KITTI's layout, beside those of LIBVISO2.
+"""Drift of the stereo odometry on drives in KITTI's layout, and the time of each of its stages.
 
     python benchmarks/odometry_drift.py ROOT 05 06 01 [--threads 2]
 
 ROOT holds `sequences/NN/{image_0,image_1,calib.txt}` and `poses/NN.txt`. Images are decoded before the clock starts.
 Drift is the error of the last position in per cent of the path length, without alignment. "cpu" is the processor time
-of all threads, which depends less on other work of the machine than wall-clock time; the times of LIBVISO2 were
-measured on two idle cores.
+of all threads, which depends less on other work of the machine than wall-clock time. Other programs on the same
+drives: peers.py.
 """
 
 import numpy as np
@@ -26,7 +26,6 @@ STAGES = (
     (stereo_tracking, "ransac_motion", "ransac"),
     (stereo_tracking, "match_descriptors", "descriptors"),
 )
-LIBVISO2 = {"05": "1.27 %, 20 ms", "06": "1.05 %, 22 ms", "01": "7.77 %, 21 ms"}
 
 
 def track(drive: Drive, times: StageTimes) -> list[Motion]:
@@ -43,9 +42,8 @@ def report(drive: Drive, times: StageTimes) -> None:
     motions, truth = track(drive, times), drive.truth()
     poses, measured = chain_poses(motions), [m for m in motions[1:] if not m.predicted]
     turn = np.degrees(se3.angle(se3.inverse(poses[-1]) @ truth[-1]))
-    peer = f"  (LIBVISO2 {LIBVISO2[drive.name]})" if drive.name in LIBVISO2 else ""
     length = path_length_m(truth)
-    print(f"\n{drive.name}: {len(drive)} frames, {length:.0f} m  drift {end_error(poses, truth):.2f} %{peer}")
+    print(f"\n{drive.name}: {len(drive)} frames, {length:.0f} m  drift {end_error(poses, truth):.2f} %")
     tracks = np.mean([len(m.inliers) for m in measured])
     print(
         f"    rotation {turn:.2f} deg  predicted {len(motions) - 1 - len(measured)}  tracks {tracks:.0f}"

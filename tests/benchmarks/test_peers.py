@@ -87,7 +87,7 @@ def test_only_a_drive_that_is_shorter_than_kittis_segments_has_shorter_ones() ->
     assert scores.segment_rule(99.9).step_frames == 1
 
 
-def test_measured_pairs_judge_the_motion_between_two_frames() -> None:
+def test_measured_pairs_measure_the_motion_between_two_frames() -> None:
     pair = scores.MeasuredPair(1, 4, np.array([0.0, 0.0, 3.0]), 5.0)
     found = scores.score_pairs(scores.Estimate(ahead(5, 1.0), ahead(5, 2.0)), [pair, pair])
     assert found == pytest.approx({"pairs m": 0.0, "closed m": 3.0, "pairs deg": 5.0, "closed deg": 5.0})
