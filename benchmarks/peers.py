@@ -159,12 +159,20 @@ def prepare_orb_slam3(given: argparse.Namespace) -> Peer:
     return orb_slam3(python, vocabulary)
 
 
-def open_drives(text: str, folder: Path) -> PeerDrives:
-    """Lay out the drive ROOT or ROOT:SEQUENCE in a new folder."""
+def find_drive(text: str) -> tuple[Path, str | None]:
+    """Return the root and the sequence of ROOT or ROOT:SEQUENCE; None for the only sequence.
+
+    Raises:
+        DataError: there is no such root.
+    """
     root, _, sequence = (text, "", "") if Path(text).exists() else text.rpartition(":")
-    source = existing(root or text)
+    return existing(root or text), sequence or None
+
+
+def open_drives(root: Path, sequence: str | None, folder: Path) -> PeerDrives:
+    """Lay out a drive in a new folder."""
     parts = (("whole", None), ("start", START_FRAMES))
-    whole, start = (read_drive(source, sequence or None, folder / name, frames) for name, frames in parts)
+    whole, start = (read_drive(root, sequence, folder / name, frames) for name, frames in parts)
     return PeerDrives(whole, start)
 
 
@@ -184,9 +192,10 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     """Compare on each drive."""
     given = parse()
+    sources = [find_drive(text) for text in given.drives]
     runs = given.out / "runs"
     shutil.rmtree(runs, ignore_errors=True)
-    drives = [open_drives(text, runs / str(number) / "drive") for number, text in enumerate(given.drives)]
+    drives = [open_drives(*source, runs / str(number) / "drive") for number, source in enumerate(sources)]
     peers: list[Peer] = [
         Revisit(),
         prepare_orb_slam3(given),

@@ -116,7 +116,7 @@ def test_measured_pairs_are_read_past_comments_and_damage_is_named(tmp_path: Pat
 
 
 def test_a_program_gets_the_drive_with_its_calibration_and_truth(kitti: Path, tmp_path: Path) -> None:
-    drives = peers.open_drives(f"{kitti}:04", tmp_path / "drive")
+    drives = peers.open_drives(*peers.find_drive(f"{kitti}:04"), tmp_path / "drive")
     assert (drives.whole.frames, drives.start.frames) == (FRAMES, peers.START_FRAMES)
     left, right, calibration, times, out = map(Path, drives.start.arguments(tmp_path / "out"))
     assert [len(list(side.iterdir())) for side in (left, right)] == [10, 10]
@@ -129,7 +129,7 @@ def test_a_program_gets_the_drive_with_its_calibration_and_truth(kitti: Path, tm
 
 
 def test_a_row_has_all_columns_and_what_cannot_run_is_a_line(kitti: Path, tmp_path: Path) -> None:
-    drives = peers.open_drives(str(kitti), tmp_path / "drive")
+    drives = peers.open_drives(kitti, None, tmp_path / "drive")
     found, remark = peers.measure(still(FRAMES), drives, tmp_path / "runs")
     assert set(found) == {*scores.TRUTH_COLUMNS, *scores.LOOP_COLUMNS, *scores.COST_COLUMNS}
     assert found["end %"] == pytest.approx(100.0)
@@ -141,7 +141,7 @@ def test_a_row_has_all_columns_and_what_cannot_run_is_a_line(kitti: Path, tmp_pa
 
 
 def test_a_missing_line_is_an_error_that_names_the_file(kitti: Path, tmp_path: Path) -> None:
-    drives = peers.open_drives(str(kitti), tmp_path / "drive")
+    drives = peers.open_drives(kitti, None, tmp_path / "drive")
     table, (remark,) = peers.compare([still(FRAMES - 1)], drives, 1, tmp_path / "runs")
     assert table.row_count == 1
     assert "odometry.txt: expected 15 poses, found 14" in remark
