@@ -5,9 +5,8 @@
 The first arguments are those of every program that `peers.py` runs; it makes the environment and the vocabulary. The
 settings are those that ORB-SLAM3 gives for KITTI and, for images of less than half a megapixel, for EuRoC. Images are
 given at the rate of TIMES, as in ORB-SLAM3's own examples: its mapping runs beside the tracking and must keep up.
-`odometry.txt` chains the motions as they were tracked, without the jumps of closed loops: where a loop has moved the
-map, the motion of the frame before is repeated (this build crashes with loop closing switched off). `corrected.txt`
-holds the poses of the map at the end. A frame that was not tracked has the pose of the one before it.
+`odometry.txt` chains the motions as they were tracked, without the jumps of closed loops: near a change of the map they
+are those of the final map (this build crashes with loop closing switched off). `corrected.txt` holds the final map. A frame that was not tracked has the pose of the one before it.
 """
 
 import time
@@ -21,6 +20,9 @@ from peer_contract import StereoDrive, make_parser, take_drive
 
 Array = NDArray[np.float64]
 
+# A loop moves the map in another thread, and ORB-SLAM3 says so when it has ended: the jump was seen up to two frames
+# before that. Motions in the final map have no jump, and of a few frames hardly anything else of the loop.
+CHANGE_REACH_FRAMES = 5
 MIN_LARGE_IMAGE = 400_000  # pixels; KITTI's images have 467,000, EuRoC's 361,000
 SETTINGS = """%YAML:1.0
 Camera.type: "PinHole"
@@ -96,13 +98,15 @@ def track(slam: Any, drive: StereoDrive) -> list[TrackedFrame]:
     return frames
 
 
-def chain(frames: list[TrackedFrame]) -> list[Array]:
-    """Chain the motions from frame to frame; where the map has changed, that of the frame before is repeated."""
-    poses, motion = fill([frame.pose for frame in frames]), np.eye(4)
-    chained = poses[:1]
-    for previous, pose, frame in zip(poses, poses[1:], frames[1:], strict=False):
-        motion = motion if frame.map_changed else np.linalg.inv(previous) @ pose
-        chained.append(chained[-1] @ motion)
+def chain(frames: list[TrackedFrame], final: list[Array]) -> list[Array]:
+    """Chain the motions from frame to frame as they were tracked; near a change of the map, those of the final poses."""
+    changed = np.flatnonzero([frame.map_changed for frame in frames])
+    tracked = fill([frame.pose for frame in frames])
+    chained = tracked[:1]
+    for index in range(1, len(frames)):
+        is_near = np.any(np.abs(changed - index) <= CHANGE_REACH_FRAMES)
+        poses = final if is_near else tracked
+        chained.append(chained[-1] @ np.linalg.inv(poses[index - 1]) @ poses[index])
     return chained
 
 
@@ -146,9 +150,10 @@ def run(drive: StereoDrive, vocabulary: Path) -> None:
     slam = pyorbslam3.Slam(vocabulary, settings, pyorbslam3.Sensor.STEREO)
     frames = track(slam, drive)
     slam.shutdown()
-    drive.write_poses("odometry.txt", chain(frames))
     slam.save_trajectory_tum(str(drive.out / "final.tum"))
-    drive.write_poses("corrected.txt", fill(read_final(drive.out / "final.tum", times)))
+    final = fill(read_final(drive.out / "final.tum", times))
+    drive.write_poses("odometry.txt", chain(frames, final))
+    drive.write_poses("corrected.txt", final)
     np.savetxt(drive.out / "milliseconds.txt", [frame.spent_ms for frame in frames], fmt="%.3f")
     lost = sum(frame.pose is None for frame in frames)
     if lost:
