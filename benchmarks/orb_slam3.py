@@ -6,7 +6,8 @@ The first arguments are those of every program that `peers.py` runs; it makes th
 settings are those that ORB-SLAM3 gives for KITTI and, for images of less than half a megapixel, for EuRoC. Images are
 given at the rate of TIMES, as in ORB-SLAM3's own examples: its mapping runs beside the tracking and must keep up.
 `odometry.txt` chains the motions as they were tracked, without the jumps of closed loops: near a change of the map they
-are those of the final map (this build crashes with loop closing switched off). `corrected.txt` holds the final map. A frame that was not tracked has the pose of the one before it.
+are those of the final map (this build crashes with loop closing switched off). `corrected.txt` holds the final map. A
+frame that was not tracked has the pose of the one before it.
 """
 
 import time
@@ -99,7 +100,7 @@ def track(slam: Any, drive: StereoDrive) -> list[TrackedFrame]:
 
 
 def chain(frames: list[TrackedFrame], final: list[Array]) -> list[Array]:
-    """Chain the motions from frame to frame as they were tracked; near a change of the map, those of the final poses."""
+    """Chain the motions as they were tracked; near a change of the map, those of the final poses."""
     changed = np.flatnonzero([frame.map_changed for frame in frames])
     tracked = fill([frame.pose for frame in frames])
     chained = tracked[:1]
