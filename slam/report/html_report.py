@@ -17,6 +17,8 @@ from slam.report.formatting import (
     Cell,
     alignment_name,
     cell,
+    changed_settings_text,
+    describe_loop_errors,
     estimate_row,
     flatten,
     format_value,
@@ -119,6 +121,7 @@ def render_report(
             notes=_notes(record),
             warnings=_warnings(record),
             funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
+            loop_errors=describe_loop_errors(record.metrics),
             recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
             maps=draw_maps(record),
             places=draw_places(record),
@@ -130,6 +133,7 @@ def render_report(
             loop_details=loop_details(record, source),
             dense_page=dense_page,
             settings=flatten(config),
+            changed=changed_settings_text(record.metrics),
             provenance=provenance_rows(record),
         )
     )
