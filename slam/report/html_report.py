@@ -30,7 +30,7 @@ from slam.report.formatting import (
     rejected,
     stage_times,
 )
-from slam.report.interactive_map import draw_interactive_map, map_data
+from slam.report.interactive_map import blend_data, draw_interactive_map, map_data
 from slam.report.loop_details import ImageSource, example_pairs, loop_details
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall, stage_curves, stage_figures
 from slam.report.style import inline_svg
@@ -124,6 +124,7 @@ def render_report(
             loop_errors=describe_loop_errors(record.metrics),
             recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
             maps=draw_maps(record),
+            blend=blend_data(record),
             places=draw_places(record),
             charts=draw_charts(record),
             stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
