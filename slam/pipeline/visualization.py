@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 VIEWS = ("none", "native", "web")
 _MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier image has to be read again
-_MIN_JUMP_M = 0.1  # a correction of the camera's position by as much is shown with the loop that makes it
+_MIN_JUMP_M = 0.5  # a correction of the camera's position by as much is shown with the loop that makes it
 _MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
 

@@ -24,8 +24,8 @@ _MAX_MAP_POINTS = 300_000  # drawn of each map
 _MAX_MATRIX_SIDE_PX = 500
 _NUM_DASHES = 300  # of the ground truth
 _MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
-_MAX_REPLACED_LANDMARKS = 50_000  # 0.6 MB
-_MIN_MOVED_SHARE = 0.01
+_MAX_REPLACED_LANDMARKS = 10_000  # 0.1 MB each time
+_MIN_MOVED_SHARE = 0.02
 _LIFT_M = np.array([0.0, 0.5, 0.0])  # up is -y: dots float above the line, which would hide them
 # Entities of each view.
 _LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
@@ -202,7 +202,7 @@ class MovableLandmarks:
     def correct(self, poses: Array) -> None:
         """Move all landmarks to the corrected trajectory (N, 4, 4), metres.
 
-        All have to be logged again, so that this waits until the trajectory has moved by a hundredth of its extent. The
+        All have to be logged again, so that this waits until the trajectory has moved by a fiftieth of its extent. The
         scale of one camera is not corrected before the end of the run.
         """
         if not self._frames:

@@ -93,10 +93,10 @@ def test_landmarks_move_with_their_key_frames_once_a_loop_moves_these_noticeably
         landmarks.append(frame, poses[frame], se3.transform(poses[frame], seen))
     assert log.rows() == {(2.0, 0.0, 15.0), (2.0, 0.0, 65.0)}
     turned = poses @ se3.exp(np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0]))
-    turned[60, 0, 3] = 0.9  # less than a hundredth of the 100 m
+    turned[60, 0, 3] = 1.9  # less than a fiftieth of the 100 m
     landmarks.correct(turned)
     assert log.rows() == {(2.0, 0.0, 15.0), (2.0, 0.0, 65.0)}
-    turned[60, 0, 3] = 1.1
+    turned[60, 0, 3] = 2.1
     landmarks.correct(turned)
     corrected = np.concatenate([se3.transform(turned[frame], seen) for frame in (10, 60)])
     assert {tuple(np.round(row, 9)) for row in log.rows()} == {tuple(np.round(row, 9)) for row in corrected}
