@@ -111,7 +111,7 @@ def test_the_columns_of_the_stages_and_of_the_events(file: Path) -> None:
     write_stages(file, [])
     assert file.read_text() == (
         "query,match,epipolar_inliers,epipolar_verified,x_m,y_m,z_m,rotation_deg,position_sigma_m,rotation_sigma_deg,"
-        "gate_sigma,gate_passed,gate_reason\n"
+        "gate_sigma,gate_passed,gate_reason,translation_error_m,rotation_error_deg\n"
     )
     write_events(file, [])
     assert file.read_text() == "query,match,frame,in_graph,reason\n"
