@@ -1,6 +1,6 @@
 """The whole pipeline on one drive: frames per second, time of each stage, and errors before and after loop closing.
 
-python benchmarks/chain.py ~/.cache/revisit/demo-0-v2
+python benchmarks/chain.py data/laps
 python benchmarks/chain.py ~/kitti/dataset --sequence 05 --no-record
 """
 

@@ -1,6 +1,6 @@
 """Kill a run at random moments, resume it, and compare every result with that of an undisturbed run.
 
-python benchmarks/kill_and_resume.py ~/.cache/revisit/demo-0-v2 --kills 20
+python benchmarks/kill_and_resume.py data/laps --kills 20
 """
 
 import argparse

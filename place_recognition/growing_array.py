@@ -109,10 +109,10 @@ class SpillFile:
 
     def state(self) -> Record:
         """All records (N,), wherever they are now, for a checkpoint."""
-        early = max(self._count - len(self._latest), 0)
-        older = [self.read(index) for index in range(early)]
-        latest = np.roll(self._latest, -(early % len(self._latest)))[: self._count - early]
-        return np.concatenate([np.array(older, self.dtype), latest])
+        records = np.empty(self._count, self.dtype)
+        for index in range(self._count):
+            records[index] = self.read(index)
+        return records
 
     def restore(self, records: Record) -> None:
         """Take over records (N,) into a file that has none.

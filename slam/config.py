@@ -5,6 +5,7 @@ It is written beside the results as `config.toml` and can be read from it again.
 
 import dataclasses
 import tomllib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import UnionType
@@ -88,9 +89,46 @@ class RunConfig:
         return replace(self.pose_graph, drift=self.mono_odometry.drift, scale_drift=self.mono_odometry.scale_drift)
 
 
+@dataclass(frozen=True)
+class ChangedSetting:
+    """A setting that differs from its default.
+
+    Attributes:
+        name: dotted name, such as `key_frames.min_distance_m`.
+        value, default: its value in the run, and in a run without options.
+    """
+
+    name: str
+    value: Any
+    default: Any
+
+    def __str__(self) -> str:
+        """Return name, value and default on one line."""
+        return f"{self.name} = {self.value!r} (default {self.default!r})"
+
+
 def to_toml(config: RunConfig) -> str:
-    """Configuration as TOML text; settings that are None are left out."""
-    return tomli_w.dumps(_without_none(dataclasses.asdict(config)))
+    """Configuration as TOML text; settings that are None are left out.
+
+    Comments at the top list the settings that differ from the defaults.
+    """
+    comments = [f"# {change}" for change in changed_settings(config)]
+    heading = "# Different from the defaults:" if comments else "# All settings have their defaults."
+    return "\n".join([heading, *comments, "", tomli_w.dumps(_without_none(dataclasses.asdict(config)))])
+
+
+def changed_settings(config: RunConfig) -> tuple[ChangedSetting, ...]:
+    """Settings that differ from the defaults, in the order of the configuration."""
+    return tuple(_changes(dataclasses.asdict(config), dataclasses.asdict(RunConfig()), ""))
+
+
+def _changes(values: Mapping[str, Any], defaults: Mapping[str, Any], prefix: str) -> Iterator[ChangedSetting]:
+    for name, value in values.items():
+        default = defaults.get(name)
+        if isinstance(value, dict) and isinstance(default, dict):
+            yield from _changes(value, default, f"{prefix}{name}.")
+        elif value != default:
+            yield ChangedSetting(f"{prefix}{name}", value, default)
 
 
 def read_config(path: Path) -> RunConfig:

@@ -59,6 +59,7 @@ class StageRow:
         gate_sigma: square root of chi-square (6 degrees of freedom) of the loop against odometry and its drift.
         gate_passed: whether drift explains the loop; None where the gate was not reached.
         gate_reason: reason of the gate's decision, in plain words.
+        translation_error_m, rotation_error_deg: error of the relative pose by ground truth; NaN without ground truth.
     """
 
     query: int
@@ -74,6 +75,8 @@ class StageRow:
     gate_sigma: float = float("nan")
     gate_passed: bool | None = None
     gate_reason: str = ""
+    translation_error_m: float = float("nan")
+    rotation_error_deg: float = float("nan")
 
 
 @dataclass(frozen=True)

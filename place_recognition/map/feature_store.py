@@ -14,7 +14,7 @@ Bytes = NDArray[np.int8]
 
 PIXEL_STEP = 1 / 16  # resolution of stored pixels: a 30th of the distance within which matches agree
 FIRST_OCTAVE, OCTAVE_STEPS = -1.0, 32  # scales from half a pixel to 125 are stored to 1 % of themselves in one byte
-IN_MEMORY = 2048  # latest images kept in memory: 74 MB of 500 SURF features each
+IN_MEMORY = 512  # latest images kept in memory: 18 MB of 500 SURF features each
 
 
 @dataclass(frozen=True)

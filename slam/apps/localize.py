@@ -22,6 +22,7 @@ from slam.datasets.formats.image_sequence import IMAGE_SUFFIXES, ImageSequence
 from slam.datasets.formats.recording import ImageDataset, LeftImages
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError, DataError
+from slam.io.files import check_output_file
 from slam.io.frames_and_loops_csv import write_table
 from slam.localization.keyframe_map import SavedMap
 from slam.localization.localizer import LocalizationResult, Localizer, NotLocalized
@@ -146,8 +147,10 @@ def locate(options: LocateOptions, messages: Console) -> tuple[QueryResult, ...]
 
     Raises:
         DataError: there is no map, there are no images, or they are of different cameras.
-        OutputError: the table cannot be written.
+        OutputError: the table cannot be written; a missing or read-only folder is found before the work begins.
     """
+    if options.out is not None:
+        check_output_file(options.out)
     with MapDatabase.open(map_file(options.map)) as database:
         saved = SavedMap.open(database)
         queries = open_queries(options.images, saved.camera)

@@ -30,7 +30,7 @@ from slam.datasets.formats.kitti_files import sequence_names
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
 from slam.errors import ConfigError, DataError, OutputError
-from slam.io.files import atomic_writer
+from slam.io.files import atomic_writer, check_output_file
 
 Progress = Callable[[int, int], None]
 
@@ -67,7 +67,7 @@ def train_from_images(options: TrainingOptions, settings: dict[str, int], progre
     """
     config, extractor = _make_config(settings), _make_extractor(options.features)
     recordings = [open_images(source) for folder in options.sources for source in _sequences(folder)]
-    _check_folder(options.out)
+    check_output_file(options.out)
     sample = _sample_descriptors(recordings, extractor, config, progress)
     try:
         vocabulary = train_vocabulary(extractor.kind, sample.descriptors, config)
@@ -116,12 +116,6 @@ def _sequences(folder: Path) -> list[DatasetSpec]:
     return [DatasetSpec(folder.absolute(), name, fps=1.0) for name in names]
 
 
-def _check_folder(out: Path) -> None:
-    if out.is_dir() or not out.absolute().parent.is_dir():
-        found = "a folder" if out.is_dir() else "no such folder"
-        raise OutputError(f"{out}: expected a file to write in a folder that exists, found {found}; choose another")
-
-
 def _save(out: Path, vocabulary: Vocabulary) -> None:
     try:
         save_vocabulary(out, vocabulary)
@@ -146,6 +140,7 @@ def train_filter_file(matrix: Path, truth: Path, out: Path, paradigm: str) -> st
     """
     if paradigm not in FILTER_PARADIGMS:
         raise ConfigError(f"paradigm {paradigm!r}: expected one with a filter, {' or '.join(FILTER_PARADIGMS)}")
+    check_output_file(out)
     samples = _load_samples(matrix, truth)
     try:
         learned = train_filter(samples)

@@ -16,7 +16,7 @@ def demo(
     out: option.Out = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Random seed of the town and of the camera noise.")] = 0,
 ) -> None:
-    """Simulate a drive of three laps, run the whole pipeline on it and write a report. Needs no download.
+    """Simulate two laps of two blocks, run the whole pipeline on one camera and write a report. Needs no download.
 
     The drive is rendered once and kept in a cache. The results in the output folder are replaced each time.
 

@@ -1,4 +1,4 @@
-"""Precision and recall of closed loops by ground-truth poses and a declared rule.
+"""Precision, recall and metric errors of closed loops by ground-truth poses and a declared rule.
 
 Figures in the literature depend strongly on the rule, so it is one dataclass that holds every number of it.
 The choice of the numbers: docs/decisions/evaluation_rules.md.
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
-from slam.run_result import LoopRow
+from slam.run_result import LoopRow, StageRow
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,19 @@ class LoopRule:
     max_translation_m: float = 3.0
     max_rotation_deg: float = 10.0
     revisit: RevisitRule = field(default_factory=RevisitRule)
+
+
+@dataclass(frozen=True)
+class LoopError:
+    """Error of the relative pose of a measured loop by ground truth; NaN without ground truth.
+
+    Attributes:
+        translation_m: distance of the measured from the true position of the query's camera, metres.
+        rotation_deg: angle between its measured and its true orientation, degrees.
+    """
+
+    translation_m: float = float("nan")
+    rotation_deg: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -76,11 +89,38 @@ def is_true_loop(truth: Array, query: int, match: int, T_match_query: Array, rul
     measurement of it is a correct edge of the graph. Use `is_same_place` for loops without metric scale.
     """
     rule = rule or LoopRule()
+    error = loop_error(truth, query, match, T_match_query)
+    return error.translation_m <= rule.max_translation_m and error.rotation_deg <= rule.max_rotation_deg
+
+
+def loop_error(truth: Array, query: int, match: int, T_match_query: Array) -> LoopError:
+    """Compute the error of the measured relative pose (4, 4) of a loop, metres, by true poses (N, 4, 4), metres."""
     # Motion that is left over: measured query frame to true query frame.
     error = se3.inverse(T_match_query) @ se3.inverse(truth[match]) @ truth[query]
-    near = float(np.linalg.norm(error[:3, 3])) <= rule.max_translation_m
-    similar = np.degrees(se3.angle(error)) <= rule.max_rotation_deg
-    return bool(near and similar)
+    return LoopError(float(np.linalg.norm(error[:3, 3])), float(np.degrees(se3.angle(error))))
+
+
+def kept_loop_errors(loops: Iterable[LoopRow], stages: Iterable[StageRow]) -> list[LoopError]:
+    """Return the known errors of the loops that are in the corrected graph."""
+    kept = {(row.query, row.match) for row in loops if row.in_graph}
+    rows = [row for row in stages if (row.query, row.match) in kept and not np.isnan(row.translation_error_m)]
+    return [LoopError(row.translation_error_m, row.rotation_error_deg) for row in rows]
+
+
+def summarize_loop_errors(errors: Iterable[LoopError]) -> dict[str, dict[str, float] | None]:
+    """Summarize the errors of the kept loops for metrics.json: median, 95th percentile and maximum; None without any.
+
+    The 95th percentile is interpolated linearly between the two nearest errors.
+    """
+    rows = np.array([(error.translation_m, error.rotation_deg) for error in errors]).reshape(-1, 2)
+    names = ("translation_error_m", "rotation_error_deg")
+    return {name: _summarize(column) for name, column in zip(names, rows.T, strict=True)}
+
+
+def _summarize(errors: Array) -> dict[str, float] | None:
+    if not len(errors):
+        return None
+    return {"median": float(np.median(errors)), "p95": float(np.percentile(errors, 95)), "max": float(errors.max())}
 
 
 def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:

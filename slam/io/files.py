@@ -1,6 +1,7 @@
 """Text files: writing in one piece, so that a file appears complete or not at all, and reading of lines and numbers."""
 
 import codecs
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,6 +45,20 @@ def atomic_writer(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
     text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
     with replacing(path) as temporary, temporary.open(mode, **text) as file:  # type: ignore[call-overload]
         yield file
+
+
+def check_output_file(path: Path) -> None:
+    """Find out before long work whether a file can be written at its end.
+
+    Raises:
+        OutputError: the folder is missing or may not be written, or the path is a folder itself.
+    """
+    folder = path.absolute().parent
+    if path.is_dir() or not folder.is_dir():
+        found = "a folder" if path.is_dir() else "no such folder"
+        raise OutputError(f"{path}: expected a file to write in a folder that exists, found {found}; choose another")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: expected a folder that may be written, found a read-only one; choose another")
 
 
 def read_text(path: Path) -> str:

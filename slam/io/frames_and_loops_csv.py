@@ -145,11 +145,12 @@ def read_events(path: Path) -> tuple[LoopEventRow, ...]:
 
 
 _Row = TypeVar("_Row", LoopRow, StageRow, LoopEventRow)
+_LATER_COLUMNS = ("translation_error_m", "rotation_error_deg")  # runs of earlier versions have none
 
 
 def _rows(path: Path, kind: type[_Row]) -> tuple[_Row, ...]:
     """Return all lines of a table whose columns are the fields of a row class."""
-    names = tuple(field.name for field in fields(kind))
+    names = tuple(field.name for field in fields(kind) if field.name not in _LATER_COLUMNS)
     return tuple(kind(**_cells(path, row, kind)) for row in _read(path, names)[1])  # type: ignore[arg-type]
 
 
@@ -162,7 +163,8 @@ def _cells(path: Path, row: dict[str, str], kind: type[_Row]) -> dict[str, objec
         bool | None: lambda cell: _bool(cell) if cell else None,
         str: str,
     }
-    return {field.name: _cell(path, row, field.name, readers[field.type]) for field in fields(kind)}
+    written = (field for field in fields(kind) if field.name in row or field.name not in _LATER_COLUMNS)
+    return {field.name: _cell(path, row, field.name, readers[field.type]) for field in written}
 
 
 def _to_list(column: object) -> list[object]:

@@ -1,19 +1,73 @@
 """The loop log: one row for each belief of the recogniser, with its outcome and the reason."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odometry import se3
 from place_recognition.recognizer import Belief
+from slam.evaluation.loops import LoopError, is_same_place, is_true_loop, loop_error
 from slam.loop_closing.loop_closer import LoopClosure, Rejection
 from slam.pose_graph.online_loop_selection import LoopEvent
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
 from slam.run_result import LoopEventRow, LoopRow, MatchedPixels, StageRow
 from slam.system import LoopCandidate
 
-LoopTruth = Callable[[int, int, LoopClosure | None], bool | None]  # query, match, relative pose -> true revisit?
+Array = NDArray[np.float64]
+
+
+class LoopTruth(Protocol):
+    """Compares loops with ground truth."""
+
+    def is_true(self, query: int, match: int, closure: LoopClosure | None) -> bool | None:
+        """Whether a match is a true revisit, and its relative pose right if it has one; None if that is not known."""
+        ...
+
+    def error(self, closure: LoopClosure) -> LoopError:
+        """Error of a relative pose; NaN if it is not known."""
+        ...
+
+
+class UnknownLoopTruth:
+    """Ground truth that is not known (a LoopTruth)."""
+
+    def is_true(self, query: int, match: int, closure: LoopClosure | None) -> None:
+        """Return None."""
+
+    def error(self, closure: LoopClosure) -> LoopError:
+        """Return an error of NaN."""
+        return LoopError()
+
+
+@dataclass(frozen=True)
+class PoseLoopTruth:
+    """Ground truth by true poses (a LoopTruth).
+
+    Attributes:
+        poses: true T_world_camera (N, 4, 4), metres.
+        unit_m: (N,) unit of length of each frame, metres.
+    """
+
+    poses: Array
+    unit_m: Array
+
+    def is_true(self, query: int, match: int, closure: LoopClosure | None) -> bool:
+        """Whether the relative pose is right; without one, whether both frames show the same place."""
+        if closure is None:
+            return is_same_place(self.poses, query, match)
+        return is_true_loop(self.poses, query, match, self._in_metres(closure))
+
+    def error(self, closure: LoopClosure) -> LoopError:
+        """Error of the relative pose, in metres."""
+        return loop_error(self.poses, closure.query, closure.match, self._in_metres(closure))
+
+    def _in_metres(self, closure: LoopClosure) -> Array:
+        T_match_query = closure.T_match_query.copy()
+        T_match_query[:3, 3] *= self.unit_m[closure.match]
+        return T_match_query
 
 
 def loop_rows(
@@ -24,7 +78,7 @@ def loop_rows(
     Args:
         candidates: loop candidates in the order in which they were made.
         optimized: result of the back end, with the closures among them in the same order.
-        truth: function that tells whether a candidate is a true revisit; it returns None without ground truth.
+        truth: ground truth of the candidates.
     """
     rows, closures = [], 0
     for candidate in candidates:
@@ -46,7 +100,7 @@ def _proposed_row(belief: Belief, match: int, truth: LoopTruth) -> LoopRow:
         reason = f"not accepted: {belief.inliers or 0} matches agree with one epipolar geometry, too few"
     elif not belief.accepted:
         reason = f"not accepted: score {belief.score:.1f} is below the recogniser's threshold"
-    is_true = truth(belief.query, match, None)
+    is_true = truth.is_true(belief.query, match, None)
     return LoopRow(belief.query, match, belief.score, belief.accepted, truth=is_true, reason=reason)
 
 
@@ -65,17 +119,20 @@ def _with_closure(
         in_graph=bool(optimized.kept[number]),
         weight=float(optimized.weights[number]),
         residual=float(optimized.residuals[number]),
-        truth=truth(closure.query, closure.match, closure),
+        truth=truth.is_true(closure.query, closure.match, closure),
         reason=optimized.reasons[number],
     )
 
 
-def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[GateResult]) -> tuple[StageRow, ...]:
+def stage_rows(
+    candidates: Iterable[LoopCandidate], gates: Sequence[GateResult], truth: LoopTruth
+) -> tuple[StageRow, ...]:
     """What each stage measured, one row for each belief that has a match, by query.
 
     Args:
         candidates: loop candidates in the order in which they were made.
         gates: decisions of the drift gate on the closures among them, in the same order.
+        truth: ground truth of the candidates.
     """
     rows, closures = [], 0
     for candidate in candidates:
@@ -84,13 +141,13 @@ def stage_rows(candidates: Iterable[LoopCandidate], gates: Sequence[GateResult])
             continue
         row = StageRow(belief.query, belief.match, belief.inliers, belief.verified)
         if isinstance(candidate.geometry, LoopClosure):
-            row = _with_measurement(row, candidate.geometry, gates[closures])
+            row = _with_measurement(row, candidate.geometry, gates[closures], truth.error(candidate.geometry))
             closures += 1
         rows.append(row)
     return tuple(sorted(rows, key=lambda row: row.query))
 
 
-def _with_measurement(row: StageRow, closure: LoopClosure, gate: GateResult) -> StageRow:
+def _with_measurement(row: StageRow, closure: LoopClosure, gate: GateResult, error: LoopError) -> StageRow:
     x, y, z = closure.T_match_query[:3, 3].tolist()
     variances = np.diag(closure.covariance)
     return replace(
@@ -104,6 +161,8 @@ def _with_measurement(row: StageRow, closure: LoopClosure, gate: GateResult) -> 
         gate_sigma=gate.residual,
         gate_passed=gate.passed,
         gate_reason=gate.reason,
+        translation_error_m=error.translation_m,
+        rotation_error_deg=error.rotation_deg,
     )
 
 

@@ -23,6 +23,7 @@ from slam.datasets.prefetch import prefetch
 from slam.diagnostics.dataset_checks import inspect_opened
 from slam.diagnostics.findings import Use, remarks_for
 from slam.errors import ConfigError, DataError, UnmeasuredError
+from slam.evaluation.trajectory_errors import Alignment
 from slam.io.folder_lock import check_no_writer
 from slam.io.run_folder import RunFolder
 from slam.map_database.replay import Build, read_session, replay_components
@@ -39,7 +40,7 @@ from slam.map_database.resume import (
 )
 from slam.map_database.session_writer import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
 from slam.pipeline.finishing import finish_session
-from slam.pipeline.progress import progress_bar, stop_on_interrupt
+from slam.pipeline.progress import progress_bar, run_progress, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 from slam.pipeline.result_files import PipelineResult, make_record, write_results
 from slam.pipeline.run_warnings import RunWarnings
@@ -332,13 +333,16 @@ def process_dataset(
     visualizer.restore(run_log)
     unreadable: list[DataError] = []
     frames = _until_unreadable(prefetch(dataset, begin=num_restored, prepare=slam.describe), unreadable)
-    with progress_bar(warnings.messages, "Processing") as progress, stop_on_interrupt() as stop:
+    alignment: Alignment = "sim3" if config.mono else "se3"
+    watched = run_progress(warnings.messages, len(dataset), dataset.ground_truth, alignment)
+    with watched as progress, stop_on_interrupt() as stop:
         for frame in timed(frames, slam.timer):
             result = slam.process(frame)
             log_frame(result)
             run_log.add(result, visualizer.show(result))
             recorder.add(result, run_log.stage_ms[-1])
-            progress(frame.index + 1, len(dataset))
+            is_closed = any(candidate.closed for candidate in result.candidates)
+            progress.show(frame.index, is_closed, slam.components.graph.poses)
             if stop.requested:
                 warnings.messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
                 break

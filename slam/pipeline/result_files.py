@@ -3,7 +3,7 @@
 import dataclasses
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
-from slam.config import RunConfig, to_toml
+from slam.config import RunConfig, changed_settings, to_toml
 from slam.datasets.dataset import Dataset
 from slam.errors import DataError
-from slam.evaluation.loops import LoopCounts, count_loops, is_same_place, is_true_loop, revisit_matrix
+from slam.evaluation.loops import LoopCounts, count_loops, kept_loop_errors, revisit_matrix, summarize_loop_errors
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.trajectory_errors import (
     Alignment,
@@ -34,9 +34,16 @@ from slam.io.g2o import chain_graph, write_g2o
 from slam.io.landmarks import write_cloud, write_landmark_observers
 from slam.io.metrics import write_metrics
 from slam.io.trajectory_files import write_covariances, write_kitti, write_tum
-from slam.loop_closing.loop_closer import LoopClosure
 from slam.map_database.session_merging import MergeResult
-from slam.pipeline.loop_log import LoopTruth, event_rows, loop_rows, matched_pixels, stage_rows
+from slam.pipeline.loop_log import (
+    LoopTruth,
+    PoseLoopTruth,
+    UnknownLoopTruth,
+    event_rows,
+    loop_rows,
+    matched_pixels,
+    stage_rows,
+)
 from slam.pipeline.provenance import UNKNOWN, memory_mb, peak_memory_mb
 from slam.pipeline.run_warnings import RunWarnings
 from slam.pose_graph.robust.backends import OptimizationResult
@@ -105,7 +112,7 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
     unit_m = attempt("unit of length by ground truth", lambda: _unit_m(result, truth), _nothing)
     odometry = np.array(log.odometry)
     places = attempt("evaluation of places", lambda: _places(result, table.timestamps, truth), _no_places)
-    is_true = loop_truth_from_poses(truth, unit_m)
+    loop_truth = _loop_truth(truth, unit_m)
     record = RunRecord(
         name=f"{Path(str(provenance['source'])).resolve().name} {dataset.name}",
         timestamps=table.timestamps,
@@ -115,12 +122,12 @@ def make_record(result: PipelineResult, provenance: dict[str, object]) -> RunRec
         ground_truth=truth,
         predicted=table.predicted,
         inliers=table.inliers,
-        loops=attempt("table of loops", lambda: loop_rows(log.candidates, optimized, is_true), _no_rows),
+        loops=attempt("table of loops", lambda: loop_rows(log.candidates, optimized, loop_truth), _no_rows),
         stage_ms=dict(table.stage_ms),
         map_before=attempt("landmarks before correction", lambda: landmarks.cloud(odometry), _no_points),
         map_after=attempt("landmarks after correction", lambda: landmarks.cloud(optimized.similarities), _no_points),
         metrics={},
-        stages=attempt("stages of the loops", lambda: stage_rows(log.candidates, graph.gates), _no_rows),
+        stages=attempt("stages of the loops", lambda: stage_rows(log.candidates, graph.gates, loop_truth), _no_rows),
         events=attempt("events of the loops", lambda: event_rows(log.candidates, graph.loop_events), _no_rows),
         matched=attempt("matched pixels", lambda: matched_pixels(log.candidates), _no_rows),
         curve=places.curve,
@@ -201,24 +208,8 @@ def _unit_m(result: PipelineResult, truth: Array | None) -> Array | None:
     return fit.scale * result.optimized.scales
 
 
-def loop_truth_from_poses(truth: Array | None, unit_m: Array | None) -> LoopTruth:
-    """Function that tells whether a loop is a true revisit; it returns None without ground truth.
-
-    Args:
-        truth: ground truth T_world_camera (N, 4, 4), metres; None where there is none.
-        unit_m: (N,) unit of length of each frame, metres.
-    """
-
-    def is_true(query: int, match: int, closure: LoopClosure | None) -> bool | None:
-        if truth is None or unit_m is None:
-            return None
-        if closure is None:
-            return is_same_place(truth, query, match)
-        T_match_query = closure.T_match_query.copy()
-        T_match_query[:3, 3] *= unit_m[match]
-        return is_true_loop(truth, query, match, T_match_query)
-
-    return is_true
+def _loop_truth(truth: Array | None, unit_m: Array | None) -> LoopTruth:
+    return UnknownLoopTruth() if truth is None or unit_m is None else PoseLoopTruth(truth, unit_m)
 
 
 def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> None:
@@ -298,16 +289,21 @@ def _write_graph_after(path: Path, record: RunRecord, result: PipelineResult) ->
 def _measure(record: RunRecord, result: PipelineResult, places: PlaceMetrics) -> dict[str, object]:
     errors = {name: _errors(name, record, result) for name in ("odometry", "online", "corrected")}
     loops = count_loops(record.loops, np.arange(len(record.timestamps)), record.ground_truth)
-    notes = places.notes | _notes("loops", loops) | UNKNOWN
+    loop_errors = summarize_loop_errors(kept_loop_errors(record.loops, record.stages))
+    notes = places.notes | _notes("loops", loops) | _loop_error_notes(loop_errors, record) | UNKNOWN
     for name, error in errors.items():
         notes |= _notes(name, error)
     return {
         "preset": result.config.place_recognition.preset,
         "seed": result.config.seed,
+        "changed_settings": {
+            change.name: {"value": change.value, "default": change.default}
+            for change in changed_settings(result.config)
+        },
         "path_length_m": path_length(record.corrected if record.ground_truth is None else record.ground_truth),
         **{name: error.as_metrics() for name, error in errors.items()},
         "static_ratio": result.components.masks.mean_static_ratio,
-        "loops": loops.as_metrics(),
+        "loops": loops.as_metrics() | loop_errors,
         "places": places.section,
         "graph": _graph_metrics(record, errors, result.optimized),
         **_map_metrics(result.merge),
@@ -348,6 +344,11 @@ def _errors(name: str, record: RunRecord, result: PipelineResult) -> TrajectoryE
 
 def _notes(name: str, result: TrajectoryErrors | LoopCounts) -> dict[str, str]:
     return {f"{name}.{value}": reason for value, reason in result.reasons.items()}
+
+
+def _loop_error_notes(errors: Mapping[str, object], record: RunRecord) -> dict[str, str]:
+    reason = "there is no ground truth" if record.ground_truth is None else "no loop was kept"
+    return {f"loops.{name}": reason for name, values in errors.items() if values is None}
 
 
 def _graph_metrics(

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 VIEWS = ("none", "native", "web")
 _MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier image has to be read again
+_MIN_JUMP_M = 0.5  # a correction of the camera's position by as much is shown with the loop that makes it
 _MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
 
@@ -56,6 +57,7 @@ class RunVisualizer:
     def __init__(self, slam: Slam, viewer: Viewer, dataset: Dataset, rows: MatrixRecorder) -> None:
         self._slam, self._viewer, self._dataset, self._rows = slam, viewer, dataset, rows
         self._last_pair = -_MIN_PAIR_INTERVAL_FRAMES
+        self._T_world_previous: Array | None = None
 
     def restore(self, log: RunLog) -> None:
         """Show the state of a resumed run, without its images."""
@@ -72,18 +74,28 @@ class RunVisualizer:
         """Show a frame and return the milliseconds it took, as the stage `viewer`."""
         start = time.perf_counter()
         self._viewer.show_frame(_frame_view(result))
+        has_jumped = self._has_jumped(result)
         for candidate in result.candidates:
             if candidate.geometry is not None:
-                self._show_loop(candidate, result)
+                self._show_loop(candidate, result, has_jumped)
         if result.frame.index % _MATRIX_INTERVAL_FRAMES == _MATRIX_INTERVAL_FRAMES - 1:
             self._viewer.show_matrix(self._rows.matrix(result.frame.index + 1))
         return {"viewer": 1000.0 * (time.perf_counter() - start)}
 
-    def _show_loop(self, candidate: LoopCandidate, result: FrameResult) -> None:
+    def _has_jumped(self, result: FrameResult) -> bool:
+        """Whether loops have moved the camera since the frame before; motion alone is no jump."""
+        before, self._T_world_previous = self._T_world_previous, result.T_world_camera
+        if before is None:
+            return False
+        expected = before @ result.motion.T_previous_current
+        return bool(np.linalg.norm(result.T_world_camera[:3, 3] - expected[:3, 3]) >= _MIN_JUMP_M)
+
+    def _show_loop(self, candidate: LoopCandidate, result: FrameResult, has_jumped: bool) -> None:
         with_pair = candidate.closed and result.frame.index - self._last_pair >= _MIN_PAIR_INTERVAL_FRAMES
         if with_pair:
             self._last_pair = result.frame.index
-        poses = self._slam.components.graph.poses() if with_pair else np.empty((0, 4, 4))
+        with_poses = with_pair or (candidate.closed and has_jumped)
+        poses = self._slam.components.graph.poses() if with_poses else np.empty((0, 4, 4))
         self._viewer.show_loop(self._loop_view(candidate, result, with_pair), poses)
 
     def _loop_view(self, candidate: LoopCandidate, result: FrameResult, with_pair: bool) -> LoopView:

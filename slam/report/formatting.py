@@ -162,14 +162,36 @@ def _caption(record: RunRecord) -> str:
     lines = [
         f"ATE after {' and '.join(alignments)} alignment of all poses" if known else "no ground truth",
         f"loops: {loops}; by ground truth {truth}",
+        describe_loop_errors(record.metrics),
         describe_motions(record.metrics),
         f"places: R@P100 {recall}" if recall != MISSING else "",
         _events_and_delay(record),
         describe_static_ratio(record.metrics),
         f"{len(record.timestamps)} frames, {text('frames_per_second', 1)} per second",
+        "\n".join(f"not the default: {setting}" for setting in changed_settings_text(record.metrics)),
         f"median ms per frame: {stages}" if stages else "",
     ]
     return escape("\n".join(line for line in lines if line))
+
+
+def changed_settings_text(metrics: Mapping[str, object]) -> list[str]:
+    """Return the settings that differ from the defaults, one line for each."""
+    changed = metrics.get("changed_settings")
+    if not isinstance(changed, Mapping):
+        return []
+    return [f"{name} = {each['value']} (default {each['default']})" for name, each in changed.items()]
+
+
+def describe_loop_errors(metrics: Mapping[str, object]) -> str:
+    """Return the errors of the kept loops by ground truth, in words; empty where they are not known."""
+    quantities = (("translation_error_m", "m"), ("rotation_error_deg", "deg"))
+    found = [(metric_value(metrics, f"loops.{name}"), unit) for name, unit in quantities]
+    texts = [
+        " / ".join(format_value(values[key], 3) for key in ("median", "p95", "max")) + f" {unit}"
+        for values, unit in found
+        if isinstance(values, Mapping)
+    ]
+    return f"error of the kept loops, median / 95 % / max: {', '.join(texts)}" if texts else ""
 
 
 def _events_and_delay(record: RunRecord) -> str:

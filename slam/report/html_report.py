@@ -17,6 +17,8 @@ from slam.report.formatting import (
     Cell,
     alignment_name,
     cell,
+    changed_settings_text,
+    describe_loop_errors,
     estimate_row,
     flatten,
     format_value,
@@ -28,7 +30,7 @@ from slam.report.formatting import (
     rejected,
     stage_times,
 )
-from slam.report.interactive_map import draw_interactive_map, map_data
+from slam.report.interactive_map import blend_data, draw_interactive_map, map_data
 from slam.report.loop_details import ImageSource, example_pairs, loop_details
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall, stage_curves, stage_figures
 from slam.report.style import inline_svg
@@ -119,8 +121,10 @@ def render_report(
             notes=_notes(record),
             warnings=_warnings(record),
             funnel=[(key, cell(record, f"loops.{key}", 2)) for key in _FUNNEL],
+            loop_errors=describe_loop_errors(record.metrics),
             recall=[(name, cell(record, f"places.{key}", 3)) for key, name in _PLACES.items()],
             maps=draw_maps(record),
+            blend=blend_data(record),
             places=draw_places(record),
             charts=draw_charts(record),
             stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
@@ -130,6 +134,7 @@ def render_report(
             loop_details=loop_details(record, source),
             dense_page=dense_page,
             settings=flatten(config),
+            changed=changed_settings_text(record.metrics),
             provenance=provenance_rows(record),
         )
     )

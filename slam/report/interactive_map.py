@@ -5,10 +5,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
-from slam.report.formatting import is_scaled
+from slam.report.formatting import format_value, is_scaled, kept, metric_value
 from slam.report.style import new_figure
 from slam.report.trajectory_figure import (
+    Panel,
     anchor_ground_truth,
+    draw_ellipses,
     draw_plan_view,
     make_panels,
     position_errors,
@@ -19,6 +21,8 @@ from slam.run_result import RunRecord
 
 Array = NDArray[np.float64]
 
+_MAX_BLENDED_LANDMARKS, _MAX_BLENDED_LOOPS = 4000, 300  # more make the page larger, and its movement slower
+_ELLIPSES_ID = "inside-ellipses"  # shown by the style sheet when the page's box is checked
 _POINTS_PER_INCH = 72  # the unit of a drawing
 
 
@@ -28,11 +32,13 @@ def draw_interactive_map(record: RunRecord, name: str) -> Figure:
     centre, half = shared_window(panels)
     figure = new_figure(5.6, float(np.clip(4.9 * half[1] / half[0], 3.3, 6.6)) + 0.5)
     ax = figure.subplots()
-    draw_plan_view(ax, next(panel for panel in panels if panel.name == name), record)
+    panel = next(panel for panel in panels if panel.name == name)
+    draw_plan_view(ax, panel, record)
     set_limits(ax, centre, half)
     ax.set_title("")
     ax.set_ylabel("z [m]")
     _set_content_ids(figure)
+    draw_ellipses(ax, panel, _ELLIPSES_ID)
     return figure
 
 
@@ -64,6 +70,43 @@ def map_data(record: RunRecord, name: str, figure: Figure) -> dict[str, object]:
         "at": _rounded(panel.positions[:, [0, 2]]),
         "error": _rounded(_errors(record, name)),
     }
+
+
+def blend_data(record: RunRecord) -> dict[str, object]:
+    """Return what the page's script moves from before to after, besides the trajectories of the two plan views.
+
+    Returns:
+        truth: x and z of the ground truth, metres; empty without one.
+        loops: query and match of kept loops, evenly chosen if there are many.
+        dots: x and z of the same landmarks `before` and `after`, metres; none where the two maps have not the same.
+        errors: what to say of either end: its ATE, or nothing.
+    """
+    before, after = make_panels(record)
+    loops = [(row.query, row.match) for row in kept(record)]
+    truth = np.empty((0, 3)) if before.truth is None else before.truth
+    return {
+        "truth": _rounded(truth[:, [0, 2]]),
+        "loops": loops[:: len(loops) // _MAX_BLENDED_LOOPS + 1],
+        "dots": dict(zip(("before", "after"), map(_rounded, _same_landmarks(record, before, after)), strict=True)),
+        "errors": [_describe_error(record, panel.name) for panel in (before, after)],
+    }
+
+
+def _same_landmarks(record: RunRecord, before: Panel, after: Panel) -> tuple[Array, Array]:
+    """Return x and z (M, 2), metres, of the landmarks that are in both panels near the trajectories."""
+    first, second = before.landmarks, after.landmarks
+    if len(first) != len(second) or len(record.map_before.points) != len(record.map_after.points):
+        return np.empty((0, 2)), np.empty((0, 2))
+    centre, half = shared_window((before, after))
+    pairs = np.stack([first, second])[:, :, [0, 2]]
+    shown = pairs[:, (np.abs(pairs - centre) <= half).all(axis=(0, 2))]
+    chosen = shown[:, :: shown.shape[1] // _MAX_BLENDED_LANDMARKS + 1]
+    return chosen[0], chosen[1]
+
+
+def _describe_error(record: RunRecord, name: str) -> str:
+    ate = metric_value(record.metrics, f"{name}.ate_m")
+    return "" if ate is None else f": ATE {format_value(ate, 2, ' m')}"
 
 
 def _errors(record: RunRecord, name: str) -> Array:

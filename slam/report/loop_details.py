@@ -76,7 +76,13 @@ def describe_stages(
     yield "final map", _back_end(row)
     if row.truth is not None:
         wrong = "not a revisit, or a wrong relative pose" if row.verified else "not a revisit"
-        yield "ground truth", "a true revisit" if row.truth else wrong
+        yield "ground truth", ("a true revisit" if row.truth else wrong) + _error(stage)
+
+
+def _error(stage: StageRow) -> str:
+    if math.isnan(stage.translation_error_m):
+        return ""
+    return f"; error of the relative pose {stage.translation_error_m:.3f} m, {stage.rotation_error_deg:.3f} deg"
 
 
 def _epipolar(stage: StageRow) -> str:

@@ -1,7 +1,7 @@
 """Figure of a run before and after loop closing: plan view with map, trajectory and loops, and height profile.
 
-Both estimates are aligned with the ground truth, if there is one. Covariances of positions are drawn as 95 % confidence
-ellipses.
+Both estimates are aligned with the ground truth, if there is one. Confidence ellipses are drawn on request only: those
+of a long drive would hide it.
 """
 
 from dataclasses import dataclass
@@ -40,6 +40,7 @@ _MIN_SIDE_M = 4.0  # shown at least, for a camera that stood still
 _MIN_ASPECT = 0.6  # minimum ratio of short to long side of a panel, for straight paths
 _HEADING_DISTANCE = 0.04  # the arrow points to the first position this far from the start, as a share of the largest
 _ARROW_POINTS = 26.0
+_MAX_LOOP_LINES = 150  # drawn of each kind, evenly chosen; the dots are those of all loops
 
 
 @dataclass(frozen=True)
@@ -222,29 +223,27 @@ def _ate(record: RunRecord, name: str) -> str:
 
 
 def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
-    """Draw the plan view of an estimate: map, trajectory, confidence ellipses, loops, start."""
+    """Draw the plan view of an estimate: map, trajectory, loops, start and end."""
     style_axes(ax)
     ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)
     ax.set_xlabel("x [m]")
     x, _, z = panel.landmarks.T
     ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
-    if panel.truth is not None:
+    if panel.truth is not None:  # below the estimate, which is one clean line where both agree
         truth = panel.truth[:, [0, 2]].T
-        ax.plot(*truth, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=4)
+        ax.plot(*truth, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=2.8)
     for name, colour in (("odometry", style.ODOMETRY), ("corrected", style.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
         ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
-    _draw_ellipses(ax, panel)
     _draw_loops(ax, panel, kept(record), ("accepted loop", style.ACCEPTED, "-"))
     _draw_loops(ax, panel, rejected(record), ("rejected loop", style.REJECTED, ":"))
-    _draw_start(ax, panel)
+    _draw_ends(ax, panel)
 
 
-def _draw_ellipses(ax: Axes, panel: Panel) -> None:
-    outlines = LineCollection(list(panel.ellipses), colors=panel.colour, lw=0.8, alpha=0.55, zorder=2.2)
+def draw_ellipses(ax: Axes, panel: Panel, gid: str) -> None:
+    """Draw the confidence ellipses of a plan view as one element of this id."""
+    outlines = LineCollection(list(panel.ellipses), colors=panel.colour, lw=0.7, alpha=0.8, zorder=2.2, gid=gid)
     ax.add_collection(outlines, autolim=False)
-    if len(panel.ellipses):
-        ax.plot([], [], "o", mfc="none", color=panel.colour, ms=9, mew=0.8, label="95 % confidence")
 
 
 def _draw_height(ax: Axes, panel: Panel) -> None:
@@ -270,13 +269,14 @@ def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, st
     pairs = np.array([(row.query, row.match) for row in rows], dtype=np.int64).reshape(-1, 2)
     ends = panel.positions[:, [0, 2]][pairs]
     name = f"{label} ({len(pairs)})"
-    ax.add_collection(LineCollection(list(ends), colors=colour, lw=1.0, ls=dashes, alpha=0.8, zorder=2.5))
+    drawn = ends[:: len(ends) // _MAX_LOOP_LINES + 1]
+    ax.add_collection(LineCollection(list(drawn), colors=colour, lw=0.8, ls=dashes, alpha=0.7, zorder=2.5))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=name)
     # the line of a well closed loop is too short to be seen; a dot under the trajectory is wider than it
-    ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.5, mew=0, zorder=2)
+    ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.25, mew=0, zorder=2)
 
 
-def _draw_start(ax: Axes, panel: Panel) -> None:
+def _draw_ends(ax: Axes, panel: Panel) -> None:
     if not len(panel.positions):
         return
     plan = panel.positions[:, [0, 2]]
@@ -286,6 +286,7 @@ def _draw_start(ax: Axes, panel: Panel) -> None:
         ahead = plan[int(np.argmax(away > _HEADING_DISTANCE * away.max()))] - plan[0]
         tip = ahead / np.linalg.norm(ahead) * _ARROW_POINTS
         arrow = {"arrowstyle": "<|-", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 5}
+        ax.plot(*plan[-1], "s", color=INK, mfc="white", ms=6, mew=1.5, ls="none", label="end", zorder=6)
         ax.annotate("", xy=plan[0], xytext=tip, textcoords="offset points", arrowprops=arrow, zorder=7)
 
 

@@ -8,6 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from odometry.se3 import inverse, transform
 from place_recognition.evaluation.similarity_matrix import SimilarityMatrix
 from slam.mapping.tsdf import Surface
 from slam.report import style
@@ -23,6 +24,8 @@ _MAX_MAP_POINTS = 300_000  # drawn of each map
 _MAX_MATRIX_SIDE_PX = 500
 _NUM_DASHES = 300  # of the ground truth
 _MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
+_MAX_REPLACED_LANDMARKS = 10_000  # 0.1 MB each time
+_MIN_MOVED_SHARE = 0.02
 _LIFT_M = np.array([0.0, 0.5, 0.0])  # up is -y: dots float above the line, which would hide them
 # Entities of each view.
 _LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
@@ -159,11 +162,11 @@ class GrowingEntity:
             self._newest = self._newest[-1:]  # the next part begins where this one ends: a line has no gap
         self._recording.log(self._path, self._draw(self._newest))
 
-    def replace(self, rows: Array) -> None:
-        """Show rows (M, 3) instead of all earlier ones, subsampled if there are many."""
+    def replace(self, rows: Array, max_rows: int = _MAX_REPLACED_ROWS) -> None:
+        """Show rows (M, 3) instead of all earlier ones, subsampled if there are more than `max_rows`."""
         self.clear()
         if len(rows):
-            stride = len(rows) // _MAX_REPLACED_ROWS + 1
+            stride = len(rows) // max_rows + 1
             self._recording.log(f"{self._path}/part_000", self._draw(np.concatenate([rows[::stride], rows[-1:]])))
             self._parts, self._newest = 1, rows[-1:]
 
@@ -178,6 +181,42 @@ class GrowingEntity:
             self._recording.log(f"{self._path}/part_{part:03d}", rr.Clear(recursive=False))
         self._recording.log(self._path, rr.Clear(recursive=False))
         self._parts, self._newest = 0, np.empty((0, 3))
+
+
+class MovableLandmarks:
+    """Landmarks of key frames, which move with them when a loop corrects the trajectory."""
+
+    def __init__(self, entity: GrowingEntity) -> None:
+        self._entity = entity
+        self._frames: list[int] = []
+        self._poses: list[Array] = []  # by which they are shown
+        self._points: list[Array] = []  # in the camera frame
+
+    def append(self, frame: int, T_world_camera: Array, points: Array) -> None:
+        """Add landmarks (M, 3) of a key frame, metres, world frame."""
+        self._frames.append(frame)
+        self._poses.append(T_world_camera)
+        self._points.append(transform(inverse(T_world_camera), points))
+        self._entity.append(points)
+
+    def correct(self, poses: Array) -> None:
+        """Move all landmarks to the corrected trajectory (N, 4, 4), metres.
+
+        All have to be logged again, so that this waits until the trajectory has moved by a fiftieth of its extent. The
+        scale of one camera is not corrected before the end of the run.
+        """
+        if not self._frames:
+            return
+        corrected = poses[self._frames]
+        moved = np.linalg.norm(corrected[:, :3, 3] - np.array(self._poses)[:, :3, 3], axis=1).max()
+        if moved >= _MIN_MOVED_SHARE * np.ptp(poses[:, :3, 3], axis=0).max():
+            self._poses = list(corrected)
+            points = [transform(T, points) for T, points in zip(corrected, self._points, strict=True)]
+            self._entity.replace(np.concatenate(points), _MAX_REPLACED_LANDMARKS)
+
+    def clear(self) -> None:
+        """Remove all landmarks from the view."""
+        self._entity.clear()
 
 
 def blueprint(width: int, height: int, positions: Array | None, dense: bool = False) -> rrb.Blueprint:

@@ -24,7 +24,7 @@ from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import LoopRow, RunRecord
 from slam.viewer import rerun_archetypes
 from slam.viewer.recordings import RESERVE_BYTES, has_room, merge_recordings, rotate_recording
-from slam.viewer.rerun_archetypes import GrowingEntity, blueprint
+from slam.viewer.rerun_archetypes import GrowingEntity, MovableLandmarks, blueprint
 from slam.viewer.viewer import FrameView, LoopView
 from slam.viewer.viewer_process import start_viewer
 
@@ -88,7 +88,8 @@ class RerunViewer:
         self._corrected = self._growing(
             "world/corrected", rerun_archetypes.line_drawer(style.CORRECTED), _MAX_LINE_ROWS
         )
-        self._landmarks = self._growing("world/landmarks", rerun_archetypes.draw_landmarks, _MAX_LANDMARK_ROWS)
+        landmarks = self._growing("world/landmarks", rerun_archetypes.draw_landmarks, _MAX_LANDMARK_ROWS)
+        self._landmarks = MovableLandmarks(landmarks)
         self._loops: dict[bool, list[tuple[int, int]]] = {True: [], False: []}
 
     def restore(self, timestamps: Array, odometry: Array, poses: Array, loops: list[tuple[int, int, bool]]) -> None:
@@ -113,11 +114,11 @@ class RerunViewer:
         self._odometry.append(view.T_world_camera_odometry[None, :3, 3])
         self._corrected.append(T[None, :3, 3])
         if view.landmarks_world is not None:
-            self._landmarks.append(rerun_archetypes.subsample(view.landmarks_world, _MAX_LANDMARKS))
+            self._landmarks.append(view.index, T, rerun_archetypes.subsample(view.landmarks_world, _MAX_LANDMARKS))
         self._log_curves(view)
 
     def show_loop(self, view: LoopView, poses: Array) -> None:
-        """Show the outcome of a proposed loop; with poses also the trajectory and all loops so far."""
+        """Show the outcome of a proposed loop; with poses also corrected trajectory, landmarks and all loops."""
         self._loops[view.accepted].append((view.query, view.match))
         level = "INFO" if view.accepted else "WARN"
         message = f"{'closed' if view.accepted else 'rejected'} {view.query} - {view.match}: {view.reason}"
@@ -125,6 +126,7 @@ class RerunViewer:
         if len(poses):
             self._log_loops(poses)
             self._corrected.replace(poses[:, :3, 3])
+            self._landmarks.correct(poses)
         if view.accepted:
             self._log_matched("loop/query", view.image_query, view.pixels_query)
             self._log_matched("loop/match", view.image_match, view.pixels_match)

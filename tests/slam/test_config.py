@@ -9,7 +9,7 @@ import pytest
 from odometry.camera import StereoCamera
 from place_recognition.paradigms.registry import with_exclusion
 from slam.components import build_components, exclude_by_preset, override_config, read_checked_config
-from slam.config import RunConfig, read_config, to_toml
+from slam.config import RunConfig, changed_settings, read_config, to_toml
 from slam.errors import ConfigError
 
 
@@ -22,6 +22,25 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_a_written_configuration_is_read_back(tmp_path: Path):
     config = replace(RunConfig(), seed=7, robust="none", save_recording=False)
     assert read_config(written(tmp_path, to_toml(config))) == config
+
+
+def test_settings_that_differ_from_the_defaults_are_known_and_lead_the_file(tmp_path: Path):
+    config = override_config(RunConfig(seed=7), {"mono": True, "camera_height": 1.65})
+    changes = changed_settings(config)
+    assert [(change.name, change.value, change.default) for change in changes] == [
+        ("seed", 7, 0),
+        ("mono", True, False),
+        ("mono_odometry.odometry.camera_height_m", 1.65, 0.0),
+    ]
+    lines = to_toml(config).splitlines()
+    assert lines[1:4] == [f"# {change}" for change in changes]
+    assert "seed = 7 (default 0)" in lines[1]
+
+
+def test_defaults_differ_in_nothing_and_a_name_of_two_lines_stays_a_comment(tmp_path: Path):
+    assert changed_settings(RunConfig()) == ()
+    odd = RunConfig(mask="one\ntwo\u2028three")
+    assert read_config(written(tmp_path, to_toml(odd))) == odd
 
 
 def test_an_empty_file_is_the_default(tmp_path: Path):

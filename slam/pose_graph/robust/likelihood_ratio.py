@@ -16,9 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import f as f_distribution
+from scipy.special import betaincinv, gammainccinv, gammaln
 
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.marginals import Posterior, sample_posterior
@@ -26,7 +24,7 @@ from slam.pose_graph.optimization.marginals import Posterior, sample_posterior
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-INLIER_QUANTILE = 1.0 - 1e-4  # share of true loops within the chi-square limit
+_OUTLIER_SHARE = 1e-4  # of true loops, beyond the chi-square limit
 MIN_LOG_RATIO = 3.0  # nats: a true loop is twenty times as likely
 STUDENT_DOF = 5.0  # degrees of freedom of Student's distribution: how far covariances differ from edge to edge
 _STUDENT_DOFS = STUDENT_DOF * 2.0 ** np.arange(0.0, 5.0)  # candidates, for the errors of the kept loops
@@ -185,12 +183,13 @@ def _log_det(covariance: Array) -> Array:
 
 def max_inlier_chi2(dof: int) -> float:
     """Chi-square that one true loop in ten thousand exceeds."""
-    return float(chi2_distribution.ppf(INLIER_QUANTILE, dof))
+    return 2.0 * float(gammainccinv(dof / 2, _OUTLIER_SHARE))
 
 
 def max_true_chi2(dof: int) -> float:
     """Chi-square beyond which no loop is true, however large the map, unless the kept loops go as far."""
-    return float(dof * f_distribution.isf(_TAIL_PROBABILITY, dof, _TAIL_DOF))
+    # The quantile of the F distribution by its beta function: scipy.stats would take 20 MB.
+    return _TAIL_DOF * (1.0 / float(betaincinv(_TAIL_DOF / 2, dof / 2, _TAIL_PROBABILITY)) - 1.0)
 
 
 def log_volume(poses: Array) -> float:

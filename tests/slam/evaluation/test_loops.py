@@ -7,9 +7,19 @@ import pytest
 
 from odometry import se3
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule
-from slam.evaluation.loops import LoopRule, count_loops, find_revisits, is_same_place, is_true_loop
+from slam.evaluation.loops import (
+    LoopError,
+    LoopRule,
+    count_loops,
+    find_revisits,
+    is_same_place,
+    is_true_loop,
+    kept_loop_errors,
+    loop_error,
+    summarize_loop_errors,
+)
 from slam.io.trajectory_files import read_kitti
-from slam.run_result import LoopRow
+from slam.run_result import LoopRow, StageRow
 
 
 def circle(radius: float, laps: float, count: int, clockwise: bool = True) -> np.ndarray:
@@ -179,3 +189,26 @@ def test_a_drive_without_loops_says_why_there_is_no_figure() -> None:
 def test_metrics_have_the_documented_names() -> None:
     names = ["proposed", "verified", "kept", "true", "false", "precision", "recall"]
     assert list(count_loops([], np.arange(2), None).as_metrics()) == names
+
+
+def test_the_error_of_a_loop_does_not_depend_on_where_and_how_its_cameras_stood() -> None:
+    truth = circle(50.0, 2, 201)
+    for query, match in ((121, 20), (180, 81)):
+        left_over = se3.exp(np.array([0.0, np.radians(2.0), 0.0, 0.3, 0.0, -0.4]))
+        error = loop_error(truth, query, match, se3.inverse(truth[match]) @ truth[query] @ left_over)
+        assert error.translation_m == pytest.approx(0.5, rel=1e-3)
+        assert error.rotation_deg == pytest.approx(2.0)
+
+
+def test_only_kept_loops_are_summarized_by_median_95th_percentile_and_maximum() -> None:
+    loops = [row(100 + k, k) for k in range(21)] + [row(150, 3, in_graph=False), row(151, 4)]
+    stages = [StageRow(100 + k, k, translation_error_m=0.1 * k, rotation_error_deg=float(k)) for k in range(21)]
+    stages += [StageRow(150, 3, translation_error_m=99.0, rotation_error_deg=99.0), StageRow(151, 4)]
+    summary = summarize_loop_errors(kept_loop_errors(loops, stages))
+    assert summary["translation_error_m"] == pytest.approx({"median": 1.0, "p95": 1.9, "max": 2.0})
+    assert summary["rotation_error_deg"] == pytest.approx({"median": 10.0, "p95": 19.0, "max": 20.0})
+
+
+def test_without_kept_loops_there_is_no_summary() -> None:
+    assert summarize_loop_errors([]) == {"translation_error_m": None, "rotation_error_deg": None}
+    assert np.isnan(LoopError().translation_m)

@@ -1,12 +1,13 @@
 """A file is there whole, or as it was before."""
 
 import contextlib
+import os
 from pathlib import Path
 
 import pytest
 
 from slam.errors import OutputError
-from slam.io.files import atomic_writer, replacing
+from slam.io.files import atomic_writer, check_output_file, replacing
 
 
 def names(folder: Path) -> list[str]:
@@ -58,3 +59,13 @@ def test_files_have_the_usual_permissions(tmp_path: Path) -> None:
     with atomic_writer(tmp_path / "a.txt"):
         pass
     assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_a_file_that_cannot_be_written_is_known_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_output_file(tmp_path / "new.csv")
+    for path, found in ((tmp_path, "found a folder"), (tmp_path / "no" / "a.csv", "found no such folder")):
+        with pytest.raises(OutputError, match=found):
+            check_output_file(path)
+    monkeypatch.setattr(os, "access", lambda folder, mode: folder != tmp_path)  # root may write everywhere
+    with pytest.raises(OutputError, match=r"a\.csv: expected a folder that may be written, found a read-only one"):
+        check_output_file(tmp_path / "a.csv")

@@ -17,12 +17,13 @@ from slam.io.frames_and_loops_csv import (
     read_events,
     read_frames,
     read_loops,
+    read_stages,
     write_events,
     write_frames,
     write_loops,
     write_stages,
 )
-from slam.run_result import LoopEventRow, LoopRow
+from slam.run_result import LoopEventRow, LoopRow, StageRow
 
 numbers = st.floats(allow_infinity=False)
 words = st.text(st.characters(codec="utf-8", exclude_characters="\0")).map(lambda s: "".join(s.splitlines()))
@@ -106,12 +107,24 @@ def test_the_status_of_a_frame_is_a_word(file: Path) -> None:
         assert [row["status"] for row in csv.DictReader(lines)] == ["measured", "predicted", "measured"]
 
 
+def test_tables_of_runs_before_the_errors_of_loops_are_read(file: Path) -> None:
+    write_stages(file, [StageRow(9, 2, 40, x_m=1.5, translation_error_m=0.25, rotation_error_deg=0.5)])
+    assert read_stages(file)[0].translation_error_m == 0.25
+    with file.open(newline="") as lines:
+        cells = [row[:-2] for row in csv.reader(lines)]
+    with file.open("w", newline="") as lines:
+        csv.writer(lines).writerows(cells)
+    (row,) = read_stages(file)
+    assert (row.query, row.match, row.x_m) == (9, 2, 1.5)
+    assert math.isnan(row.translation_error_m)
+
+
 def test_the_columns_of_the_stages_and_of_the_events(file: Path) -> None:
     """Scripts depend on these names; docs/files.md gives their units."""
     write_stages(file, [])
     assert file.read_text() == (
         "query,match,epipolar_inliers,epipolar_verified,x_m,y_m,z_m,rotation_deg,position_sigma_m,rotation_sigma_deg,"
-        "gate_sigma,gate_passed,gate_reason\n"
+        "gate_sigma,gate_passed,gate_reason,translation_error_m,rotation_error_deg\n"
     )
     write_events(file, [])
     assert file.read_text() == "query,match,frame,in_graph,reason\n"

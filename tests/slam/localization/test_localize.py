@@ -115,6 +115,15 @@ def test_wrong_input_is_refused_in_one_line(
     assert "expected a map database, found none" in capsys.readouterr().err
 
 
+def test_a_table_that_cannot_be_written_is_found_before_the_work(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "locate", tmp_path / "no.db", photos, "--out", tmp_path / "nowhere" / "a.csv") == 1
+    said = capsys.readouterr().err
+    assert "nowhere/a.csv: expected a file to write in a folder that exists" in said
+    assert "map database" not in said
+
+
 def test_another_camera_is_refused(
     map_path: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

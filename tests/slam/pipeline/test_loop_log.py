@@ -1,10 +1,21 @@
 """Each belief has one row, and the row says what became of it."""
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from odometry import se3
 from place_recognition.recognizer import Belief
 from slam.loop_closing.loop_closer import LoopClosure, Rejection
-from slam.pipeline.loop_log import event_rows, loop_rows, matched_pixels, stage_rows
+from slam.pipeline.loop_log import (
+    PoseLoopTruth,
+    UnknownLoopTruth,
+    event_rows,
+    loop_rows,
+    matched_pixels,
+    stage_rows,
+)
 from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
 from slam.run_result import LoopEventRow, LoopRow
@@ -28,7 +39,7 @@ def optimized(*kept: bool) -> OptimizationResult:
 
 
 def log_rows(*candidates: LoopCandidate, kept: tuple[bool, ...] = ()) -> tuple[LoopRow, ...]:
-    return loop_rows(candidates, optimized(*kept), lambda query, match, closure: None)
+    return loop_rows(candidates, optimized(*kept), UnknownLoopTruth())
 
 
 def test_a_belief_without_a_match_has_no_row():
@@ -65,10 +76,31 @@ def test_rows_are_sorted_by_query_also_where_answers_come_late():
 
 
 def test_ground_truth_is_compared_with_the_measured_pose_of_a_closure():
-    seen = []
+    poses = np.tile(np.eye(4), (9, 1, 1))
+    poses[8, 2, 3] = 5.0  # the closure says that both cameras are in one place
+    truth = PoseLoopTruth(poses, np.ones(9))
     candidate = LoopCandidate(Belief(8, 1, 20.0, True), closure(8, 1), PASSED)
-    loop_rows([candidate], optimized(True), lambda query, match, measured: bool(seen.append(measured)))
-    assert candidate.geometry in seen
+    (row,) = loop_rows([candidate], optimized(True), truth)
+    assert row.truth is False
+    (refused,) = loop_rows([LoopCandidate(Belief(8, 1, 20.0, True), Rejection("no"), None)], optimized(), truth)
+    assert refused.truth is True  # without a relative pose: within 10 m
+
+
+def test_the_error_of_a_closure_is_what_is_left_between_measured_and_true_pose_in_metres():
+    poses = np.tile(np.eye(4), (9, 1, 1))
+    poses[8] = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0.0, 0.0, 0.0]))
+    poses[8, :3, 3] = [4.0, 0.0, 2.0]
+    measured = np.eye(4)
+    measured[0, 3] = 1.0  # in the unit of the match, of which one is 4 m long; that of the query must not matter
+    unit_m = np.full(9, 7.0)
+    unit_m[1] = 4.0
+    candidate = LoopCandidate(Belief(8, 1, 20.0, True), replace(closure(8, 1), T_match_query=measured), PASSED)
+    (row,) = stage_rows([candidate], [GATE], PoseLoopTruth(poses, unit_m))
+    assert row.translation_error_m == pytest.approx(2.0)
+    assert row.rotation_error_deg == pytest.approx(3.0)
+    (unknown,) = stage_rows([candidate], [GATE], UnknownLoopTruth())
+    assert np.isnan(unknown.translation_error_m)
+    assert np.isnan(unknown.rotation_error_deg)
 
 
 def candidates() -> list[LoopCandidate]:
@@ -80,7 +112,7 @@ def candidates() -> list[LoopCandidate]:
 
 
 def test_stage_rows_have_the_relative_pose_and_the_gate_of_each_closure():
-    late, first, refused = stage_rows(candidates(), [GATE, GATE])
+    late, first, refused = stage_rows(candidates(), [GATE, GATE], UnknownLoopTruth())
     assert [row.query for row in (late, first, refused)] == [7, 8, 9]
     assert first.epipolar_inliers == 30
     assert (first.gate_passed, first.gate_sigma, first.position_sigma_m, first.rotation_deg) == (True, 0.5, 1.0, 0.0)
@@ -99,7 +131,7 @@ def test_events_have_their_loop_and_keep_their_order():
 
 
 def test_a_belief_without_a_match_has_no_stages():
-    assert stage_rows([LoopCandidate(Belief(3, None, 0.0, False), None, None)], []) == ()
+    assert stage_rows([LoopCandidate(Belief(3, None, 0.0, False), None, None)], [], UnknownLoopTruth()) == ()
 
 
 def test_matched_pixels_are_those_of_closures_and_rejections_alike():

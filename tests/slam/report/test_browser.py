@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from slam.report.formatting import MISSING
+from slam.report.formatting import MISSING, kept
 from slam.report.html_report import write_report
 from slam.report.loop_details import describe_stages
-from slam.report.trajectory_figure import position_errors
+from slam.report.trajectory_figure import align_trajectory, position_errors
 
 from . import fabricate
 from .browser import NO_BROWSER, browser, has_browser
@@ -19,7 +19,9 @@ from .browser import NO_BROWSER, browser, has_browser
 pytestmark = pytest.mark.skipif(not has_browser(), reason=NO_BROWSER)
 
 NAME = "drive <b>\"'&amp; улица 街道"
-WHOLE = replace(fabricate.with_evidence(fabricate.record()), name=NAME)
+_DRIVE = fabricate.with_evidence(fabricate.record())
+_COVARIANCES = np.tile(np.eye(6), (len(_DRIVE.timestamps), 1, 1))
+WHOLE = replace(_DRIVE, name=NAME, odometry_covariances=_COVARIANCES, corrected_covariances=_COVARIANCES)
 WHOLE.metrics.update(source=NAME, places={"paradigm": NAME})
 DARKEST, BRIGHTEST = 60, 180  # of 255
 READABLE = 4.5  # contrast of text, WCAG 2.2, 1.4.3
@@ -51,6 +53,15 @@ POINT_AT_END = """
 WHEEL = """
     document.querySelectorAll(".pane")[arguments[2]].dispatchEvent(
         new WheelEvent("wheel", { clientX: arguments[0], clientY: arguments[1], deltaY: -400, bubbles: true }));
+"""
+
+
+DRAWN = """
+    const slider = document.querySelector("#blend input");
+    slider.value = arguments[0];
+    slider.dispatchEvent(new Event("input"));
+    const points = (line) => line.getAttribute("d").split(/[ML]/).slice(1).map((at) => at.split(" ").map(Number));
+    return [".path", ".loops"].map((name) => points(document.querySelector(`#blend ${name}`)));
 """
 
 
@@ -203,6 +214,41 @@ def test_the_frame_under_the_pointer_is_named_with_its_error_in_both_maps_at_any
         shown = page.run("return [...document.querySelectorAll('.map output')].map((said) => said.textContent)")
         assert [re.sub("x .*, ", "", words) for words in shown] == [f"Frame 199: error {end:.2f} m" for end in errors]
         page.run(WHEEL, *page.run(POINT_AT_END, number), number)
+
+
+def aligned_plan(poses):
+    aligned = align_trajectory(poses, WHOLE.ground_truth).apply(poses[:, :3, 3])
+    return aligned[:, [0, 2]] * [1, -1]  # up on the page is -y
+
+
+@pytest.mark.parametrize("step", [0, 50, 100, 200])
+def test_the_slider_moves_trajectory_and_loops_evenly_from_before_to_after(page, step):
+    before, after = aligned_plan(WHOLE.odometry), aligned_plan(WHOLE.corrected)
+    expected = before + step / 200 * (after - before)
+    path, loops = page.run(DRAWN, step)
+    np.testing.assert_allclose(path, expected, atol=0.011)
+    pairs = [frame for row in kept(WHOLE) for frame in (row.query, row.match)]
+    np.testing.assert_allclose(loops, expected[pairs], atol=0.011)
+
+
+def test_the_slider_names_both_ends_with_their_error_and_a_press_plays_it(page):
+    for step, words in ((0, "Before: ATE 5.42 m"), (100, "Between the two"), (200, "After: ATE 0.83 m")):
+        page.run(DRAWN, step)
+        assert text(page, "#blend output") == words
+    page.driver.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
+    )
+    for words in ("Before", "After"):
+        click(page, "#blend button")
+        assert text(page, "#blend output").startswith(words)
+
+
+def test_ellipses_are_shown_on_request_only(page):
+    shown = "return getComputedStyle(document.querySelector('[id$=\"-inside-ellipses\"]')).display"
+    assert page.run(shown) == "none"
+    click(page, "#ellipses")
+    assert page.run(shown) == "inline"
+    click(page, "#ellipses")
 
 
 def test_a_finger_marks_a_frame(page):

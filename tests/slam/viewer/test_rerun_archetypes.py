@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from slam.viewer.rerun_archetypes import GrowingEntity
+from odometry import se3
+from slam.viewer.rerun_archetypes import GrowingEntity, MovableLandmarks
 
 
 class Log:
@@ -77,3 +78,25 @@ def test_a_concluded_line_is_whole_under_its_own_path(log, growing):
     growing.conclude(line(40))
     assert list(log.shown) == ["line"]
     assert len(log.shown["line"]) == 40
+
+
+def drive(frames):
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, 2, 3] = np.arange(frames)
+    return poses
+
+
+def test_landmarks_move_with_their_key_frames_once_a_loop_moves_these_noticeably(log, growing):
+    poses, seen = drive(101), np.array([[2.0, 0.0, 5.0]])  # in the camera frame
+    landmarks = MovableLandmarks(growing)
+    for frame in (10, 60):
+        landmarks.append(frame, poses[frame], se3.transform(poses[frame], seen))
+    assert log.rows() == {(2.0, 0.0, 15.0), (2.0, 0.0, 65.0)}
+    turned = poses @ se3.exp(np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0]))
+    turned[60, 0, 3] = 1.9  # less than a fiftieth of the 100 m
+    landmarks.correct(turned)
+    assert log.rows() == {(2.0, 0.0, 15.0), (2.0, 0.0, 65.0)}
+    turned[60, 0, 3] = 2.1
+    landmarks.correct(turned)
+    corrected = np.concatenate([se3.transform(turned[frame], seen) for frame in (10, 60)])
+    assert {tuple(np.round(row, 9)) for row in log.rows()} == {tuple(np.round(row, 9)) for row in corrected}

@@ -41,7 +41,7 @@ def drive(viewer, record, seed=1):
             image, pixels = np.full((60, 160), 90, np.uint8), rng.uniform(0, 60, (12, 2))
             row = rows[index]
             closed = LoopView(index, row.match, image, image, pixels, pixels, row.in_graph, row.reason)
-            viewer.show_loop(closed, record.online[: index + 1])
+            viewer.show_loop(closed, record.corrected[: index + 1])
     viewer.show_matrix(SimilarityMatrix(rng.random((len(rows), len(rows)), np.float32)))
     viewer.finish(record)
     viewer.close()
@@ -79,6 +79,29 @@ def test_the_timelines_are_frame_and_time(chunks):
 
 def test_errors_are_known_for_each_frame(chunks):
     assert rows(chunks, "/plots/error/odometry") == FRAMES + 1  # and how the curve looks
+
+
+def lines_at(chunks, path, frame):
+    """Positions (N, 3) of the lines that are logged under a path and its parts at one frame."""
+    found = []
+    for piece in chunks:
+        if piece.entity_path.startswith(path) and not piece.is_static:
+            rows_ = piece.to_record_batch().to_pylist()
+            strips = next((name for name in rows_[0] if name.endswith("strips")), None)
+            found += [row[strips] for row in rows_ if strips and row["frame"] == frame and row[strips]]
+    return np.array([point for strips in found for strip in strips for point in strip])
+
+
+def test_the_corrected_trajectory_appears_at_the_frame_that_closes_the_first_loop(chunks):
+    record = fabricate.record(FRAMES)
+    closing = next(row.query for row in record.loops if row.in_graph)
+    before = lines_at(chunks, "/world/corrected", closing - 1)
+    np.testing.assert_allclose(before[-1], record.online[closing - 1, :3, 3], atol=1e-4)
+    after = lines_at(chunks, "/world/corrected/part_000", closing)
+    np.testing.assert_allclose(after[: closing + 1], record.corrected[: closing + 1, :3, 3], atol=1e-4)
+    np.testing.assert_allclose(
+        lines_at(chunks, "/world/odometry", closing)[-1], record.odometry[closing, :3, 3], atol=1e-4
+    )
 
 
 def test_without_ground_truth_none_is_shown(tmp_path):
