@@ -28,12 +28,15 @@ Array = NDArray[np.float64]
 NUM_DISTORTION = distortion.NUM_COEFFICIENTS  # of both cameras
 NUM_RECTIFICATION = 6  # 1, x, y, x², xy, y² of the ray (x, y, 1), for each of the two axes of the rectification
 NUM_COEFFICIENTS = NUM_DISTORTION + 2 * NUM_RECTIFICATION
+_PRIOR_FOCAL_LENGTH_PX = 700.0
 _ITERATIONS = 15  # of a fixed point whose error falls tenfold or more in each: distortion changes slowly over the image
 
 
 @dataclass(frozen=True)
 class CalibrationConfig:
     """Prior of the calibration error before the first image, and how fast it may change.
+
+    Errors of a calibration grow with the resolution: the prior is that of a camera with a focal length of 700 pixels.
 
     Attributes:
         radial_px: standard deviation of the radial distortion, pixels at 45 degrees.
@@ -45,19 +48,20 @@ class CalibrationConfig:
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
     """
 
-    radial_px: float = 10.0
-    decentering_px: float = 5.0
+    radial_px: float = 1.0
+    decentering_px: float = 0.5
     offset_px: float = 1.0
     slope_px: float = 3.0
     curvature_px: float = 10.0
     frames_per_track: int = 4
     drift_px: float = 0.003
 
-    def prior(self) -> Array:
-        """Covariance (15, 15) before any image, pixels squared."""
+    def prior(self, camera: StereoCamera) -> Array:
+        """Covariance (15, 15) before any image of a camera, pixels squared."""
         distortion = [self.radial_px] + [self.decentering_px] * 2
         axis = [self.offset_px] + [self.slope_px] * 2 + [self.curvature_px] * 3
-        return np.diag(np.square(np.array(distortion + axis * 2, dtype=np.float64)))
+        scale = camera.fx / _PRIOR_FOCAL_LENGTH_PX
+        return np.diag(np.square(scale * np.array(distortion + axis * 2, dtype=np.float64)))
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class Calibration:
     @classmethod
     def unknown(cls, camera: StereoCamera, config: CalibrationConfig) -> "Calibration":
         """Prior before the first image."""
-        return cls(camera, np.zeros(NUM_COEFFICIENTS), config.prior())
+        return cls(camera, np.zeros(NUM_COEFFICIENTS), config.prior(camera))
 
     def undistort(self, pixels: Array) -> Array:
         """Remove the lens distortion of pixels (N, 2) of either image."""

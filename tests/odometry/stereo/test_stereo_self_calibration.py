@@ -8,15 +8,15 @@ from odometry.camera import StereoCamera
 from odometry.stereo.stereo_self_calibration import NUM_COEFFICIENTS, Calibration, CalibrationConfig
 
 KITTI = StereoCamera(718.856, 718.856, 607.19, 185.22, 0.54, 1241, 376)
+WIDE = CalibrationConfig(radial_px=10.0, decentering_px=5.0)  # an uncalibrated lens
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_unrectify_undoes_rectify_for_far_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    config = CalibrationConfig()
-    coefficients = rng.normal(size=NUM_COEFFICIENTS) * np.sqrt(np.diag(config.prior()))
-    calibration = Calibration(KITTI, coefficients, config.prior())
+    prior = WIDE.prior(KITTI)
+    calibration = Calibration(KITTI, rng.normal(size=NUM_COEFFICIENTS) * np.sqrt(np.diag(prior)), prior)
     pixels = rng.uniform([0, 0], [KITTI.width, KITTI.height], (50, 2))
     left, right = calibration.rectify(*calibration.unrectify(pixels))
     np.testing.assert_allclose(left, pixels, atol=1e-6)
@@ -24,9 +24,15 @@ def test_unrectify_undoes_rectify_for_far_points(seed: int) -> None:
 
 
 def random_calibration(seed: int) -> Calibration:
-    prior = CalibrationConfig().prior()
+    prior = WIDE.prior(KITTI)
     coefficients = np.random.default_rng(seed).normal(size=NUM_COEFFICIENTS) * np.sqrt(np.diag(prior))
     return Calibration(KITTI, coefficients, prior)
+
+
+def test_a_camera_of_half_the_resolution_has_half_the_error() -> None:
+    half = StereoCamera(359.428, 359.428, 303.6, 92.6, 0.54, 620, 188)
+    whole, small = (np.sqrt(np.diag(CalibrationConfig().prior(camera))) for camera in (KITTI, half))
+    np.testing.assert_allclose(small, whole / 2)
 
 
 def test_without_any_image_nothing_is_corrected() -> None:

@@ -14,7 +14,11 @@ CAMERA = StereoCamera(718.856, 718.1, 607.19, 185.22, 0.54, 1241, 376)
 
 
 def learned() -> Calibration:
-    return Calibration(CAMERA, np.linspace(-3, 2, NUM_COEFFICIENTS) / 3, CalibrationConfig().prior())
+    return Calibration(
+        CAMERA,
+        np.linspace(-3, 2, NUM_COEFFICIENTS) / 3,
+        CalibrationConfig(radial_px=10.0, decentering_px=5.0).prior(CAMERA),
+    )
 
 
 def test_what_is_written_is_read_bit_by_bit(tmp_path: Path) -> None:
