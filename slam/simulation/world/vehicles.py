@@ -149,17 +149,18 @@ class Traffic:
         """Draw the meeting point, the speed and the kind of each car at random."""
         rng = config.rng(13)
         count = round(config.cars_per_360m * trajectory.path.length_m / _LAP_M)
-        self.trajectory, self.config, self.cars = trajectory, config, cars
+        self.trajectory, self.cars = trajectory, cars
         self.meeting_m = rng.uniform(0.0, max(trajectory.path.length_m, _LAP_M), count)
+        self.meeting_s = trajectory.time_at(self.meeting_m)
         self.speeds_m_per_s = config.speed_m_per_s * rng.uniform(0.6, 1.3, count)
         self.kinds = rng.integers(0, len(cars), count + 1)
 
     def meshes_at(self, frame: int) -> list[Mesh]:
         """Return the cars around the camera at a frame, in the town frame."""
         distance_m = float(self.trajectory.distance_m[frame])
-        time = distance_m / self.config.speed_m_per_s
+        time = float(self.trajectory.timestamps[frame])
         # An oncoming car is at its meeting point at the moment when the camera is there.
-        places = self.meeting_m - self.speeds_m_per_s * (time - self.meeting_m / self.config.speed_m_per_s)
+        places = self.meeting_m - self.speeds_m_per_s * (time - self.meeting_s)
         visible = np.flatnonzero(np.abs(places - distance_m) < _MAX_DISTANCE_M)
         out = [self._car_at(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in visible]
         if len(self.meeting_m) and distance_m % (2 * _LEAD_M) < _LEAD_M:

@@ -125,7 +125,7 @@ def test_the_right_camera_is_a_little_brighter_and_corners_are_darker() -> None:
 
 
 def test_without_errors_images_are_read_where_they_are() -> None:
-    sensor = build_sensor_model(replace(CONFIG, rectification_error_px=0.0, lens_error_px=0.0), 1)
+    sensor = build_sensor_model(replace(CONFIG, difficulty="clean"), 1)
     x, y = np.meshgrid(np.arange(160), np.arange(64))
     np.testing.assert_array_equal(sensor.map_x, x)
     np.testing.assert_array_equal(sensor.map_y, y)
@@ -136,7 +136,8 @@ def test_without_errors_images_are_read_where_they_are() -> None:
 def test_calibration_errors_scale_with_their_configuration(error: float) -> None:
     x = np.meshgrid(np.arange(160), np.arange(64))[0]
     shifts = [
-        build_sensor_model(replace(CONFIG, rectification_error_px=e, lens_error_px=0.0), 0).map_x - x
+        build_sensor_model(replace(CONFIG, difficulty="standard", rectification_error_px=e, lens_error_px=0.0), 0).map_x
+        - x
         for e in (1.0, error)
     ]
     np.testing.assert_allclose(shifts[1], error * shifts[0], atol=1e-4)
@@ -151,7 +152,7 @@ def test_the_gain_jumps_now_and_then_and_drifts_slowly_between() -> None:
 
 
 def test_an_ideal_sensor_has_a_constant_gain() -> None:
-    ideal = replace(CONFIG, ideal_sensor=True)
+    ideal = replace(CONFIG, difficulty="clean")
     shots = [(value, time) for value in (0.1, 0.9) for time in (0.0, 50.0)]
     gains = {exposure_gain(ideal, np.full((8, 8), value, np.float32), time) for value, time in shots}
     assert len(gains) == 1
