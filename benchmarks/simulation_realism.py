@@ -13,7 +13,8 @@ is the mean error over all stretches of 20, 30, 40 and 50 m: short clips have no
 the drift in the towns to that on the clip whose path they have, by geometric means, in which all clips count alike.
 
 The second table says what the drift consists of, for the odometry of the product: errors of the motion along the axes
-of the camera in per cent of the distance, and of yaw and roll in per cent of the yaw.
+of the camera in per cent of the distance, and of yaw and roll in per cent of the yaw. Its last columns are how far rows
+of the left and the right image differ: smoothly over the image, locally, and over time.
 
 The third table counts corners, track lengths and gradients, and has the drift of the plain odometry over 50 frames.
 """
@@ -206,6 +207,52 @@ def split_drift(estimate: Array, true: Array) -> str:
     return " | ".join([*cells, f"{total_deg:.0f}", *share])
 
 
+def row_errors(drive: Drive) -> str:
+    """Rows that differ between left and right, pixels, as cells of a table.
+
+    They are the peak of a quadratic polynomial over the image, the root mean square of what it leaves in 14 x 5 cells,
+    and the standard deviation over time of the mean difference, less what its own noise explains.
+    """
+    places, differences, offsets, noise = [], [], [], []
+    for left, right in drive.pairs[::2]:
+        points = detect_corners(left)
+        matched, good = track_corners(left, right, points)
+        rows = matched[:, 1] - points[:, 1]
+        good &= (points[:, 0] - matched[:, 0] > 0.5) & (np.abs(rows) < 3.0)
+        places.append(2 * points[good] / left.shape[::-1] - 1)
+        differences.append(rows[good])
+    place, difference = np.concatenate(places), np.concatenate(differences)
+    coefficients, keep = fit_rows(place, difference)
+    rest = difference - quadratic_terms(place) @ coefficients
+    for at, rows in zip(places, differences, strict=True):
+        left_over = rows - quadratic_terms(at) @ coefficients
+        left_over = left_over[np.abs(left_over) < 0.5]
+        offsets.append(left_over.mean())
+        noise.append(left_over.var() / len(left_over))
+    cell = (((place + 1) / 2 * (14, 5)).astype(int) @ (5, 1))[keep]
+    medians = [np.median(rest[keep][cell == k]) for k in range(70) if (cell == k).sum() > 60]
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)), axis=-1).reshape(-1, 2)
+    peak = np.abs(quadratic_terms(grid) @ coefficients).max()
+    moved = np.sqrt(max(0.0, np.var(offsets) - np.mean(noise)))
+    return f"{peak:.2f} | {np.sqrt(np.mean(np.square(medians))):.3f} | {moved:.3f}"
+
+
+def quadratic_terms(place: Array) -> Array:
+    """Terms (N, 6) at places (N, 2)."""
+    x, y = place.T
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def fit_rows(place: Array, difference: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Coefficients (6,) of the terms, and which differences (N,) agree with them."""
+    terms, keep = quadratic_terms(place), np.ones(len(place), bool)
+    for _ in range(4):
+        coefficients = np.linalg.lstsq(terms[keep], difference[keep], rcond=None)[0]
+        rest = np.abs(difference - terms @ coefficients)
+        keep = rest < 4.5 * np.median(rest[keep])
+    return np.asarray(coefficients), keep
+
+
 def measure_image(image: Array, counts: Counts) -> None:
     """Count corners, gradients and brightness of a single image."""
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
@@ -290,9 +337,10 @@ def measure(dataset: Dataset, frames: int, peers: list[tuple[str, Path]]) -> Row
     for name, folder in peers:
         file = folder / f"{dataset.name.replace(' ', '-')}.txt"
         poses[name] = read_poses(existing(str(file)))[: len(drive.true)]
+    split = f"{split_drift(product, drive.true)} | {row_errors(drive)}"
     drift = {name: segment_drift(estimate, drive.true) for name, estimate in poses.items()}
     cells = format_counts(drive, plain, counts)
-    return Row(dataset, len(drive.pairs), drift, split_drift(product, drive.true), cells)
+    return Row(dataset, len(drive.pairs), drift, split, cells)
 
 
 def geometric_mean(rows: list[Row], name: str) -> Array:
@@ -350,7 +398,8 @@ def main() -> None:
     peers = [(name, existing(folder)) for name, folder in arguments.peer]
     rows = [measure(dataset, arguments.frames, peers) for dataset in choose_datasets(arguments)]
     print_drift(rows)
-    print_cells("parts | frames | right % | down % | forward % | yaw deg | yaw error % | roll error %", rows,
+    print_cells("parts | frames | right % | down % | forward % | yaw deg | yaw error % | roll error % | "
+                "row peak px | row local px | row drift px", rows,
                 lambda row: row.split)  # fmt: skip
     print_cells("images | frames | drift % of 50 frames | FAST | corners | gradient | flat % | mean | deviation | "
                 "tracked % | PnP inliers % | drift range | track length", rows, lambda row: row.counts)  # fmt: skip
