@@ -61,7 +61,7 @@ class SensorModel:
         """
         real, side = self.config.conditions.real_sensor, self.side
         image = self._displace(self._blur(light, depth, motion) if real else light, frame)
-        grey = image * np.float32(255.0 * gain * (_RIGHT_GAIN if real and side else 1.0))
+        grey = image * np.float32(255.0 * gain * _own_gain(self.config, side, frame))
         if not real:
             return _quantize(grey)
         noise = self.config.rng(10, frame, side).standard_normal(grey.shape, dtype=np.float32)
@@ -188,6 +188,13 @@ def exposure_gain(config: SimulationConfig, light: Image, time: float) -> float:
     drift = 1.0 + 0.06 * np.sin(0.31 * time + config.seed) + 0.04 * np.sin(1.7 * time)
     step = config.rng(12, int(time / _STEP_S)).uniform(0.78, 1.28)
     return float(controlled * drift * step)
+
+
+def _own_gain(config: SimulationConfig, side: int, frame: int) -> float:
+    """Brightness of one camera's image relative to what both would show, which the exposure of each alone decides."""
+    level = config.conditions
+    jitter = level.exposure_jitter_percent / 100.0 * config.rng(17, frame, side).standard_normal()
+    return float((_RIGHT_GAIN if level.real_sensor and side else 1.0) * np.exp(jitter))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

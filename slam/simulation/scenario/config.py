@@ -31,6 +31,7 @@ class Difficulty:
         focal_error_percent: error of the focal length of both cameras, too long or too short.
         principal_point_error_px: distance of the principal point of both cameras from where the calibration has it.
         rig_drift_px: root mean square of the slow movement of the right camera against the left, by heat and shaking.
+        exposure_jitter_percent: standard deviation of the brightness of each image, since each camera controls its own.
         max_yaw_rad_per_s: how fast the car turns; it slows down for corners.
         max_lateral_m_per_s2, max_braking_m_per_s2, max_speeding_m_per_s2: its accelerations, metres per second squared.
 
@@ -44,6 +45,7 @@ class Difficulty:
     focal_error_percent: float = 0.0
     principal_point_error_px: float = 0.0
     rig_drift_px: float = 0.0
+    exposure_jitter_percent: float = 0.0
     max_yaw_rad_per_s: float = math.inf
     max_lateral_m_per_s2: float = math.inf
     max_braking_m_per_s2: float = math.inf
@@ -62,6 +64,7 @@ DIFFICULTIES = {
         focal_error_percent=0.4,
         principal_point_error_px=2.5,
         rig_drift_px=0.06,
+        exposure_jitter_percent=1.8,
         max_yaw_rad_per_s=0.7,
         max_lateral_m_per_s2=3.0,
         max_braking_m_per_s2=2.5,

@@ -153,3 +153,15 @@ def test_the_right_camera_wanders_slowly_and_the_left_one_stays(errors):
     assert np.sqrt(np.mean(np.square(steps))) < 0.5 * 0.5
     shots = [right.expose(ramp, depth, np.eye(4), 1.0, 7) for _ in range(2)]
     np.testing.assert_array_equal(*shots)
+
+
+def test_each_camera_has_a_brightness_of_its_own_in_each_image(errors):
+    config = errors(exposure_jitter_percent=5.0)
+    light = np.full((8, 8), 0.5, np.float32)
+    sensors = [build_sensor_model(dataclasses.replace(config, width=32, height=24), side) for side in (0, 1)]
+    shots = [[s.expose(light, light, np.eye(4), 1.0, frame).mean() for s in sensors] for frame in range(200)]
+    left, right = np.log(np.array(shots) / 127.5).T
+    assert [left.std(), right.std()] == pytest.approx([0.05, 0.05], rel=0.15)
+    assert abs(np.corrcoef(left, right)[0, 1]) < 0.2
+    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 0.2
+    assert sensors[0].expose(light, light, np.eye(4), 1.0, 3).mean() == shots[3][0]
