@@ -40,6 +40,7 @@ SEGMENTS_M = (20.0, 30.0, 40.0, 50.0)
 _LK = {"winSize": (21, 21), "maxLevel": 4}
 _CORNERS = 1200
 _FRAME_RATE_HZ = 10.0
+_ROAD_AHEAD_M = 150.0
 
 
 @dataclass
@@ -113,9 +114,9 @@ def render_towns(clips: Path, out: Path, difficulty: str, seeds: int) -> list[Da
     """Drive the path of each clip through towns of several seeds, unless that has been done."""
     datasets = []
     for clip, seed in itertools.product(CLIPS, range(seeds)):
-        path = clips / "poses" / f"{clip}.txt"
+        path = extend_path(clips / "poses" / f"{clip}.txt", out / f"path-{clip}.txt")
         count = len(list((clips / "sequences" / clip / "image_0").glob("*.png")))
-        speed = _FRAME_RATE_HZ * distances(read_poses(path)[:count])[-1] / (count - 1)
+        speed = _FRAME_RATE_HZ * distances(read_poses(path)[:count])[-1] / (count - 1)  # of the clip, not beyond it
         name = f"{difficulty}-{clip}-{seed}"
         config = SimulationConfig(
             shape=str(path.resolve()), seed=seed, speed_m_per_s=round(float(speed), 2), difficulty=difficulty,
@@ -123,6 +124,18 @@ def render_towns(clips: Path, out: Path, difficulty: str, seeds: int) -> list[Da
         )  # fmt: skip
         datasets.append(Dataset(name, simulate(config, out / name), "00", clip))
     return datasets
+
+
+def extend_path(clip: Path, out: Path) -> Path:
+    """Write the path of a clip with a straight road behind its end, where there would be no town to look at."""
+    poses = read_poses(clip)
+    step = (poses[-1, :3, 3] - poses[-4, :3, 3]) / 3
+    count = int(np.ceil(_ROAD_AHEAD_M / np.linalg.norm(step)))
+    beyond = np.tile(poses[-1], (count, 1, 1))
+    beyond[:, :3, 3] += np.arange(1, count + 1)[:, None] * step
+    out.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(out, np.concatenate([poses, beyond])[:, :3].reshape(-1, 12), fmt="%.9e")
+    return out
 
 
 def detect_corners(image: Array) -> Array:

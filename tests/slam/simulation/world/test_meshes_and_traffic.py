@@ -101,6 +101,18 @@ def test_no_car_is_ever_where_the_camera_is(traffic: Traffic) -> None:
         assert len(apart) == 0 or apart.min() > 2.0
 
 
+def test_no_car_waits_for_the_camera_at_the_end_of_the_path() -> None:
+    config = SimulationConfig(length_m=310, laps=1, cars_per_360m=12)  # a car drives ahead until the end
+    trajectory = plan_trajectory(config)
+    traffic = Traffic(config, trajectory, fleet(config.rng(3)))
+    met = 0
+    for frame in range(240, len(trajectory.distance_m)):
+        apart = np.linalg.norm(centres(traffic, frame) - trajectory.T_town_camera[frame, :2, 3], axis=1)
+        met += len(apart)
+        assert len(apart) == 0 or apart.min() > 2.0
+    assert met > 0
+
+
 def test_oncoming_cars_approach_and_the_car_ahead_keeps_its_distance(traffic: Traffic) -> None:
     before, after = (centres(traffic, frame) for frame in (40, 43))
     ahead = [np.linalg.norm(c[-1] - traffic.trajectory.T_town_camera[f, :2, 3]) for c, f in ((before, 40), (after, 43))]
