@@ -1,10 +1,11 @@
 """Compare the difficulty of the simulated town with that of real streets.
 
     python benchmarks/simulation_realism.py [DATASET ...]             folders in KITTI layout, sequence 00
-    python benchmarks/simulation_realism.py --towns DIR [--difficulty street] [--seeds 5]
+    python benchmarks/simulation_realism.py --towns DIR [--difficulty street | --only ERROR] [--seeds 5]
 
 Real clips are read from $REVISIT_TEST_DATA/kitti_clips. The second form drives the path of each clip, at its mean
-speed, through towns of several seeds, so that curves and distances are alike; the drives are rendered into DIR.
+speed, through towns of several seeds, so that curves and distances are alike; the drives are rendered into DIR. With
+`--only` they are standard ones with a single one of the errors of a street, a field of `Difficulty`.
 
 The first table is drift by two odometries: that of the product, and a plain one (corners, pyramidal Lucas-Kanade,
 stereo by Lucas-Kanade, PnP with RANSAC; no window, no refinement). `--peer NAME FOLDER` adds one that has run
@@ -23,7 +24,7 @@ import argparse
 import itertools
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import cv2
@@ -33,6 +34,7 @@ from numpy.typing import NDArray
 
 from odometry import StereoCamera, StereoOdometry, se3
 from slam.simulation import SimulationConfig, simulate
+from slam.simulation.scenario.config import DIFFICULTIES, Difficulty
 
 Array = NDArray[np.float64]
 CLIPS = ("05", "06", "01")
@@ -405,9 +407,14 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=121)
     parser.add_argument("--towns", type=Path, metavar="DIR")
     parser.add_argument("--difficulty", default="street")
+    parser.add_argument("--only", choices=[field.name for field in fields(Difficulty)], metavar="ERROR")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--peer", nargs=2, action="append", default=[], metavar=("NAME", "FOLDER"))
     arguments = parser.parse_args()
+    if arguments.only:
+        arguments.difficulty = f"standard-with-{arguments.only}"
+        value = getattr(DIFFICULTIES["street"], arguments.only)
+        DIFFICULTIES[arguments.difficulty] = replace(DIFFICULTIES["standard"], **{arguments.only: value})
     peers = [(name, existing(folder)) for name, folder in arguments.peer]
     rows = [measure(dataset, arguments.frames, peers) for dataset in choose_datasets(arguments)]
     print_drift(rows)
