@@ -5,7 +5,8 @@ python benchmarks/cluster.py sweep.toml
 The ideal is the processor time of the single process divided by the number of cores. Use a machine without other work,
 and enough runs that the start of three processes, and the work lost with one of them, are a small part:
 
-    revisit simulate circle --laps 2 --length 160 --width 620 --height 188 --seed 3 --out data/small
+    revisit simulate circle --difficulty standard --laps 2 --length 160 --width 620 --height 188 --seed 3 \
+        --out data/small
 
 and in sweep.toml
 

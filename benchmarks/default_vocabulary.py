@@ -139,7 +139,14 @@ def _town_views(folder: Path) -> Iterator[Image]:
         if not drive.exists():
             shape = SHAPES[(seed - TOWNS[0]) % len(SHAPES)]
             spec = SimulationConfig(
-                shape=shape, length_m=500, laps=1, speed_m_per_s=9, frame_rate_hz=1, max_frames=40, seed=seed
+                shape=shape,
+                length_m=500,
+                laps=1,
+                speed_m_per_s=9,
+                frame_rate_hz=1,
+                max_frames=40,
+                seed=seed,
+                difficulty="standard",
             )
             simulate(spec, drive, lambda done, total: None)
         for side in STEREO:

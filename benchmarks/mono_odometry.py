@@ -1,6 +1,6 @@
 """Drift and time of each stage of the monocular odometry on drives in KITTI's layout, with the left images alone.
 
-    revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
+    revisit simulate blocks --difficulty standard --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
     python benchmarks/mono_odometry.py blocks31 00
     python benchmarks/mono_odometry.py CLIPS 05 06 01 07
 

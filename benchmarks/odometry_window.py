@@ -1,6 +1,6 @@
 """Accuracy with and without the sliding window, and consistency of the covariances, on simulated drives.
 
-    revisit simulate blocks --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
+    revisit simulate blocks --difficulty standard --laps 1 --length 1500 --seed 31 --out blocks31    (and other seeds)
     python benchmarks/odometry_window.py blocks31 blocks32 blocks33 [--frames 400]
 
 t_rel and r_rel follow the KITTI rule. NEES is the normalised error squared of motions composed over some images, whose

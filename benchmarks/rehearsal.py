@@ -28,7 +28,8 @@ _TIMES = 500  # frames at the beginning and at the end, whose times are compared
 def render(poses: Path, folder: Path) -> None:
     """Render the drive, unless it is there."""
     if not (folder / "poses").is_dir():
-        simulate(SimulationConfig(shape=str(poses.resolve()), speed_m_per_s=SPEED_M_PER_S), folder)
+        config = SimulationConfig(shape=str(poses.resolve()), speed_m_per_s=SPEED_M_PER_S, difficulty="standard")
+        simulate(config, folder)
 
 
 def run_all(drive: Path, out: Path) -> None:

@@ -1,7 +1,7 @@
 """A second drive through the streets of a first one: merging of both into one map, and localisation in the first map.
 
-    revisit simulate blocks --laps 2 --length 800 --lateral-offset 1.5 --change-illumination --perceptual-aliasing \
-        --cars-per-360m 8 --seed 7 --out data/blocks7
+    revisit simulate blocks --difficulty standard --laps 2 --length 800 --lateral-offset 1.5 --change-illumination \
+        --perceptual-aliasing --cars-per-360m 8 --seed 7 --out data/blocks7
     python benchmarks/second_drive.py data/blocks7 --out DIR
 
 A drive of two laps, in KITTI layout, is cut in the middle. The first half is run, then the second half with the map of

@@ -30,5 +30,5 @@ def arguments(doc: str | None) -> argparse.ArgumentParser:
 def street(given: argparse.Namespace) -> Path:
     """Render the drive into the folder of the results and return its root, in KITTI's layout."""
     width, height = given.width, given.width * 376 // 1241
-    spec = SimulationConfig("circle", laps=2, length_m=200.0, speed_m_per_s=given.speed, width=width, height=height)
+    spec = SimulationConfig("circle", 2, 200.0, 0, given.speed, width=width, height=height, difficulty="standard")
     return simulate(spec, given.out / f"drive_{given.width}_{given.speed:g}")

@@ -125,21 +125,28 @@ CarsPer360m = Annotated[
 StereoFrameRate = Annotated[float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)]
 Width = Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)]
 Height = Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)]
-RectificationError = Annotated[
-    float, typer.Option(help="Peak rectification error, pixels at KITTI's image size.", rich_help_panel=_CAMERA)
-]
-LensError = Annotated[
-    float,
+DifficultyLevel = Annotated[
+    str,
     typer.Option(
-        help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
+        "--difficulty",
+        help="street: errors of the calibration and corners as on real streets; standard: less of the first, constant "
+        "speed; clean: a perfect camera at constant speed, no wind.",
+        rich_help_panel=_SCENE,
+    ),
+]
+RectificationError = Annotated[
+    float | None,
+    typer.Option(
+        help="Peak rectification error, pixels at KITTI's image size.",
+        show_default="that of the difficulty",
         rich_help_panel=_CAMERA,
     ),
 ]
-IdealSensor = Annotated[
-    bool,
+LensError = Annotated[
+    float | None,
     typer.Option(
-        "--ideal-sensor",
-        help="Leave out noise, blur, vignetting, exposure changes, calibration errors and wind.",
+        help="Lens distortion left by the calibration, pixels at 45 degrees off the axis at KITTI's image size.",
+        show_default="that of the difficulty",
         rich_help_panel=_CAMERA,
     ),
 ]

@@ -149,7 +149,7 @@ class _DatasetWriter:
 
     def _render_frame(self, lit: LitScene, frame: int) -> None:
         poses, camera = self.trajectory.T_town_camera, self.config.camera
-        wind = None if self.config.ideal_sensor else float(self.trajectory.timestamps[frame])
+        wind = float(self.trajectory.timestamps[frame]) if self.config.conditions.real_sensor else None
         scene = cull_scene(lit, RenderFrame(self.scenes.traffic.meshes_at(frame), wind), camera, poses[frame])
         other = min(frame + 1, len(poses) - 1)
         motion = se3.inverse(poses[frame]) @ poses[other]

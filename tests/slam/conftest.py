@@ -13,7 +13,9 @@ from slam.simulation import SimulationConfig, simulate
 @pytest.fixture(scope="session")
 def circle_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two laps of 160 m, images at half of KITTI's size, in KITTI layout."""
-    spec = SimulationConfig(shape="circle", laps=2, length_m=160.0, width=620, height=188, seed=3)
+    spec = SimulationConfig(
+        shape="circle", laps=2, length_m=160.0, width=620, height=188, seed=3, difficulty="standard"
+    )
     return simulate(spec, tmp_path_factory.mktemp("circle") / "drive")
 
 

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.simulation.scenario.config import SimulationConfig
+from slam.simulation.scenario.config import Difficulty, SimulationConfig
 
 Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
 
@@ -23,6 +23,9 @@ _READ_NOISE, _SHOT_NOISE = 1.1, 0.012  # standard deviation, grey values; varian
 _TARGET_LIGHT, _REACTION = 0.36, 0.75  # mean light that the exposure control aims at, and the exponent of its reaction
 _STEP_S = 9.0  # time between jumps of the exposure
 _DECENTERING = 0.4  # share of the lens error that is decentering, not radial
+_LOCAL_ROWS, _LOCAL_COLUMNS = 4, 9  # nodes of the error that no model of a lens describes
+_RIG_HERTZ = (0.02, 1.0)  # slowest and fastest oscillation of the rig, by heat and by shaking
+_RIG_WAVES = 6
 _RIGHT_GAIN = 1.03  # brightness of the right camera relative to the left one: real pairs are never equal
 _KITTI_WIDTH = 1241.0  # px, to which errors in pixels refer
 _MAX_BLUR_PX, _MIN_BLUR_PX = 24.0, 0.6  # length of motion blur: longer is cut, shorter is invisible
@@ -35,7 +38,8 @@ class SensorModel:
     Attributes:
         config: configuration of the dataset.
         side: 0 for the left camera, 1 for the right one.
-        map_x, map_y: (H, W) where each pixel of the image with its calibration error is read, pixels.
+        map_x, map_y: (H, W) where each pixel of the image with its calibration error is read, pixels, before the rig
+            moves.
         vignette: (H, W) factor on the light.
     """
 
@@ -55,19 +59,36 @@ class SensorModel:
             gain: brightness of the image per unit of light; 1 maps light 1 to grey value 255.
             frame: number of the frame, which the noise depends on.
         """
-        if self.config.ideal_sensor:
-            return _quantize(light * np.float32(255.0 * gain))
+        real, side = self.config.conditions.real_sensor, self.side
+        image = self._displace(self._blur(light, depth, motion) if real else light, frame)
+        grey = image * np.float32(255.0 * gain * _own_gain(self.config, side, frame))
+        if not real:
+            return _quantize(grey)
+        noise = self.config.rng(10, frame, side).standard_normal(grey.shape, dtype=np.float32)
+        np.clip(grey, 0.0, 300.0, out=grey)
+        return _quantize(grey + noise * np.sqrt(_READ_NOISE**2 + np.float32(_SHOT_NOISE) * grey))
+
+    def _blur(self, light: Image, depth: Image, motion: Array) -> Image:
+        """Return the light after motion blur, defocus and vignetting."""
         camera = self.config.camera
         share = _SHUTTER_S * self.config.frame_rate_hz
         image = blur_motion(light, depth, (motion[:3] - np.eye(3, 4)) * share, intrinsics_of(camera))
         sigma = _DEFOCUS_PX * max(camera.width / _KITTI_WIDTH, 0.5)
-        image = cv2.GaussianBlur(image, (0, 0), sigma) * self.vignette
-        if self.config.rectification_error_px or self.config.lens_error_px:
-            image = cv2.remap(image, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        grey = image * np.float32(255.0 * gain * (1.0, _RIGHT_GAIN)[self.side])
-        noise = self.config.rng(10, frame, self.side).standard_normal(grey.shape, dtype=np.float32)
-        np.clip(grey, 0.0, 300.0, out=grey)
-        return _quantize(grey + noise * np.sqrt(_READ_NOISE**2 + np.float32(_SHOT_NOISE) * grey))
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma) * self.vignette)
+
+    def _displace(self, image: Image, frame: int) -> Image:
+        """Return the image as the camera shows it, which is not as its calibration says."""
+        if not _has_calibration_error(self.config.conditions):
+            return image
+        columns, rows = _rig_shifts(self.config, self.side, frame, image.shape)
+        return cv2.remap(
+            image, self.map_x + columns, self.map_y + rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+        )
+
+
+def _has_calibration_error(level: Difficulty) -> bool:
+    errors = (level.rectification_error_px, level.lens_error_px, level.local_error_px)
+    return any((*errors, level.focal_error_percent, level.principal_point_error_px, level.rig_drift_px))
 
 
 def _quantize(grey: Image) -> NDArray[np.uint8]:
@@ -84,6 +105,7 @@ def build_sensor_model(config: SimulationConfig, side: int) -> SensorModel:
     x, y = np.meshgrid(np.arange(config.width, dtype=np.float64), np.arange(config.height, dtype=np.float64))
     a, b = 2 * x / config.width - 1, 2 * y / config.height - 1
     shifts = _rectification_shifts(config, side, a, b) + _lens_shifts(config, x, y)
+    shifts += _local_shifts(config, side) + _intrinsic_shifts(config, x, y)
     vignette = 1.0 - _VIGNETTE * (a * a + 0.3 * b * b) / 1.3
     return SensorModel(
         config,
@@ -98,7 +120,7 @@ def _rectification_shifts(config: SimulationConfig, side: int, a: Array, b: Arra
     """Smooth shifts (2, H, W), pixels, up to half the rectification error; a and b run from -1 to 1 over the image."""
     terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, a * a * a])
     shifts = np.tensordot(config.rng(11, side).normal(size=(2, len(terms))), terms, axes=1)
-    peak = 0.5 * config.rectification_error_px * config.width / _KITTI_WIDTH
+    peak = 0.5 * config.conditions.rectification_error_px * config.width / _KITTI_WIDTH
     return np.asarray(shifts * peak / np.abs(shifts).max(axis=(1, 2), keepdims=True))
 
 
@@ -116,17 +138,63 @@ def _lens_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
     p, q = _DECENTERING * np.sin(angle), _DECENTERING * np.cos(angle)
     across = -squared * x + q * (squared + 2 * x * x) + 2 * p * x * y
     down = -squared * y + p * (squared + 2 * y * y) + 2 * q * x * y
-    return np.stack([across, down]) * (config.lens_error_px * config.width / _KITTI_WIDTH)
+    return np.stack([across, down]) * (config.conditions.lens_error_px * config.width / _KITTI_WIDTH)
+
+
+def _local_shifts(config: SimulationConfig, side: int) -> Array:
+    """Shifts (2, H, W), pixels, by what no polynomial describes: a field with about four hills across the image."""
+    nodes = config.rng(14, side).standard_normal((2, _LOCAL_ROWS, _LOCAL_COLUMNS), dtype=np.float32)
+    size = (config.width, config.height)
+    field = np.stack([cv2.resize(axis, size, interpolation=cv2.INTER_CUBIC) for axis in nodes])
+    rms = np.sqrt(np.mean(np.square(field), axis=(1, 2), keepdims=True))
+    return np.asarray(field * (config.conditions.local_error_px * config.width / _KITTI_WIDTH) / rms)
+
+
+def _intrinsic_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
+    """Shifts (2, H, W), pixels, by the errors of focal length and principal point.
+
+    Both cameras have the same: rectification gives them one camera matrix, and what differs between them would be seen
+    in a comparison of their images.
+    """
+    camera, level, rng = config.camera, config.conditions, config.rng(15)
+    longer = 1.0 + rng.choice([-1.0, 1.0]) * level.focal_error_percent / 100.0
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    distance = level.principal_point_error_px * config.width / _KITTI_WIDTH
+    cx, cy = camera.cx + distance * np.cos(angle), camera.cy + distance * np.sin(angle)
+    return np.stack([(x - cx) / longer + camera.cx - x, (y - cy) / longer + camera.cy - y])
+
+
+def _rig_shifts(config: SimulationConfig, side: int, frame: int, shape: tuple[int, ...]) -> tuple[Image, Image]:
+    """Shifts of columns and rows, pixels, by the movement of the right camera since its calibration.
+
+    The rotations about its three axes wander as sums of oscillations, which depend on the time alone.
+    """
+    height, width = shape
+    amplitude = side * config.conditions.rig_drift_px * width / _KITTI_WIDTH
+    rng, time = config.rng(16), frame / config.frame_rate_hz
+    hertz = np.geomspace(*_RIG_HERTZ, _RIG_WAVES)[:, None] * rng.uniform(0.8, 1.25, (_RIG_WAVES, 3))
+    waves = np.sin(2 * np.pi * (hertz * time + rng.uniform(0.0, 1.0, (_RIG_WAVES, 3))))
+    yaw, pitch, roll = amplitude * np.sqrt(2 / _RIG_WAVES) * waves.sum(axis=0)
+    a, b = 2 * np.arange(width) / width - 1, (2 * np.arange(height) - height) / width
+    columns, rows = yaw - roll * b[:, None], pitch + roll * a[None, :]
+    return columns.astype(np.float32), rows.astype(np.float32)
 
 
 def exposure_gain(config: SimulationConfig, light: Image, time: float) -> float:
     """Return the gain at a time, seconds: control towards a mean, slow drift, and a jump every few seconds."""
-    if config.ideal_sensor:
+    if not config.conditions.real_sensor:
         return 0.8
     controlled = (_TARGET_LIGHT / max(float(light.mean()), 1e-3)) ** _REACTION
     drift = 1.0 + 0.06 * np.sin(0.31 * time + config.seed) + 0.04 * np.sin(1.7 * time)
     step = config.rng(12, int(time / _STEP_S)).uniform(0.78, 1.28)
     return float(controlled * drift * step)
+
+
+def _own_gain(config: SimulationConfig, side: int, frame: int) -> float:
+    """Brightness of one camera's image relative to what both would show, which the exposure of each alone decides."""
+    level = config.conditions
+    jitter = level.exposure_jitter_percent / 100.0 * config.rng(17, frame, side).standard_normal()
+    return float((_RIGHT_GAIN if level.real_sensor and side else 1.0) * np.exp(jitter))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

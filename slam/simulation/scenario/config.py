@@ -1,7 +1,7 @@
 """Configuration of a simulated dataset: it determines every pixel."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,67 @@ from odometry.camera import StereoCamera
 from slam.errors import ConfigError
 
 SHAPES = ("circle", "figure-eight", "blocks")
-FORMAT = 2  # raised whenever the same configuration gives other files
+FORMAT = 3  # raised whenever the same configuration gives other files
 
 # The camera of KITTI's first recording day, at its own image size.
 _KITTI_WIDTH, _KITTI_HEIGHT = 1241, 376
 _KITTI_FOCAL, _KITTI_CX, _KITTI_CY, _KITTI_BASELINE = 718.856, 607.1928, 185.2157, 0.54
+
+
+@dataclass(frozen=True)
+class Difficulty:
+    """What makes a drive hard for visual odometry; the defaults are a perfect camera in a car at constant speed.
+
+    The calibration file always holds the values that a user would believe; these are the errors of what it says.
+
+    Attributes:
+        real_sensor: whether there are noise, blur, vignetting, exposure changes and wind.
+        rectification_error_px: peak of the smooth error of each pair of pixels that rectification has left.
+        lens_error_px: distortion that the calibration has left in both cameras, 45 degrees off the axis.
+        local_error_px: root mean square of the error that no model of a lens describes, each camera's own.
+        focal_error_percent: error of the focal length of both cameras, too long or too short.
+        principal_point_error_px: distance of the principal point of both cameras from where the calibration has it.
+        rig_drift_px: root mean square of the slow movement of the right camera against the left, by heat and shaking.
+        exposure_jitter_percent: standard deviation of the brightness of each image, since each camera controls its own.
+        max_yaw_rad_per_s: how fast the car turns; it slows down for corners.
+        max_lateral_m_per_s2, max_braking_m_per_s2, max_speeding_m_per_s2: its accelerations, metres per second squared.
+
+    Pixels are those of KITTI's image size.
+    """
+
+    real_sensor: bool = False
+    rectification_error_px: float = 0.0
+    lens_error_px: float = 0.0
+    local_error_px: float = 0.0
+    focal_error_percent: float = 0.0
+    principal_point_error_px: float = 0.0
+    rig_drift_px: float = 0.0
+    exposure_jitter_percent: float = 0.0
+    max_yaw_rad_per_s: float = math.inf
+    max_lateral_m_per_s2: float = math.inf
+    max_braking_m_per_s2: float = math.inf
+    max_speeding_m_per_s2: float = math.inf
+
+
+# The values of `street` are measured on real drives: docs/decisions/simulation_rendering.md.
+DIFFICULTIES = {
+    "clean": Difficulty(),
+    "standard": Difficulty(True, rectification_error_px=0.6, lens_error_px=12.0),
+    "street": Difficulty(
+        True,
+        rectification_error_px=1.9,
+        lens_error_px=12.0,
+        local_error_px=0.06,
+        focal_error_percent=0.4,
+        principal_point_error_px=2.5,
+        rig_drift_px=0.06,
+        exposure_jitter_percent=1.8,
+        max_yaw_rad_per_s=0.7,
+        max_lateral_m_per_s2=3.0,
+        max_braking_m_per_s2=2.5,
+        max_speeding_m_per_s2=2.0,
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -27,7 +83,7 @@ class SimulationConfig:
         laps: number of laps, at least 1.
         length_m: length of one lap, metres.
         seed: seed of the town, the car's sway and the camera's noise.
-        speed_m_per_s: speed of the car, metres per second.
+        speed_m_per_s: speed of the car on a straight road, metres per second.
         frame_rate_hz: stereo pairs per second.
         width, height: image size, pixels; intrinsics scale from KITTI's 1241 x 376.
         lateral_offset_m: distance of later laps to the right of the first, metres.
@@ -36,11 +92,10 @@ class SimulationConfig:
         perceptual_aliasing: whether two streets, each a tenth of a lap, have houses of the same design in the same
             order and at the same distances; gardens, fences, awnings, posters, cars and trees still differ.
         cars_per_360m: oncoming cars on each 360 m, plus one car that drives ahead for a while; 0 for no cars.
-        rectification_error_px: peak difference between the images and their calibration, pixels at KITTI's size.
-        lens_error_px: distortion that the calibration has left, pixels at 45 degrees off the axis, at KITTI's size.
-            The values of real pairs, from which both defaults come: docs/decisions/simulation_rendering.md.
+        difficulty: `street`, as hard as real streets; `standard`, errors that an odometry can estimate and a car at
+            constant speed; `clean`, that car with a perfect camera and without wind.
+        rectification_error_px, lens_error_px: these errors, if not as the difficulty says.
         max_frames: largest number of frames; 0 for the whole drive.
-        ideal_sensor: whether to leave out noise, blur, vignetting, calibration errors, exposure changes and wind.
         depth: whether to write depth maps of the left camera too (uint16 PNG, metres x 256, 0 = none).
     """
 
@@ -57,10 +112,10 @@ class SimulationConfig:
     change_illumination: bool = False
     perceptual_aliasing: bool = False
     cars_per_360m: int = 6
-    rectification_error_px: float = 0.6
-    lens_error_px: float = 12.0
+    difficulty: str = "street"
+    rectification_error_px: float | None = None
+    lens_error_px: float | None = None
     max_frames: int = 0
-    ideal_sensor: bool = False
     depth: bool = False
 
     def __post_init__(self) -> None:
@@ -69,15 +124,21 @@ class SimulationConfig:
                 f"shape {self.shape!r}: expected {', '.join(SHAPES)} or the path of a KITTI pose file, "
                 "found neither; check the name"
             )
+        if self.difficulty not in DIFFICULTIES:
+            raise ConfigError(
+                f"difficulty of a simulated drive: expected {', '.join(DIFFICULTIES)}, got {self.difficulty!r}"
+            )
         for name, low, high in _RANGES:
             value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
+            if value is not None and not (math.isfinite(value) and low <= value <= high):
                 raise ConfigError(f"{name} of a simulated drive: expected {low:g} to {high:g}, got {value:g}")
 
     @property
-    def spacing_m(self) -> float:
-        """Distance between two frames, metres."""
-        return self.speed_m_per_s / self.frame_rate_hz
+    def conditions(self) -> Difficulty:
+        """What the difficulty stands for, with the errors that this configuration names itself."""
+        level = DIFFICULTIES[self.difficulty]
+        named = {field.name: getattr(self, field.name, None) for field in fields(level)}
+        return replace(level, **{name: value for name, value in named.items() if value is not None})
 
     @property
     def from_file(self) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from slam.errors import DataError
 from slam.io.files import read_numbers
@@ -23,6 +23,8 @@ CAMERA_HEIGHT = 1.65  # metres above the road
 _CORNER = 9.0  # radius of the turns between blocks, metres
 _TURN = 7.0  # radius in which the car turns round, metres
 _BLEND = 30.0  # path length on which a lateral offset grows to its full size, metres
+_CURVATURE_WINDOW = 4  # steps over which the curvature of the path is averaged: the radius that a driver sees
+_MIN_SPEED_SHARE = 0.15  # of the speed on a straight road, below which no corner slows the car
 # Corners of two neighbouring blocks in units of one block's side; three sides are driven twice in a lap.
 _BLOCKS = ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (0, 1))
 
@@ -205,6 +207,7 @@ class SimulatedTrajectory:
 
     Attributes:
         path: path of all laps, open.
+        schedule_s: (P,) seconds at which the car passes each point of the path.
         distance_m: (N,) distance along the path.
         lap: (N,) number of the lap, from 0.
         T_town_camera: (N, 4, 4), metres.
@@ -212,22 +215,59 @@ class SimulatedTrajectory:
     """
 
     path: Polyline
+    schedule_s: Array
     distance_m: Array
     lap: NDArray[np.int64]
     T_town_camera: Array
     timestamps: Array
 
+    def time_at(self, distance_m: Array) -> Array:
+        """Seconds at which the car passes distances (M,) along the path; beyond its end as fast as on its last step."""
+        beyond = np.maximum(distance_m - self.path.length_m, 0.0) / STEP
+        return _interpolate(distance_m, self.schedule_s) + beyond * (self.schedule_s[-1] - self.schedule_s[-2])
+
+
+def _interpolate(distance_m: Array, values: Array) -> Array:
+    """Values (M,) at distances (M,) along a line, from those at its points (P,)."""
+    return np.interp(distance_m, np.arange(len(values)) * STEP, values)
+
 
 def plan_trajectory(config: SimulationConfig) -> SimulatedTrajectory:
-    """Place a frame every `config.spacing_m` metres along all laps."""
+    """Place the frames along all laps, as far apart as the car drives between two of them."""
     path, ends = plan_full_path(config)
-    count = int(np.floor(path.length_m / config.spacing_m + 0.01)) + 1
+    schedule_s = _plan_schedule(config, path)
+    count = int(np.floor(schedule_s[-1] * config.frame_rate_hz + 0.01)) + 1
     count = min(count, config.max_frames) if config.max_frames else count
-    distance_m = np.arange(count, dtype=np.float64) * config.spacing_m
+    timestamps = np.arange(count) / config.frame_rate_hz
+    distance_m = np.interp(timestamps, schedule_s, np.arange(len(schedule_s)) * STEP)
     lap = np.minimum(np.searchsorted(ends, distance_m, side="right"), len(ends) - 1)
     positions, headings = path.interpolate(distance_m)
     poses = _camera_poses(positions, headings, _sway(config, count))
-    return SimulatedTrajectory(path, distance_m, lap, poses, np.arange(count) / config.frame_rate_hz)
+    return SimulatedTrajectory(path, schedule_s, distance_m, lap, poses, timestamps)
+
+
+def _plan_schedule(config: SimulationConfig, path: Polyline) -> Array:
+    """Seconds (P,) at which the car passes each point of the path.
+
+    Its speed is bounded by lateral acceleration and yaw rate in corners, by the brakes before a corner and by the
+    engine after it.
+    """
+    limits, straight = config.conditions, config.speed_m_per_s
+    turn_per_m = np.abs(uniform_filter1d(np.gradient(path.headings), _CURVATURE_WINDOW, mode="nearest")) / STEP
+    turn_per_m = np.maximum(turn_per_m, 1e-9)
+    corner = np.minimum(np.sqrt(limits.max_lateral_m_per_s2 / turn_per_m), limits.max_yaw_rad_per_s / turn_per_m)
+    squared = np.clip(corner, _MIN_SPEED_SHARE * straight, straight) ** 2
+    squared = _limit_growth(squared[::-1], 2 * STEP * limits.max_braking_m_per_s2)[::-1]
+    speeds = np.sqrt(_limit_growth(squared, 2 * STEP * limits.max_speeding_m_per_s2))
+    return np.concatenate([[0.0], np.cumsum(2 * STEP / (speeds[:-1] + speeds[1:]))])
+
+
+def _limit_growth(values: Array, step: float) -> Array:
+    """Lower values (P,) so that none exceeds the one before it by more than a step."""
+    if np.isinf(step):
+        return values
+    ramp = step * np.arange(len(values))
+    return np.minimum.accumulate(values - ramp) + ramp
 
 
 def _sway(config: SimulationConfig, count: int) -> Array:

@@ -149,29 +149,37 @@ class Traffic:
         """Draw the meeting point, the speed and the kind of each car at random."""
         rng = config.rng(13)
         count = round(config.cars_per_360m * trajectory.path.length_m / _LAP_M)
-        self.trajectory, self.config, self.cars = trajectory, config, cars
+        self.trajectory, self.cars = trajectory, cars
         self.meeting_m = rng.uniform(0.0, max(trajectory.path.length_m, _LAP_M), count)
+        self.meeting_s = trajectory.time_at(self.meeting_m)
         self.speeds_m_per_s = config.speed_m_per_s * rng.uniform(0.6, 1.3, count)
         self.kinds = rng.integers(0, len(cars), count + 1)
 
     def meshes_at(self, frame: int) -> list[Mesh]:
         """Return the cars around the camera at a frame, in the town frame."""
         distance_m = float(self.trajectory.distance_m[frame])
-        time = distance_m / self.config.speed_m_per_s
+        time = float(self.trajectory.timestamps[frame])
         # An oncoming car is at its meeting point at the moment when the camera is there.
-        places = self.meeting_m - self.speeds_m_per_s * (time - self.meeting_m / self.config.speed_m_per_s)
-        visible = np.flatnonzero(np.abs(places - distance_m) < _MAX_DISTANCE_M)
+        places = self.meeting_m - self.speeds_m_per_s * (time - self.meeting_s)
+        visible = np.flatnonzero((np.abs(places - distance_m) < _MAX_DISTANCE_M) & self._is_on_path(places))
         out = [self._car_at(self.kinds[i], float(places[i]), 2 * LANE + 0.1, np.pi) for i in visible]
         if len(self.meeting_m) and distance_m % (2 * _LEAD_M) < _LEAD_M:
-            ahead = (
-                16.0
-                + 9.0 * np.sin(distance_m / 25.0)
-                + 30.0 * max(0.0, distance_m % (2 * _LEAD_M) - 0.7 * _LEAD_M) / _LEAD_M
-            )
-            out.append(self._car_at(self.kinds[-1], distance_m + ahead, 0.1, 0.0))
+            ahead = distance_m + _lead(distance_m)
+            if ahead <= self.trajectory.path.length_m:
+                out.append(self._car_at(self.kinds[-1], ahead, 0.1, 0.0))
         return out
+
+    def _is_on_path(self, distance_m: Array) -> NDArray[np.bool_]:
+        """Whether distances (M,) are on the path: at its ends all cars would stand in one place."""
+        return (distance_m >= 0.0) & (distance_m <= self.trajectory.path.length_m)
 
     def _car_at(self, car: int, distance_m: float, left_m: float, yaw: float) -> Mesh:
         position, heading = self.trajectory.path.interpolate(np.array([distance_m]))
         side = np.array([-np.sin(heading[0]), np.cos(heading[0])])
         return self.cars[car].transform(heading[0] + yaw, np.array([*(position[0] + left_m * side), 0.01]))
+
+
+def _lead(distance_m: float) -> float:
+    """Distance, metres, that the car ahead keeps from the camera, which is some distance along the path."""
+    leaving = max(0.0, distance_m % (2 * _LEAD_M) - 0.7 * _LEAD_M)
+    return float(16.0 + 9.0 * np.sin(distance_m / 25.0) + 30.0 * leaving / _LEAD_M)

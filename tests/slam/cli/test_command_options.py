@@ -48,8 +48,9 @@ def test_every_option_of_simulate_is_a_field_of_the_drive(calls: Callable[..., l
         "--laps": 5, "--length": 333.0, "--seed": 9, "--speed": 7.5, "--frame-rate": 12.0, "--width": 640,
         "--height": 200, "--lateral-offset": 1.25, "--cars-per-360m": 3, "--rectification-error": 0.25,
         "--lens-error": 3.5, "--max-frames": 77,
+        "--difficulty": "clean",
     }  # fmt: skip
-    flags = ("--reverse", "--change-illumination", "--perceptual-aliasing", "--ideal-sensor", "--save-depth")
+    flags = ("--reverse", "--change-illumination", "--perceptual-aliasing", "--save-depth")
     run("simulate", "blocks", "--out", tmp_path, *(word for pair in given.items() for word in pair), *flags)
     plain, full = (arguments[0] for arguments, _ in made)
     assert plain == SimulationConfig(shape="blocks")

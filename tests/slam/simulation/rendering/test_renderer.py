@@ -9,7 +9,7 @@ from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.simulator import SceneStream
 
-CONFIG = SimulationConfig(width=640, height=192, ideal_sensor=True, cars_per_360m=0, max_frames=40)
+CONFIG = SimulationConfig(width=640, height=192, difficulty="clean", cars_per_360m=0, max_frames=40)
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from odometry import se3
 from slam.errors import DataError
-from slam.simulation.scenario.config import SimulationConfig
+from slam.simulation.scenario.config import DIFFICULTIES, SimulationConfig
 from slam.simulation.scenario.vehicle_path import LANE, plan_base_path, plan_full_path, plan_trajectory
 
 SHAPES = ("circle", "figure-eight", "blocks")
@@ -15,10 +17,56 @@ def plan(trajectory):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_frames_are_as_far_apart_as_speed_and_frame_rate_require(shape):
-    trajectory = plan_trajectory(SimulationConfig(shape=shape, length_m=600, speed_m_per_s=12, frame_rate_hz=8, laps=1))
+    config = SimulationConfig(shape=shape, length_m=600, speed_m_per_s=12, frame_rate_hz=8, laps=1)
+    trajectory = plan_trajectory(replace(config, difficulty="standard"))
     steps = np.linalg.norm(np.diff(plan(trajectory), axis=0), axis=1)
     assert np.median(steps) == pytest.approx(1.5, rel=5e-3)
     assert steps.max() < 1.51
+
+
+def turns_deg(trajectory):
+    poses = trajectory.T_town_camera
+    return np.degrees([se3.angle(step) for step in se3.inverse(poses[:-1]) @ poses[1:]])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("offset", [0.0, 1.5])
+def test_corners_are_driven_as_cars_drive_them(shape, reverse, offset):
+    # Cars turn by at most 4.8 degrees in a frame of KITTI 00, which has ten frames a second.
+    config = SimulationConfig(shape=shape, length_m=400, laps=3, reverse=reverse, lateral_offset_m=offset)
+    assert turns_deg(plan_trajectory(config)).max() < 4.8
+
+
+def test_a_standard_drive_takes_corners_at_full_speed():
+    trajectory = plan_trajectory(SimulationConfig(shape="blocks", length_m=400, laps=1, difficulty="standard"))
+    assert turns_deg(trajectory).max() > 6.0
+
+
+@pytest.mark.parametrize("shape", ["blocks", "figure-eight"])
+def test_the_accelerations_of_a_car_are_bounded(shape):
+    config = SimulationConfig(shape=shape, length_m=600, laps=1)
+    trajectory, limits = plan_trajectory(config), config.conditions
+    speeds = np.diff(trajectory.distance_m) * config.frame_rate_hz
+    accelerations = np.diff(speeds) * config.frame_rate_hz
+    assert accelerations.min() == pytest.approx(-limits.max_braking_m_per_s2, rel=0.1)
+    assert accelerations.max() == pytest.approx(limits.max_speeding_m_per_s2, rel=0.1)
+    assert speeds.max() == pytest.approx(config.speed_m_per_s)
+    _, headings = trajectory.path.interpolate(trajectory.distance_m)
+    lateral = np.abs(np.diff(headings)) * config.frame_rate_hz * speeds
+    assert lateral.max() == pytest.approx(limits.max_lateral_m_per_s2, rel=0.1)
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_the_car_is_where_its_schedule_says(difficulty):
+    config = SimulationConfig(shape="blocks", length_m=500, laps=1, difficulty=difficulty)
+    trajectory = plan_trajectory(config)
+    before_end = slice(None, -1)  # the last frame may be due a moment after the car has arrived
+    np.testing.assert_allclose(
+        trajectory.time_at(trajectory.distance_m[before_end]), trajectory.timestamps[before_end], atol=1e-9
+    )
+    beyond = trajectory.time_at(trajectory.path.length_m + np.array([0.0, 4.0, 8.0]))
+    np.testing.assert_allclose(np.diff(beyond), 4.0 / config.speed_m_per_s, rtol=0.02)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

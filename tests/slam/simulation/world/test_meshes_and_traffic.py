@@ -65,7 +65,7 @@ def test_cars_have_the_size_of_cars_and_stand_on_the_road(car_type: str) -> None
     assert 0.0 <= corners[:, 2].min() < 0.1
 
 
-CONFIG = SimulationConfig(length_m=720, laps=1, cars_per_360m=6)
+CONFIG = SimulationConfig(shape="blocks", length_m=720, laps=1, cars_per_360m=6)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_each_car_is_met_at_its_meeting_point(traffic: Traffic) -> None:
     for meeting_m in traffic.meeting_m:
         if not 5.0 < meeting_m < trajectory.distance_m[-1] - 5.0:
             continue
-        frame = round(meeting_m / CONFIG.spacing_m)
+        frame = int(np.searchsorted(trajectory.distance_m, meeting_m))
         camera = trajectory.T_town_camera[frame, :2, 3]
         assert np.linalg.norm(centres(traffic, frame) - camera, axis=1).min() < 2 * LANE + 2.5
 
@@ -99,6 +99,18 @@ def test_no_car_is_ever_where_the_camera_is(traffic: Traffic) -> None:
     for frame in range(0, 700, 7):
         apart = np.linalg.norm(centres(traffic, frame) - traffic.trajectory.T_town_camera[frame, :2, 3], axis=1)
         assert len(apart) == 0 or apart.min() > 2.0
+
+
+def test_no_car_waits_for_the_camera_at_the_end_of_the_path() -> None:
+    config = SimulationConfig(length_m=310, laps=1, cars_per_360m=12)  # a car drives ahead until the end
+    trajectory = plan_trajectory(config)
+    traffic = Traffic(config, trajectory, fleet(config.rng(3)))
+    met = 0
+    for frame in range(240, len(trajectory.distance_m)):
+        apart = np.linalg.norm(centres(traffic, frame) - trajectory.T_town_camera[frame, :2, 3], axis=1)
+        met += len(apart)
+        assert len(apart) == 0 or apart.min() > 2.0
+    assert met > 0
 
 
 def test_oncoming_cars_approach_and_the_car_ahead_keeps_its_distance(traffic: Traffic) -> None:

@@ -109,7 +109,7 @@ def test_a_rotation_blurs_near_and_far_alike() -> None:
 
 
 def test_noise_has_the_deviation_of_the_sensor() -> None:
-    config = replace(CONFIG, rectification_error_px=0.0, lens_error_px=0.0)
+    config = replace(CONFIG, difficulty="standard", rectification_error_px=0.0, lens_error_px=0.0)
     light, depth = np.full((64, 160), 0.4, np.float32), np.full((64, 160), 50.0, np.float32)
     images = [build_sensor_model(config, 0).expose(light, depth, np.eye(4), 1.0, frame) for frame in range(40)]
     centre = np.array(images, float)[:, 24:40, 60:100]
@@ -119,13 +119,14 @@ def test_noise_has_the_deviation_of_the_sensor() -> None:
 
 def test_the_right_camera_is_a_little_brighter_and_corners_are_darker() -> None:
     light, depth = np.full((64, 160), 0.4, np.float32), np.full((64, 160), 50.0, np.float32)
-    left, right = (build_sensor_model(CONFIG, side).expose(light, depth, np.eye(4), 1.0, 0) for side in (0, 1))
+    config = replace(CONFIG, difficulty="standard")
+    left, right = (build_sensor_model(config, side).expose(light, depth, np.eye(4), 1.0, 0) for side in (0, 1))
     assert right.mean() / left.mean() == pytest.approx(1.03, abs=0.01)
     assert left[:8, :8].mean() < 0.9 * left[28:36, 76:84].mean()
 
 
 def test_without_errors_images_are_read_where_they_are() -> None:
-    sensor = build_sensor_model(replace(CONFIG, rectification_error_px=0.0, lens_error_px=0.0), 1)
+    sensor = build_sensor_model(replace(CONFIG, difficulty="clean"), 1)
     x, y = np.meshgrid(np.arange(160), np.arange(64))
     np.testing.assert_array_equal(sensor.map_x, x)
     np.testing.assert_array_equal(sensor.map_y, y)
@@ -136,7 +137,8 @@ def test_without_errors_images_are_read_where_they_are() -> None:
 def test_calibration_errors_scale_with_their_configuration(error: float) -> None:
     x = np.meshgrid(np.arange(160), np.arange(64))[0]
     shifts = [
-        build_sensor_model(replace(CONFIG, rectification_error_px=e, lens_error_px=0.0), 0).map_x - x
+        build_sensor_model(replace(CONFIG, difficulty="standard", rectification_error_px=e, lens_error_px=0.0), 0).map_x
+        - x
         for e in (1.0, error)
     ]
     np.testing.assert_allclose(shifts[1], error * shifts[0], atol=1e-4)
@@ -151,7 +153,7 @@ def test_the_gain_jumps_now_and_then_and_drifts_slowly_between() -> None:
 
 
 def test_an_ideal_sensor_has_a_constant_gain() -> None:
-    ideal = replace(CONFIG, ideal_sensor=True)
+    ideal = replace(CONFIG, difficulty="clean")
     shots = [(value, time) for value in (0.1, 0.9) for time in (0.0, 50.0)]
     gains = {exposure_gain(ideal, np.full((8, 8), value, np.float32), time) for value, time in shots}
     assert len(gains) == 1
