@@ -134,6 +134,9 @@ DifficultyLevel = Annotated[
         rich_help_panel=_SCENE,
     ),
 ]
+IdealSensor = Annotated[
+    bool, typer.Option("--ideal-sensor", help="The same as --difficulty clean.", rich_help_panel=_CAMERA)
+]
 RectificationError = Annotated[
     float | None,
     typer.Option(

@@ -47,6 +47,7 @@ def simulate(
     height: option.Height = SimulationConfig.height,
     rectification_error: option.RectificationError = SimulationConfig.rectification_error_px,
     lens_error: option.LensError = SimulationConfig.lens_error_px,
+    ideal_sensor: option.IdealSensor = False,
     save_depth: option.SaveDepth = False,
 ) -> None:
     """Render a stereo drive through a procedural town, with exact ground truth, in the layout of KITTI.
@@ -59,10 +60,13 @@ def simulate(
     route = SimulationConfig(shape, laps, length_m=length, speed_m_per_s=speed, max_frames=max_frames)
     route = replace(route, lateral_offset_m=lateral_offset, reverse=reverse)
     scene = replace(route, seed=seed, change_illumination=change_illumination, cars_per_360m=cars_per_360m)
-    scene = replace(scene, perceptual_aliasing=perceptual_aliasing, difficulty=difficulty)
+    scene = replace(scene, perceptual_aliasing=perceptual_aliasing)
     camera = replace(scene, frame_rate_hz=frame_rate, width=width, height=height)
     errors = replace(
-        camera, difficulty=difficulty, rectification_error_px=rectification_error, lens_error_px=lens_error
+        camera,
+        difficulty="clean" if ideal_sensor else difficulty,
+        rectification_error_px=rectification_error,
+        lens_error_px=lens_error,
     )
     with progress_bar(Console(stderr=True), "Rendering") as progress:
         folder = render(replace(errors, depth=save_depth), out, progress)

@@ -41,6 +41,13 @@ def run(*words: object) -> None:
     assert app._exit_code(lambda: app.app([str(word) for word in words])) == 0
 
 
+def test_an_ideal_sensor_is_the_clean_difficulty(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
+    made = calls(slam.simulation, "simulate", tmp_path)
+    run("simulate", "blocks", "--out", tmp_path, "--ideal-sensor")
+    run("simulate", "blocks", "--out", tmp_path, "--difficulty", "clean")
+    assert made[0][0][0] == made[1][0][0] == SimulationConfig(shape="blocks", difficulty="clean")
+
+
 def test_every_option_of_simulate_is_a_field_of_the_drive(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
     made = calls(slam.simulation, "simulate", tmp_path)
     run("simulate", "blocks", "--out", tmp_path)
