@@ -48,8 +48,8 @@ class CalibrationConfig:
         drift_px: growth of the standard deviation of each coefficient, pixels per square root of a frame.
     """
 
-    radial_px: float = 1.0
-    decentering_px: float = 0.5
+    radial_px: float = 10.0
+    decentering_px: float = 5.0
     offset_px: float = 1.0
     slope_px: float = 3.0
     curvature_px: float = 10.0

@@ -129,8 +129,8 @@ DifficultyLevel = Annotated[
     str,
     typer.Option(
         "--difficulty",
-        help="street: errors of the calibration and corners as on real streets; standard: less of the first, constant "
-        "speed; clean: a perfect camera at constant speed, no wind.",
+        help="How hard the drive is: street, with errors of the calibration and corners as on real streets; standard, "
+        "with less of the first and constant speed; clean, with a perfect camera, constant speed and no wind.",
         rich_help_panel=_SCENE,
     ),
 ]

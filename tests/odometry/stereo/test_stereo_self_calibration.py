@@ -8,7 +8,7 @@ from odometry.camera import StereoCamera
 from odometry.stereo.stereo_self_calibration import NUM_COEFFICIENTS, Calibration, CalibrationConfig
 
 KITTI = StereoCamera(718.856, 718.856, 607.19, 185.22, 0.54, 1241, 376)
-WIDE = CalibrationConfig(radial_px=10.0, decentering_px=5.0)  # an uncalibrated lens
+WIDE = CalibrationConfig()
 
 
 @settings(max_examples=30, deadline=None)

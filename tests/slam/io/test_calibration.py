@@ -17,7 +17,7 @@ def learned() -> Calibration:
     return Calibration(
         CAMERA,
         np.linspace(-3, 2, NUM_COEFFICIENTS) / 3,
-        CalibrationConfig(radial_px=10.0, decentering_px=5.0).prior(CAMERA),
+        CalibrationConfig().prior(CAMERA),
     )
 
 

@@ -46,7 +46,7 @@ def test_the_calibration_error_is_taken_out_before_matching() -> None:
     """Rows 1.5 pixels apart, columns 2 off, and a lens that bends: a depth without knowing is wrong or none."""
     coefficients = np.zeros(NUM_COEFFICIENTS)
     coefficients[0], coefficients[NUM_DISTORTION], coefficients[NUM_DISTORTION + 6] = -12.0, 2.0, 1.5
-    calibration = Calibration(CAMERA, coefficients, CalibrationConfig(radial_px=10.0, decentering_px=5.0).prior(CAMERA))
+    calibration = Calibration(CAMERA, coefficients, CalibrationConfig().prior(CAMERA))
     left, right = photographed(CAMERA, 12.0, np.random.default_rng(3))
     u, v = np.meshgrid(np.arange(CAMERA.width, dtype=float), np.arange(CAMERA.height, dtype=float))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
