@@ -31,8 +31,11 @@ import cv2
 import numpy as np
 from command_line import existing, run_script
 from numpy.typing import NDArray
+from odometry_drives import chain_poses
 
 from odometry import StereoCamera, StereoOdometry, se3
+from slam.evaluation.trajectory_errors import distances_along, path_length
+from slam.io.trajectory_files import read_kitti
 from slam.simulation import SimulationConfig, simulate
 from slam.simulation.scenario.config import DIFFICULTIES, Difficulty
 
@@ -98,18 +101,10 @@ def read_drive(dataset: Dataset, frames: int) -> Drive:
     base = dataset.folder / "sequences" / dataset.sequence
     rows = [line.split()[1:] for line in (base / "calib.txt").read_text().splitlines()[:2]]
     P0, P1 = (np.array(row, dtype=np.float64).reshape(3, 4) for row in rows)
-    true = read_poses(dataset.folder / "poses" / f"{dataset.sequence}.txt")[:frames]
+    true = read_kitti(dataset.folder / "poses" / f"{dataset.sequence}.txt")[:frames]
     names = sorted((base / "image_0").glob("*.png"))[: len(true)]
     pairs = [(cv2.imread(str(p), 0), cv2.imread(str(base / "image_1" / p.name), 0)) for p in names]
     return Drive(pairs, P0[:, :3], -P1[0, 3] / P1[0, 0], se3.inverse(true[0]) @ true[: len(pairs)])
-
-
-def read_poses(path: Path) -> Array:
-    """Poses (N, 4, 4) of a file in KITTI layout."""
-    rows = np.loadtxt(path, ndmin=2).reshape(-1, 3, 4)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows
-    return poses
 
 
 def render_towns(clips: Path, out: Path, difficulty: str, seeds: int) -> list[Dataset]:
@@ -118,7 +113,7 @@ def render_towns(clips: Path, out: Path, difficulty: str, seeds: int) -> list[Da
     for clip, seed in itertools.product(CLIPS, range(seeds)):
         path = extend_path(clips / "poses" / f"{clip}.txt", out / f"path-{clip}.txt")
         count = len(list((clips / "sequences" / clip / "image_0").glob("*.png")))
-        speed = _FRAME_RATE_HZ * distances(read_poses(path)[:count])[-1] / (count - 1)  # of the clip, not beyond it
+        speed = _FRAME_RATE_HZ * path_length(read_kitti(path)[:count]) / (count - 1)  # of the clip, not beyond it
         name = f"{difficulty}-{clip}-{seed}"
         config = SimulationConfig(
             shape=str(path.resolve()), seed=seed, speed_m_per_s=round(float(speed), 2), difficulty=difficulty,
@@ -130,7 +125,7 @@ def render_towns(clips: Path, out: Path, difficulty: str, seeds: int) -> list[Da
 
 def extend_path(clip: Path, out: Path) -> Path:
     """Write the path of a clip with a straight road behind its end, where there would be no town to look at."""
-    poses = read_poses(clip)
+    poses = read_kitti(clip)
     step = (poses[-1, :3, 3] - poses[-4, :3, 3]) / 3
     count = int(np.ceil(_ROAD_AHEAD_M / np.linalg.norm(step)))
     beyond = np.tile(poses[-1], (count, 1, 1))
@@ -186,19 +181,12 @@ def run_product(drive: Drive) -> Array:
     height, width = drive.pairs[0][0].shape
     fx, fy, cx, cy = drive.K[0, 0], drive.K[1, 1], drive.K[0, 2], drive.K[1, 2]
     odometry = StereoOdometry(StereoCamera(fx, fy, cx, cy, drive.baseline_m, width, height))
-    motions = [odometry.track(*pair) for pair in drive.pairs]
-    steps = [motion.T_previous_current for motion in motions[1:]]
-    return np.array(list(itertools.accumulate(steps, np.matmul, initial=np.eye(4))))
-
-
-def distances(true: Array) -> Array:
-    """Distance along poses (N, 4, 4), metres (N,)."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
+    return chain_poses([odometry.track(*pair) for pair in drive.pairs])
 
 
 def segment_drift(estimate: Array, true: Array) -> tuple[float, float]:
     """Mean errors over all stretches: per cent of their length, and degrees per 100 m; NaN where there is none."""
-    along, errors = distances(true), []
+    along, errors = distances_along(true), []
     for length_m, first in itertools.product(SEGMENTS_M, range(len(true))):
         last = int(np.searchsorted(along, along[first] + length_m))
         if last >= len(true):
@@ -212,7 +200,7 @@ def segment_drift(estimate: Array, true: Array) -> tuple[float, float]:
 def split_drift(estimate: Array, true: Array) -> str:
     """Mean errors of the motion between frames by cause, as cells of a table."""
     steps, found = se3.inverse(true[:-1]) @ true[1:], se3.inverse(estimate[:-1]) @ estimate[1:]
-    error, length_m = se3.inverse(steps) @ found, distances(true)[-1]
+    error, length_m = se3.inverse(steps) @ found, path_length(true)
     moved = 100 * error[:, :3, 3].sum(axis=0) / length_m
     turned, wrong = (np.array([se3.log(T)[:3] for T in stack]) for stack in (steps, error))
     cells = [f"{value:+.2f}" for value in moved]
@@ -322,7 +310,7 @@ def format_counts(drive: Drive, plain: Array, counts: Counts) -> str:
 def window_drift(estimate: Array, true: Array) -> float:
     """End point error of a stretch, per cent of its length, both started from the same pose."""
     error = se3.inverse(se3.inverse(true[0]) @ true[-1]) @ se3.inverse(estimate[0]) @ estimate[-1]
-    return float(100 * np.linalg.norm(error[:3, 3]) / distances(true)[-1])
+    return float(100 * np.linalg.norm(error[:3, 3]) / path_length(true))
 
 
 @dataclass(frozen=True)
@@ -351,7 +339,7 @@ def measure(dataset: Dataset, frames: int, peers: list[tuple[str, Path]]) -> Row
     poses = {"Revisit": product, "KLT + PnP": plain}
     for name, folder in peers:
         file = folder / f"{dataset.name.replace(' ', '-')}.txt"
-        poses[name] = read_poses(existing(str(file)))[: len(drive.true)]
+        poses[name] = read_kitti(existing(str(file)))[: len(drive.true)]
     split = f"{split_drift(product, drive.true)} | {row_errors(drive)}"
     drift = {name: segment_drift(estimate, drive.true) for name, estimate in poses.items()}
     cells = format_counts(drive, plain, counts)

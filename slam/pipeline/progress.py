@@ -40,17 +40,20 @@ class _RateColumn(ProgressColumn):
 @contextmanager
 def progress_bar(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
     """Yield a function `(done, total)` that moves the bar; nothing is drawn if the console is no terminal."""
-    columns = (
+    with Progress(*_columns(BarColumn()), console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(title, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def _columns(bar: ProgressColumn) -> tuple[ProgressColumn, ...]:
+    return (
         TextColumn("{task.description}"),
-        BarColumn(),
+        bar,
         MofNCompleteColumn(),
         _RateColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 class RunProgress(Protocol):
@@ -122,15 +125,7 @@ def run_progress(
     if not console.is_terminal:
         yield HiddenProgress()
         return
-    columns = (
-        TextColumn("{task.description}"),
-        _LoopBarColumn(),
-        MofNCompleteColumn(),
-        _RateColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[error]}"),
-    )
+    columns = (*_columns(_LoopBarColumn()), TextColumn("{task.fields[error]}"))
     with Progress(*columns, console=console) as progress:
         yield ProgressLine(progress, num_frames, LiveError(ground_truth, alignment))
 
