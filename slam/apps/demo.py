@@ -11,7 +11,7 @@ from slam.simulation import SimulationConfig, simulate
 from slam.simulation.scenario.config import FORMAT
 
 # Two laps round two blocks, 600 m each, seen by one camera of 621 x 188 pixels at 43 km/h: its unit of length drifts so
-# far that anybody sees it, and rendering takes two minutes. What else was tried: docs/decisions/demo.md.
+# far that anybody sees it, and rendering takes three minutes. What else was tried: docs/decisions/demo.md.
 _DRIVE = SimulationConfig(
     shape="blocks", laps=2, length_m=600.0, speed_m_per_s=12.0, width=621, height=188, difficulty="standard"
 )
