@@ -27,14 +27,18 @@ from place_recognition.paradigms.registry import (
 )
 from place_recognition.recognizer import MatrixSink, PlaceRecognizer
 from slam.config import RunConfig, read_config
+from slam.datasets.dataset import Dataset
 from slam.datasets.formats.image_sequence import read_grey
 from slam.errors import ConfigError, DataError
+from slam.external.matches_file import FileRecognizer, TrustedLoopVerifier, check_matches_file, path_of
+from slam.external.odometry_file import FileOdometry, FileTrajectory, check_odometry_file, read_uncertainty
+from slam.io.matches import read_proposed_loops
 from slam.keyframes import KeyFrameSelector
 from slam.loop_closing.loop_closer import LoopCloser
 from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
-from slam.system import Components, VisualOdometry
+from slam.system import Components, LoopVerifier, VisualOdometry
 from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
 
 Image = NDArray[np.uint8]
@@ -45,7 +49,7 @@ _CAMERA_HEIGHT = "camera_height"  # setting of the odometry of one camera
 
 def check_paradigm(name: str) -> None:
     """Raise ConfigError for an unknown paradigm; the message lists the known ones."""
-    if name not in PARADIGMS:
+    if name not in PARADIGMS and path_of(name) is None:
         raise ConfigError(f"unknown paradigm '{name}': expected one of {', '.join(PARADIGMS)}")
 
 
@@ -62,16 +66,42 @@ def check_preset(name: str) -> None:
 
 
 def check_names(config: RunConfig) -> RunConfig:
-    """Pass on a configuration whose names all exist.
+    """Pass on a configuration whose names all exist, and whose settings do not contradict each other.
 
     Raises:
-        ConfigError: unknown paradigm, local features, preset or back end; the message lists the known ones.
+        ConfigError: unknown paradigm, local features, preset or back end; the message lists the known ones. Also a
+            setting about a file that is not given.
     """
     check_paradigm(config.paradigm)
     check_features(config.place_recognition.features)
     check_preset(config.place_recognition.preset)
+    check_matches_settings(config.paradigm, config.place_recognition.preset, config.trust_poses)
+    if config.odometry_covariance and not config.odometry_file:
+        raise ConfigError("--odometry-covariance: says how uncertain the motions of a file are; add --odometry FILE")
     back_end(config.robust)
     return config
+
+
+def check_matches_settings(paradigm: str, preset: str, trust_poses: bool) -> None:
+    """Raise ConfigError where a preset or trust in poses does not fit a paradigm that has been checked."""
+    if path_of(paradigm) is None and trust_poses:
+        raise ConfigError("--trust-poses: takes the poses of a file of matches; add --matches FILE")
+    if path_of(paradigm) is not None and preset != "default":
+        raise ConfigError(f"--preset {preset}: a file of matches has no preset; leave it out")
+
+
+def check_files(config: RunConfig, dataset: Dataset) -> tuple[str, ...]:
+    """Check that the trajectory and the matches of other programs belong to a dataset; remarks about the files.
+
+    Raises:
+        ConfigError, DataError: a file is missing or damaged, or of another drive.
+    """
+    remarks, matches = tuple[str, ...](), path_of(config.paradigm)
+    if config.odometry_file:
+        remarks += check_odometry_file(Path(config.odometry_file), config.odometry_covariance, dataset)
+    if matches is not None:
+        remarks += check_matches_file(matches, len(dataset), config.trust_poses)
+    return remarks
 
 
 def read_checked_config(path: Path) -> RunConfig:
@@ -146,8 +176,11 @@ def build_recognizer(
     """Build the recogniser of a paradigm whose name has been checked.
 
     Raises:
-        DataError: its vocabulary or its descriptor is missing, damaged or of another kind.
+        DataError: its vocabulary, its descriptor or its file of matches is missing, damaged or of another kind.
     """
+    matches = path_of(name)
+    if matches is not None:
+        return FileRecognizer(read_proposed_loops(matches).by_query)
     try:
         return make_recognizer(name, features, config, rows)
     except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
@@ -179,11 +212,19 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         masks=ImageMasks(config.static_regions, mask),
         features=features,
         recognizer=build_recognizer(config.paradigm, features, places, rows),
-        loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
+        loop_closer=build_loop_verifier(LoopCloser(camera, features, odometry, config.loop_closing), config),
         graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames),
         landmarks=LandmarkMap(config.landmarks, camera),
     )
+
+
+def build_loop_verifier(loop_closer: LoopCloser, config: RunConfig) -> LoopVerifier:
+    """Verifier of loops: the loop closer, or poses of a file where these are trusted."""
+    matches = path_of(config.paradigm)
+    if matches is None or not config.trust_poses:
+        return loop_closer
+    return TrustedLoopVerifier(read_proposed_loops(matches).by_query, loop_closer)
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> Image:
@@ -206,7 +247,12 @@ def read_mask(path: Path, shape: tuple[int, int]) -> Image:
 
 
 def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
-    """Odometry of the pair, or of the left camera alone."""
+    """Odometry of the pair, or of the left camera alone; with motions of a file where one is named."""
     if config.mono:
-        return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
-    return StereoVisualOdometry(StereoOdometry(camera, config.odometry))
+        measured: VisualOdometry = MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
+    else:
+        measured = StereoVisualOdometry(StereoOdometry(camera, config.odometry))
+    if not config.odometry_file:
+        return measured
+    trajectory = FileTrajectory(Path(config.odometry_file))
+    return FileOdometry(trajectory, measured, read_uncertainty(config.odometry_covariance))

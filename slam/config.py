@@ -49,12 +49,15 @@ class RunConfig:
     """All settings that decide the result of a run.
 
     Attributes:
-        paradigm: name of the place recogniser.
+        paradigm: name of the place recogniser, or `file:PATH` for the matches of another program.
         robust: name of the back end of the final optimisation.
         seed: seed of every random generator.
         save_recording: write `recording.rrd`.
         save_map: write `map.db`, which resuming, localization and later sessions need.
         mono: use the left camera alone.
+        odometry_file: trajectory of another program, whose motions replace those measured here; empty for none.
+        odometry_covariance: how uncertain these motions are (`slam.external.odometry_file.read_uncertainty`).
+        trust_poses: take the relative poses of a file of matches as they are, without looking at the images.
         mask: path of an image of the camera's size, black where it does not show the scene; empty for none.
         static_regions: how such parts are found without it.
         odometry: settings of the stereo odometry.
@@ -72,6 +75,9 @@ class RunConfig:
     save_recording: bool = True
     save_map: bool = True
     mono: bool = False
+    odometry_file: str = ""
+    odometry_covariance: str = ""
+    trust_poses: bool = False
     mask: str = ""
     static_regions: StaticRegionConfig = field(default_factory=StaticRegionConfig)
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)

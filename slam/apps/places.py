@@ -10,7 +10,14 @@ from rich.console import Console
 
 from place_recognition.paradigms.registry import ParadigmsConfig, exclusion_s, with_preset
 from place_recognition.recognizer import Belief
-from slam.components import check_features, check_paradigm, check_preset, exclude_time, read_mask
+from slam.components import (
+    check_features,
+    check_matches_settings,
+    check_paradigm,
+    check_preset,
+    exclude_time,
+    read_mask,
+)
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import open_images
@@ -25,6 +32,7 @@ from slam.evaluation.revisit_truth_files import (
     revisit_truth_from_poses,
 )
 from slam.evaluation.trajectory_errors import distances_along
+from slam.external.matches_file import check_matches_file, path_of
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
 from slam.pipeline.place_recognition import (
@@ -95,6 +103,7 @@ def check_options(options: PlacesOptions) -> None:
     check_paradigm(options.paradigm)
     check_features(options.features)
     check_preset(options.preset)
+    check_matches_settings(options.paradigm, options.preset, trust_poses=False)
     if options.exclude is not None and not 0 <= options.exclude < np.inf:
         raise ConfigError(f"--exclude: expected seconds from 0, found {options.exclude}")
     if options.mask is not None and options.paradigm in WHOLE_IMAGE_PARADIGMS:
@@ -134,10 +143,11 @@ def recognize_images(
     Raises:
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
     """
-    config = _config(options, images)
+    config, matches = _config(options, images), path_of(options.paradigm)
+    remarks = () if matches is None else check_matches_file(matches, len(images))
     with RunFolder.create(options.out, options.overwrite) as folder:
         warnings = RunWarnings(messages, folder.path)
-        warnings.extend((*truth.remarks, *_inspect(options, images, messages)))
+        warnings.extend((*truth.remarks, *remarks, *_inspect(options, images, messages)))
         run = _run(options, config, images, truth, messages)
         origin = provenance(options.source.absolute(), images.name) | _settings(options, config)
         with stop_on_interrupt(messages):

@@ -14,6 +14,7 @@ from rich.console import Console
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError, RevisitError, UnmeasuredError
+from slam.external.matches_file import path_of
 from slam.io.files import atomic_writer
 from slam.io.metrics import read_metrics
 from slam.pipeline.pipeline import RunOptions, resolve_config, run_pipeline
@@ -32,6 +33,7 @@ class Job:
         settings_file: TOML file with the settings of all runs; None for the defaults.
         paradigm, robust, seed, record: settings as in `RunConfig`; a map is saved if a recording is.
         preset: preset of the paradigm; None for that of the settings.
+        odometry: "stereo", "mono" or "file:PATH"; None for that of the settings.
     """
 
     source_name: str
@@ -43,6 +45,7 @@ class Job:
     seed: int
     record: bool
     preset: str | None = None
+    odometry: str | None = None
 
     @property
     def name(self) -> str:
@@ -65,13 +68,24 @@ class Job:
     def settings(self) -> dict[str, object]:
         """Settings that the benchmark changes, by their names in `RunConfig`."""
         preset = {} if self.preset is None else {"preset": self.preset}
-        return preset | {
-            "paradigm": self.paradigm,
-            "robust": self.robust,
-            "seed": self.seed,
-            "save_recording": self.record,
-            "save_map": self.record,
-        }
+        return (
+            preset
+            | self._odometry_settings
+            | {
+                "paradigm": self.paradigm,
+                "robust": self.robust,
+                "seed": self.seed,
+                "save_recording": self.record,
+                "save_map": self.record,
+            }
+        )
+
+    @property
+    def _odometry_settings(self) -> dict[str, object]:
+        if self.odometry is None:
+            return {}
+        file = path_of(self.odometry)
+        return {"mono": self.odometry == "mono", "odometry_file": "" if file is None else str(file)}
 
     @property
     def config(self) -> RunConfig:
@@ -88,6 +102,7 @@ class Job:
         named = {
             "--sequence": self.source.sequence,
             "--format": self.source.format,
+            "--odometry": path_of(self.odometry or ""),
             "--paradigm": self.paradigm,
             "--preset": self.preset,
             "--robust": self.robust,
@@ -96,7 +111,9 @@ class Job:
             "--out": self.folder,
         }
         words = [str(word) for option in named.items() if option[1] is not None for word in option]
-        return ("run", str(self.source.path), *words, *([] if self.record else ["--no-record", "--no-map"]))
+        flags = ["--mono"] if self.odometry == "mono" else []
+        flags += [] if self.record else ["--no-record", "--no-map"]
+        return ("run", str(self.source.path), *words, *flags)
 
     @property
     def error_file(self) -> Path:

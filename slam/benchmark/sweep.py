@@ -24,6 +24,7 @@ from slam.benchmark.sweep_results import (
 )
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import OutputError
+from slam.external.matches_file import path_of, short_name
 from slam.io.folder_lock import FolderLock
 from slam.pipeline.progress import progress_bar
 from slam.simulation import simulate
@@ -102,18 +103,28 @@ def make_jobs(sweep: Sweep, out: Path) -> list[Job]:
         Job(
             source.name,
             source.source if isinstance(source, RecordedSource) else DatasetSpec(_rendered_folder(source, out)),
-            out / "jobs" / ".".join(part for part in (source.name, paradigm, preset, robust, str(seed)) if part),
+            out / "jobs" / _job_name(source.name, odometry, paradigm, preset, robust, str(seed)),
             sweep.config,
-            paradigm,
+            _for_source(paradigm, source.name),
             robust,
             seed,
             sweep.record,
             preset,
+            None if odometry is None else _for_source(odometry, source.name),
         )
-        for source, paradigm, preset, robust, seed in product(
-            sweep.sources, sweep.paradigms, sweep.presets, sweep.robust, sweep.seeds
+        for source, odometry, paradigm, preset, robust, seed in product(
+            sweep.sources, sweep.odometries, sweep.paradigms, sweep.presets, sweep.robust, sweep.seeds
         )
     ]
+
+
+def _job_name(*parts: str | None) -> str:
+    return ".".join(short_name(part) for part in parts if part)
+
+
+def _for_source(name: str, source: str) -> str:
+    """Return the name of an odometry or a paradigm, with that of the source in the path of its file."""
+    return name.replace("{source}", source) if path_of(name) else name
 
 
 def _rendered_folder(source: SimulatedSource, out: Path) -> Path:

@@ -1,8 +1,9 @@
-"""The configuration of a benchmark: sources, paradigms, back ends and seeds, read from a TOML file.
+"""The configuration of a benchmark: sources, odometries, paradigms, back ends and seeds, read from a TOML file.
 
 Every combination of them is a run. Paths are relative to the file:
 
-    paradigms = ["tracked-words", "dynamic-sequences"]
+    odometry = ["stereo", "mono", "file:orbslam/{source}.txt"]
+    paradigms = ["tracked-words", "dynamic-sequences", "file:netvlad.csv"]
     preset = ["default", "published"]
     robust = ["pcm+gnc"]
     seeds = [0, 1]
@@ -16,6 +17,8 @@ Every combination of them is a run. Paths are relative to the file:
     simulate = "blocks"
     laps = 2
     length_m = 300
+
+`file:` takes trajectories and matches of other programs; `{source}` in the path stands for the name of the source.
 """
 
 import re
@@ -27,7 +30,10 @@ from slam.components import check_preset
 from slam.config import RunConfig, from_values, read_toml
 from slam.datasets.dataset import DatasetSpec
 from slam.errors import ConfigError
+from slam.external.matches_file import FILE_PREFIX, path_of
 from slam.simulation.scenario.config import SHAPES, SimulationConfig
+
+ODOMETRIES = ("stereo", "mono")  # those of the system, by name
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,8 @@ class Sweep:
 
     Attributes:
         sources: sources with different names.
-        paradigms: names of place-recognition paradigms.
+        odometries: "stereo", "mono" or "file:PATH"; None for that of the settings.
+        paradigms: names of place-recognition paradigms, or "file:PATH".
         presets: names of their presets; None for that of the settings.
         robust: names of robust back ends.
         seeds: seeds of every random generator of a run.
@@ -71,6 +78,7 @@ class Sweep:
     """
 
     sources: tuple[RecordedSource | SimulatedSource, ...]
+    odometries: tuple[str | None, ...]
     paradigms: tuple[str, ...]
     presets: tuple[str | None, ...]
     robust: tuple[str, ...]
@@ -84,6 +92,7 @@ class _SweepFile:
     """The values of the file before they are checked."""
 
     sources: tuple[Any, ...] = ()
+    odometry: tuple[Any, ...] = ()
     paradigms: tuple[Any, ...] = (RunConfig.paradigm,)
     preset: Any = None  # a name, or a list of names
     robust: tuple[Any, ...] = (RunConfig.robust,)
@@ -122,8 +131,29 @@ def parse_sweep(values: dict[str, Any], path: Path) -> Sweep:
     _check_list(written.robust, str, f"{path}: robust")
     _check_list(written.seeds, int, f"{path}: seeds")
     config = _path(written.config, path.parent, f"{path}: config") if written.config else None
-    axes = (written.paradigms, presets, written.robust, written.seeds)
+    odometries = _odometries(written.odometry, path)
+    paradigms = tuple(_absolute(name, path.parent, f"{path}: paradigms") for name in written.paradigms)
+    axes = (odometries, paradigms, presets, written.robust, written.seeds)
     return Sweep(tuple(sources), *axes, config, written.record)
+
+
+def _odometries(written: tuple[Any, ...], path: Path) -> tuple[str | None, ...]:
+    """Return names of odometries, with absolute paths; (None,) where there is none."""
+    if not written:
+        return (None,)
+    where = f"{path}: odometry"
+    _check_list(written, str, where)
+    for name in written:
+        if name not in ODOMETRIES and path_of(name) is None:
+            known = ", ".join((*ODOMETRIES, f"{FILE_PREFIX}PATH"))
+            raise ConfigError(f"{where}: unknown odometry {name!r}; expected one of {known}")
+    return tuple(_absolute(name, path.parent, where) for name in written)
+
+
+def _absolute(name: str, folder: Path, where: str) -> str:
+    """Return a name with the absolute path of its file, if it names one."""
+    file = path_of(name)
+    return name if file is None else f"{FILE_PREFIX}{_path(str(file), folder, where)}"
 
 
 def _presets(written: object, where: str) -> tuple[str | None, ...]:

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from slam.benchmark.job import Job, JobResult
+from slam.external.matches_file import short_name
 from slam.io.files import atomic_writer
 from slam.io.frames_and_loops_csv import write_table
 from slam.io.metrics import write_metrics
@@ -42,8 +43,8 @@ class ResultRow:
 
     Attributes:
         run: name of the run and of its folder below `jobs`.
-        source, paradigm, robust, seed, preset: the combination that was run; the preset of a run that failed is known
-            where the benchmark names it.
+        source, paradigm, robust, seed, preset, odometry: the combination that was run; the preset of a run that failed
+            is known where the benchmark names it, and so is the odometry.
         frames: number of frames.
         path_length_m: path length by ground truth, metres.
         odometry_ate_m, ate_m: ATE of the odometry and of the corrected trajectory, metres.
@@ -74,12 +75,14 @@ class ResultRow:
     frames_per_second: object = None
     wall_seconds: object = None
     peak_memory_mb: object = None
+    odometry: str = ""
     error: str = ""
 
     @property
     def method(self) -> str:
-        """Name of the paradigm, with its preset if that is not the default."""
-        return f"{self.paradigm}, {self.preset}" if self.preset not in ("", "default") else self.paradigm
+        """Name of the paradigm, with its preset if that is not the default, and the odometry if the sweep has some."""
+        preset = "" if self.preset == "default" else self.preset
+        return ", ".join(part for part in (self.odometry, self.paradigm, preset) if part)
 
 
 # Dotted keys of the values in metrics.json.
@@ -125,7 +128,10 @@ def make_row(job: Job, result: JobResult) -> ResultRow:
     """Make the row of a job from its metrics."""
     values = {name: metric_value(result.metrics, key) for name, key in _METRICS_KEYS.items()}
     preset = job.preset or str(result.metrics.get("preset", ""))
-    row = ResultRow(job.name, job.source_name, job.paradigm, job.robust, job.seed, preset, error=result.error)
+    paradigm, odometry = short_name(job.paradigm), short_name(job.odometry or "")
+    row = ResultRow(
+        job.name, job.source_name, paradigm, job.robust, job.seed, preset, odometry=odometry, error=result.error
+    )
     return replace(row, **values)  # type: ignore[arg-type]
 
 
@@ -166,7 +172,7 @@ def median_rows(rows: Sequence[ResultRow]) -> list[tuple[ResultRow, int]]:
     groups: dict[tuple[str, ...], list[ResultRow]] = {}
     for row in rows:
         if not row.error:
-            groups.setdefault((row.source, row.paradigm, row.preset, row.robust), []).append(row)
+            groups.setdefault((row.source, row.odometry, row.paradigm, row.preset, row.robust), []).append(row)
     return [(_median(group), len(group)) for group in groups.values()]
 
 

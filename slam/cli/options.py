@@ -199,6 +199,42 @@ RunRobust = Annotated[
     str | None,
     typer.Option(help=f"Robust back end: {BACK_END_NAMES}.", show_default=DEFAULT_BACK_END, rich_help_panel=BACK_END),
 ]
+OdometryFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--odometry",
+        help="Trajectory of another program, KITTI or TUM, whose motions are used instead of those measured here.",
+        show_default="measured here",
+        rich_help_panel=BACK_END,
+    ),
+]
+OdometryCovariance = Annotated[
+    str | None,
+    typer.Option(
+        help="Uncertainty of the motions of --odometry: SIGMA_RAD,SIGMA_M of each motion, or a file with a line of 6 "
+        "standard deviations or 36 covariances for each frame.",
+        show_default="estimated from the drive",
+        rich_help_panel=BACK_END,
+    ),
+]
+MatchesFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--matches",
+        help="Matches of another program, CSV with query, match and perhaps score and x, y, z, qx, qy, qz, qw, which "
+        "are used instead of a paradigm.",
+        show_default="recognised here",
+        rich_help_panel=RECOGNITION,
+    ),
+]
+TrustPoses = Annotated[
+    bool,
+    typer.Option(
+        "--trust-poses",
+        help="Take the poses of --matches as they are, without looking at the images.",
+        rich_help_panel=RECOGNITION,
+    ),
+]
 Mono = Annotated[bool, typer.Option("--mono", help="Use the left camera alone.", rich_help_panel=BACK_END)]
 CameraHeight = Annotated[
     float | None,
@@ -243,7 +279,12 @@ MovedSource = Annotated[
 # places
 
 PlacesParadigm = Annotated[
-    str, typer.Option(help=f"Place-recognition paradigm: {PARADIGM_NAMES}.", rich_help_panel=RECOGNITION)
+    str | None,
+    typer.Option(
+        help=f"Place-recognition paradigm: {PARADIGM_NAMES}.",
+        show_default="none: name one, or a file with --matches",
+        rich_help_panel=RECOGNITION,
+    ),
 ]
 PlacesTruth = Annotated[
     Path | None,
@@ -307,3 +348,28 @@ PoseRate = Annotated[
 MetricsFolder = Annotated[
     Path | None, typer.Option(help="Folder for metrics.json and the curve.", show_default="none is written")
 ]
+
+
+def choose_paradigm(paradigm: str | None, matches: Path | None) -> str | None:
+    """Return the paradigm, or the name of a file of matches in its place; None where neither is given.
+
+    Raises:
+        typer.BadParameter: both are given.
+    """
+    if matches is None:
+        return paradigm
+    if paradigm is not None:
+        raise typer.BadParameter("takes the place of a paradigm; leave out --paradigm", param_hint="--matches")
+    return f"file:{matches.absolute()}"
+
+
+def require_paradigm(paradigm: str | None, matches: Path | None) -> str:
+    """Return the paradigm or the name of a file of matches.
+
+    Raises:
+        typer.BadParameter: none or both are given.
+    """
+    chosen = choose_paradigm(paradigm, matches)
+    if chosen is None:
+        raise typer.BadParameter(f"expected one of {PARADIGM_NAMES}, or --matches FILE", param_hint="--paradigm")
+    return chosen

@@ -12,8 +12,9 @@ from slam.cli.options import EXIT_INTERRUPTED, FEATURE_NAMES
 
 def places(
     source: Annotated[Path, typer.Argument(help="Recording: a drive, a folder of images, a video or a bag.")],
-    paradigm: option.PlacesParadigm,
     out: option.Out,
+    paradigm: option.PlacesParadigm = None,
+    matches: option.MatchesFile = None,
     sequence: option.Sequence = None,
     dataset_format: option.Format = None,
     fps: option.FrameRate = None,
@@ -37,7 +38,7 @@ def places(
 
     options = PlacesOptions(
         source=source,
-        paradigm=paradigm,
+        paradigm=option.require_paradigm(paradigm, matches),
         out=out,
         sequence=sequence,
         ground_truth=ground_truth,

@@ -87,10 +87,14 @@ def run(
     resume: option.Resume = False,
     paradigm: option.RunParadigm = None,
     preset: option.RunPreset = None,
+    matches: option.MatchesFile = None,
+    trust_poses: option.TrustPoses = False,
     features: option.RunFeatures = None,
     vocabulary: option.Vocabulary = None,
     descriptor: option.RunDescriptor = None,
     robust: option.RunRobust = None,
+    odometry: option.OdometryFile = None,
+    odometry_covariance: option.OdometryCovariance = None,
     mono: option.Mono = False,
     camera_height: option.CameraHeight = None,
     seed: option.RunSeed = None,
@@ -111,7 +115,9 @@ def run(
     topics = tuple(image_topic or ())
     recording = RunOptions(source=source, sequence=sequence, out=out, format=dataset_format, fps=fps, topics=topics)
     options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
-    settings: dict[str, object] = {"paradigm": paradigm, "preset": preset}
+    settings: dict[str, object] = {"paradigm": option.choose_paradigm(paradigm, matches), "preset": preset}
+    settings |= {"odometry_file": _absolute(odometry), "odometry_covariance": _absolute_covariance(odometry_covariance)}
+    settings |= {"trust_poses": trust_poses or None}
     settings |= {"features": features, "descriptor": _absolute_descriptor(descriptor)}
     settings |= {"vocabulary": _absolute(vocabulary), "robust": robust, "seed": seed}
     settings |= {"mask": _absolute(mask)}
@@ -124,6 +130,10 @@ def run(
 def _absolute(path: Path | None) -> str | None:
     """A path as it stands in config.toml, so that --resume finds the file from any folder."""
     return None if path is None else str(path.absolute())
+
+
+def _absolute_covariance(value: str | None) -> str | None:
+    return str(Path(value).absolute()) if value and Path(value).is_file() else value
 
 
 def _absolute_descriptor(name: str | None) -> str | None:

@@ -1,13 +1,15 @@
-"""Files of place recognition: `matches.csv`, `precision_recall.csv` and `matrix.npz`."""
+"""Files of place recognition: `matches.csv`, `precision_recall.csv`, `matrix.npz`; loops of other programs."""
 
 import csv
 import io
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from place_recognition.evaluation.precision_recall import PrecisionRecall
 from place_recognition.recognizer import Belief, StageScores
@@ -31,6 +33,34 @@ MATCH_COLUMNS = (
 )
 CURVE_COLUMNS = ("threshold", "precision", "recall", "true_positives", "false_positives")
 _NEEDED = MATCH_COLUMNS[:3]
+_POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_MIN_QUATERNION = 1e-6  # shorter ones have no direction
+
+
+@dataclass(frozen=True)
+class ProposedLoop:
+    """A loop that another program proposes.
+
+    Attributes:
+        belief: query, match and score; accepted, unless the file says otherwise.
+        T_match_query: (4, 4) query camera in the match camera's frame, metres; None where the file has no pose.
+    """
+
+    belief: Belief
+    T_match_query: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class ProposedLoops:
+    """The loops of a file.
+
+    Attributes:
+        by_query: the best loop of each query, in the order of the queries.
+        remarks: what was left out or assumed, a sentence each.
+    """
+
+    by_query: dict[int, ProposedLoop]
+    remarks: tuple[str, ...] = ()
 
 
 def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
@@ -87,7 +117,49 @@ def read_matches(path: Path) -> tuple[Belief, ...]:
     return tuple(beliefs[query] for query in sorted(beliefs))
 
 
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+def read_proposed_loops(path: Path) -> ProposedLoops:
+    """Read the loops that another program proposes, in any order.
+
+    A table with the columns query and match, and perhaps score, and the pose of the query camera in the match camera's
+    frame as x, y, z, qx, qy, qz, qw. Of several lines for one query that with the best score counts. A matches.csv of
+    `revisit` may be given as well: what it does not accept is not proposed.
+
+    Raises:
+        DataError: as `read_matches`, or a pose is incomplete or no pose.
+    """
+    best: dict[int, ProposedLoop] = {}
+    rows, has_score = _rows(path, MATCH_COLUMNS[:2]), False
+    for number, row in rows:
+        where = f"{path}, line {number}"
+        has_score = has_score or bool(row.get("score"))
+        loop = ProposedLoop(_belief(where, row | {"score": row.get("score") or "1"}), _pose(where, row))
+        known = best.get(loop.belief.query)
+        if known is None or loop.belief.score > known.belief.score:
+            best[loop.belief.query] = loop
+    remarks = [] if has_score or not rows else ["no column score: all proposals count as equally sure"]
+    if len(best) < len(rows):
+        remarks.append(f"{len(rows) - len(best)} lines are a query's second proposals and are left out")
+    return ProposedLoops({q: best[q] for q in sorted(best)}, tuple(f"{path}: {remark}" for remark in remarks))
+
+
+def _pose(where: str, row: dict[str, str]) -> NDArray[np.float64] | None:
+    """Read T_match_query (4, 4) of a line; None where its cells are empty."""
+    given = [name for name in _POSE_COLUMNS if row.get(name)]
+    if not given:
+        return None
+    missing = [name for name in _POSE_COLUMNS if name not in given]
+    if missing:
+        raise DataError(f"{where}: expected a pose x, y, z, qx, qy, qz, qw, found no {missing[0]}; complete that line")
+    values = np.array([_number(where, row, name) for name in _POSE_COLUMNS])
+    if np.linalg.norm(values[3:]) < _MIN_QUATERNION:
+        raise DataError(f"{where}: expected a quaternion, found one of length zero; correct that line")
+    T_match_query = np.eye(4)
+    T_match_query[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
+    T_match_query[:3, 3] = values[:3]
+    return T_match_query
+
+
+def _rows(path: Path, needed: tuple[str, ...] = _NEEDED) -> list[tuple[int, dict[str, str]]]:
     try:
         lines = io.StringIO(read_text(path), newline="")
         separator = _separator(lines.readline())
@@ -99,10 +171,10 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise DataError(f"{path}: expected a table of matches, found none; check the path") from None
     except (OSError, ValueError, csv.Error) as error:
         raise DataError(f"{path}: expected a table of matches (CSV), found {error}; write it again") from None
-    missing = [name for name in _NEEDED if name not in header]
+    missing = [name for name in needed if name not in header]
     if missing:
         found = ", ".join(header) or "an empty file"
-        raise DataError(f"{path}: expected the columns {', '.join(_NEEDED)}, found {found[:80]}; name them in line 1")
+        raise DataError(f"{path}: expected the columns {', '.join(needed)}, found {found[:80]}; name them in line 1")
     return rows
 
 

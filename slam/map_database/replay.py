@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
 from place_recognition.recognizer import MatrixSink
-from slam.components import build_components
+from slam.components import build_components, build_loop_verifier
 from slam.config import RunConfig
 from slam.datasets.dataset import DatasetSpec, Frame
 from slam.errors import DataError
@@ -110,6 +110,7 @@ def replay_components(path: Path) -> Build:
         odometry = ReplayedOdometry([frame.motion for frame in frames], has_metric_scale=not config.mono)
         components = replace(build_components(camera, config, rows), odometry=odometry)
         landmarks = [frame.landmarks for frame in frames]
-        return replace(components, loop_closer=ReplayedLandmarks(landmarks, camera, components, config))
+        replayed = ReplayedLandmarks(landmarks, camera, components, config)
+        return replace(components, loop_closer=build_loop_verifier(replayed, config))
 
     return build

@@ -15,7 +15,7 @@ from uuid import uuid4
 from rich.console import Console
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
-from slam.components import build_components, exclude_by_preset, override_config, read_checked_config
+from slam.components import build_components, check_files, exclude_by_preset, override_config, read_checked_config
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, DatasetSpec, Frame, thumbnail
 from slam.datasets.formats.registry import open_for_odometry
@@ -24,6 +24,7 @@ from slam.diagnostics.dataset_checks import inspect_opened
 from slam.diagnostics.findings import Use, remarks_for
 from slam.errors import ConfigError, DataError, UnmeasuredError
 from slam.evaluation.trajectory_errors import Alignment
+from slam.external.matches_file import path_of
 from slam.io.folder_lock import check_no_writer
 from slam.io.run_folder import RunFolder
 from slam.map_database.replay import Build, read_session, replay_components
@@ -170,6 +171,7 @@ class Pipeline:
 
         def open_folder() -> RunFolder:
             check_same(stopped, dataset, config)
+            check_files(config, dataset)
             return reopen_run_folder(stopped, options.out)
 
         return cls(options=options, dataset=dataset, config=config, run_id=stopped.run_id, open_folder=open_folder)
@@ -183,6 +185,8 @@ class Pipeline:
         """
         prior = read_prior_map(map_file)
         pipeline = cls._new(options, resolve_config(options, settings, prior.config))
+        if path_of(pipeline.config.paradigm) is not None:
+            raise ConfigError("--map: a file of matches knows no places of earlier drives; leave out one of the two")
         check_fits(prior, pipeline.dataset, pipeline.config)
         return replace(pipeline, prior_map=prior.map_file)
 
@@ -206,6 +210,7 @@ class Pipeline:
     @classmethod
     def _new(cls, options: RunOptions, config: RunConfig) -> "Pipeline":
         def open_folder() -> RunFolder:
+            check_files(config, dataset)
             if not options.overwrite:
                 check_unfinished(options.out)
             return RunFolder.create(options.out, options.overwrite)
@@ -241,7 +246,7 @@ class Pipeline:
         self, folder: RunFolder, warnings: RunWarnings, keep_partial: bool
     ) -> tuple[RunRecord, DataError | None]:
         """Check the dataset, process its frames and write the results; the record, and the error of a frame."""
-        warnings.extend(self._inspect(warnings.messages))
+        warnings.extend((*check_files(self.config, self.dataset), *self._inspect(warnings.messages)))
         origin = self._provenance()
         info = SessionInfo(self.dataset.name, self.dataset.camera, origin | {"run": self.run_id}, self.prior_map)
         recording = folder.path / "recording.rrd" if self.config.save_recording else None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
+from place_recognition.recognizer import Belief
 from slam.config import RunConfig, changed_settings, to_toml
 from slam.datasets.dataset import Dataset
 from slam.errors import DataError
@@ -32,6 +33,7 @@ from slam.io.files import atomic_writer
 from slam.io.frames_and_loops_csv import FrameTable, write_events, write_frames, write_loops, write_stages
 from slam.io.g2o import chain_graph, write_g2o
 from slam.io.landmarks import write_cloud, write_landmark_observers
+from slam.io.matches import write_matches
 from slam.io.metrics import write_metrics
 from slam.io.trajectory_files import write_covariances, write_kitti, write_tum
 from slam.map_database.session_merging import MergeResult
@@ -234,6 +236,7 @@ def write_results(folder: Path, record: RunRecord, result: PipelineResult) -> No
     files: dict[str, Callable[[Path], None]] = {
         "trajectory_map": lambda path: _write_trajectory_in_map(path, record, result),
         "frames.csv": lambda path: write_frames(path, result.run_log.table()),
+        "matches.csv": lambda path: write_matches(path, _beliefs(result)),
         "loops.csv": lambda path: write_loops(path, record.loops),
         "loop_stages.csv": lambda path: write_stages(path, record.stages),
         "loop_events.csv": lambda path: write_events(path, record.events),
@@ -323,10 +326,14 @@ def _map_metrics(merge: MergeResult | None) -> dict[str, object]:
     return {"map": dataclasses.asdict(merge) | lists}
 
 
+def _beliefs(result: PipelineResult) -> list[Belief]:
+    return [candidate.belief for candidate in result.run_log.candidates]
+
+
 def _places(result: PipelineResult, timestamps: Array, ground_truth: Array | None) -> PlaceMetrics:
     truth = None if ground_truth is None else revisit_matrix(ground_truth)
     path_lengths_m = None if ground_truth is None else distances_along(ground_truth)
-    beliefs = [candidate.belief for candidate in result.run_log.candidates]
+    beliefs = _beliefs(result)
     size = map_size(result.components.recognizer)
     return evaluate_places(result.config.paradigm, beliefs, truth, size, DriveData(timestamps, path_lengths_m))
 

@@ -24,6 +24,7 @@ FILES = {
     "config.toml",
     "frames.csv",
     "loops.csv",
+    "matches.csv",
     "map.db",
     "loop_stages.csv",
     "loop_events.csv",
