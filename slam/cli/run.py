@@ -1,4 +1,4 @@
-"""Commands that run the pipeline: on a simulated drive, a recorded one, a saved map, or densely on a finished run."""
+"""Commands that run the pipeline: on the demo's drive, a recorded one, a saved map, or densely on a finished run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,6 @@ from rich.console import Console
 
 from slam.cli import options as option
 from slam.cli.options import EXIT_INTERRUPTED
-from slam.simulation.scenario.config import SimulationConfig
 
 
 def demo(
@@ -26,52 +25,6 @@ def demo(
 
     interrupted = run_demo(out, seed, Console(stderr=True), Console())
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)
-
-
-def simulate(
-    shape: option.Shape,
-    out: option.Out,
-    laps: option.Laps = SimulationConfig.laps,
-    length: option.LapLength = SimulationConfig.length_m,
-    speed: option.Speed = SimulationConfig.speed_m_per_s,
-    lateral_offset: option.LateralOffset = SimulationConfig.lateral_offset_m,
-    reverse: option.Reverse = False,
-    max_frames: option.MaxFrames = SimulationConfig.max_frames,
-    seed: option.TownSeed = SimulationConfig.seed,
-    change_illumination: option.ChangeIllumination = False,
-    perceptual_aliasing: option.PerceptualAliasing = False,
-    cars_per_360m: option.CarsPer360m = SimulationConfig.cars_per_360m,
-    difficulty: option.DifficultyLevel = SimulationConfig.difficulty,
-    frame_rate: option.StereoFrameRate = SimulationConfig.frame_rate_hz,
-    width: option.Width = SimulationConfig.width,
-    height: option.Height = SimulationConfig.height,
-    rectification_error: option.RectificationError = SimulationConfig.rectification_error_px,
-    lens_error: option.LensError = SimulationConfig.lens_error_px,
-    ideal_sensor: option.IdealSensor = False,
-    save_depth: option.SaveDepth = False,
-) -> None:
-    """Render a stereo drive through a procedural town, with exact ground truth, in the layout of KITTI.
-
-    Example: revisit simulate circle --laps 2 --length 360 --out data/circle
-    """
-    from slam.pipeline.progress import progress_bar
-    from slam.simulation import simulate as render
-
-    route = SimulationConfig(shape, laps, length_m=length, speed_m_per_s=speed, max_frames=max_frames)
-    route = replace(route, lateral_offset_m=lateral_offset, reverse=reverse)
-    scene = replace(route, seed=seed, change_illumination=change_illumination, cars_per_360m=cars_per_360m)
-    scene = replace(scene, perceptual_aliasing=perceptual_aliasing)
-    camera = replace(scene, frame_rate_hz=frame_rate, width=width, height=height)
-    errors = replace(
-        camera,
-        difficulty="clean" if ideal_sensor else difficulty,
-        rectification_error_px=rectification_error,
-        lens_error_px=lens_error,
-    )
-    with progress_bar(Console(stderr=True), "Rendering") as progress:
-        folder = render(replace(errors, depth=save_depth), out, progress)
-    message = f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR"
-    Console().print(message, markup=False, highlight=False, soft_wrap=True)
 
 
 def run(
