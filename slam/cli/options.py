@@ -108,7 +108,7 @@ def _default(drive: object, room: object) -> str:
 Shape = Annotated[
     str,
     typer.Argument(
-        help="Shape of the route through a town: circle, figure-eight, blocks, or the path of a KITTI pose file; or room."
+        help="Shape of the route in a town: circle, figure-eight, blocks, or the path of a KITTI pose file; or room."
     ),
 ]
 Laps = Annotated[int | None, typer.Option(help="Number of laps.", show_default=str(Drive.laps), rich_help_panel=_ROUTE)]
@@ -217,8 +217,8 @@ DifficultyLevel = Annotated[
     str | None,
     typer.Option(
         "--difficulty",
-        help="How hard it is: street, with errors of the calibration and corners as on real streets, for drives alone; "
-        "standard, with less of the first and constant speed; clean, with a perfect camera, constant speed and no wind.",
+        help="How hard it is: street, with errors of the calibration and corners as on real streets (not for a room); "
+        "standard, with less of the first and constant speed; clean, with a perfect camera, constant speed, no wind.",
         show_default=_default(Drive.difficulty, Room.difficulty),
         rich_help_panel=_SCENE,
     ),

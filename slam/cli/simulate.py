@@ -48,7 +48,13 @@ def simulate(
 
     Example: revisit simulate room --motion hand --sensor depth --seed 1 --out data/room
     """
-    both = {"seed": seed, "frame_rate_hz": frame_rate, "max_frames": max_frames, "width": width, "height": height}
+    both: dict[str, Any] = {
+        "seed": seed,
+        "frame_rate_hz": frame_rate,
+        "max_frames": max_frames,
+        "width": width,
+        "height": height,
+    }
     both |= {"difficulty": "clean" if ideal_sensor else difficulty}
     both |= {"rectification_error_px": rectification_error, "lens_error_px": lens_error}
     drive = {"laps": laps, "length_m": length, "speed_m_per_s": speed, "lateral_offset_m": lateral_offset}

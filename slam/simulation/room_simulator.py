@@ -61,9 +61,7 @@ def light_room(room: Room, seed: int) -> LitRoom:
     """Compute the light of a room, and make it ready to be rendered."""
     sources = [*_lamps(room), _daylight(room)]
     corners = np.concatenate([mesh.corners[mesh.material != Surface.LAMP] for mesh in room.meshes])
-    low = np.append(room.floors[:, :2].min(axis=0), 0.0)
-    high = np.append(room.floors[:, 2:].max(axis=0), room.height)
-    volume = bake_light(corners, sources, low - 0.05, high + 0.05)
+    volume = bake_light(corners, sources, room.floors, room.height)
     outdoors = panorama(RoomConfig(seed=seed).rng(32), 2048)
     return LitRoom(build_scene(room.meshes), volume, outdoors, build_room_materials(seed))
 

@@ -48,7 +48,7 @@ def encode_depth(depth: Image) -> NDArray[np.uint16]:
 
 
 def _is_in_shadow(disparity: Image, camera: StereoCamera) -> NDArray[np.bool_]:
-    """Pixels (H, W) that the projector, to the right of the camera, does not reach: nearer surfaces stand before them."""
+    """Pixels (H, W) that the projector, to the right of the camera, does not reach, as nearer surfaces are between."""
     column = np.arange(disparity.shape[1], dtype=np.float32)[None, :]
     projected = column - disparity * np.float32(camera.fx / FOCAL_PX)
     nearest = np.minimum.accumulate(projected[:, ::-1], axis=1)[:, ::-1]

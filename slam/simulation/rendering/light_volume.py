@@ -5,7 +5,9 @@ face (the ambient cube of Mitchell, McTaggart and Green, Shading in Valve's Sour
 the window that the cell sees, and what the room reflects, which is less where the cell is surrounded.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +19,11 @@ Array = NDArray[np.float64]
 _CELL_M = 0.13
 _DIRECTIONS = 26  # in which a cell looks for what surrounds it
 _REACH_M = 1.2  # a surface farther away takes no reflected light
-_REFLECTED = 0.5  # share of the light that the room reflects
+_REFLECTED, _MIN_REFLECTED = 0.6, 0.45  # share of the light that the room reflects; how much of it reaches corners
 _MEAN_LIGHT, _MAX_LIGHT = 0.8, 2.2  # the brightest places are compressed: cameras for rooms show them so
-_MIN_DISTANCE_M = 0.35  # bounds the light near a lamp
-_MIN_SPACE_M = 0.1  # to the surfaces around, median; a cell with less is inside something
+_MIN_DISTANCE_M = 0.7  # bounds the light near a lamp
+# A cell that sees less far in most directions is inside of something, such as a cupboard.
+_FAR_M, _MIN_FAR_SHARE = 0.9, 0.15
 _AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
 
 
@@ -53,14 +56,16 @@ class LightVolume(NamedTuple):
     light: NDArray[Any]
 
 
-def bake_light(occluders: Array, sources: list[LightSource], low: Array, high: Array) -> LightVolume:
-    """Compute the light between two corners (3,), metres.
+def bake_light(occluders: Array, sources: list[LightSource], floors: Array, height: float) -> LightVolume:
+    """Compute the light in a volume.
 
     Args:
         occluders: (T, 3, 3) triangles that throw shadows, metres; not those of the lamps.
         sources: lamps and windows.
-        low, high: corners of the volume.
+        floors: (F, 4) rectangles of floor: low x, low y, high x, high y, metres.
+        height: of the ceilings, metres.
     """
+    low, high = np.append(floors[:, :2].min(axis=0), 0.0), np.append(floors[:, 2:].max(axis=0), height)
     scene, ray_of = _ray_caster(occluders)
     shape = np.ceil((high - low) / _CELL_M).astype(int)[::-1] + 1
     z, y, x = np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")
@@ -68,7 +73,7 @@ def bake_light(occluders: Array, sources: list[LightSource], low: Array, high: A
     around = _sphere(_DIRECTIONS)
     free_m = np.stack([scene.cast_rays(ray_of(cells, np.tile(d, (len(cells), 1))))["t_hit"].numpy() for d in around])
     facing = np.maximum(around @ _AXES.T, 0.0)
-    reflected = facing.T @ np.minimum(free_m / _REACH_M, 1.0) / facing.sum(axis=0)[:, None]
+    reflected = facing.T @ np.clip(free_m / _REACH_M, _MIN_REFLECTED, 1.0) / facing.sum(axis=0)[:, None]
     direct = np.zeros((6, len(cells)))
     for source in sources:
         for point in source.points:
@@ -79,7 +84,8 @@ def bake_light(occluders: Array, sources: list[LightSource], low: Array, high: A
             emitted = np.maximum(-d @ source.facing, 0.0) if source.facing.any() else 1.0
             strength = source.strength / len(source.points) * seen * emitted / (squared + _MIN_DISTANCE_M**2)
             direct += strength * np.maximum(_AXES @ d.T, 0.0)
-    is_free = np.median(free_m, axis=0) > _MIN_SPACE_M
+    is_free = (free_m > _FAR_M).mean(axis=0) > _MIN_FAR_SHARE
+    is_free &= _is_inside(cells, floors) & (cells[:, 2] < height)
     light = _REFLECTED * reflected + (1 - _REFLECTED) * direct / direct[:, is_free].mean()
     light = light / (1.0 + light / (_MAX_LIGHT / _MEAN_LIGHT))
     light = _spread(light.reshape(6, *shape), is_free.reshape(tuple(shape)))
@@ -87,15 +93,20 @@ def bake_light(occluders: Array, sources: list[LightSource], low: Array, high: A
     return LightVolume(np.asarray(low, np.float64), _CELL_M, np.ascontiguousarray(light, dtype=np.float32))
 
 
-def _ray_caster(triangles: Array) -> tuple[Any, Any]:
-    """Scene of Open3D (its stubs know no numpy), and a function that makes its rays of origins and directions (N, 3)."""
-    import open3d
-
-    scene = open3d.t.geometry.RaycastingScene()
+def _ray_caster(triangles: Array) -> tuple[Any, Callable[[Array, Array], Any]]:
+    """Scene of Open3D, and a function that makes its rays of origins and directions (N, 3)."""
+    o3d: Any = import_module("open3d")  # its stubs know no numpy
+    scene = o3d.t.geometry.RaycastingScene()
     corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
     numbers = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-    scene.add_triangles(open3d.core.Tensor(corners), open3d.core.Tensor(numbers))
-    return scene, lambda at, along: open3d.core.Tensor(np.hstack([at, along]).astype(np.float32))
+    scene.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(numbers))
+    return scene, lambda at, along: o3d.core.Tensor(np.hstack([at, along]).astype(np.float32))
+
+
+def _is_inside(cells: Array, floors: Array) -> NDArray[np.bool_]:
+    """Whether each of the points (N, 3) is above one of the rectangles."""
+    x, y = cells[:, :1], cells[:, 1:2]
+    return np.asarray(((x > floors[:, 0]) & (x < floors[:, 2]) & (y > floors[:, 1]) & (y < floors[:, 3])).any(axis=1))
 
 
 def _sphere(count: int) -> Array:

@@ -451,6 +451,7 @@ def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: RowSamples) 
 
 @njit(cache=True, error_model="numpy")
 def allocate_samples(count: int) -> RowSamples:
+    """Make room for the samples of a row."""
     return RowSamples(
         np.empty(count, np.int32),
         np.empty(count, np.int32),

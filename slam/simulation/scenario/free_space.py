@@ -55,19 +55,22 @@ class FreeSpace:
         nearest = usable_at[np.argmin(((points - start) ** 2).sum(axis=1))]
         return points[label[usable_at] == label[nearest]]
 
-    def route(self, stops: Array, min_clearance_m: float) -> Array:
-        """Path (P, 2) through stops (S, 2) in turn and back to the first, metres, that keeps a clearance."""
+    def route(self, stops: Array, min_clearance_m: float) -> list[Array]:
+        """Paths (P, 2), metres, from each of the stops (S, 2) to the next, and from the last to the first.
+
+        They keep a clearance. Each ends before the next one begins.
+        """
         usable = self.clearance_m >= min_clearance_m
         graph = self._graph(usable, min_clearance_m)
         index = [self._nearest(stop, usable) for stop in stops]
         _, before = dijkstra(graph, directed=False, indices=index, return_predecessors=True)
-        cells: list[int] = []
+        legs = []
         for k, end in enumerate(np.roll(index, -1)):
             leg = [int(end)]
             while leg[-1] != index[k]:
                 leg.append(int(before[k, leg[-1]]))
-            cells += leg[:0:-1]
-        return self._points(np.array(cells))
+            legs.append(self._points(np.array(leg[:0:-1], dtype=np.int64)))
+        return legs
 
     def smooth(self, path: Array, min_clearance_m: float) -> Array:
         """Return a closed path (P, 2), resampled to about 2 cm and rounded as far as its clearance allows."""
@@ -108,12 +111,13 @@ class FreeSpace:
 
 
 def find_free_space(floors: Array, obstacles: Array, low_z: float, high_z: float) -> FreeSpace:
-    """Find where a camera may move that stays between two heights, metres.
+    """Find where a camera may move.
 
     Args:
         floors: (F, 4) rectangles of floor: low x, low y, high x, high y, metres.
-        obstacles: (N, 2, 3) low and high corners of boxes, metres; those above or below the camera do not count.
-        low_z, high_z: heights between which something is in the way.
+        obstacles: (N, 2, 3) low and high corners of boxes, metres.
+        low_z: height, metres, below which nothing is in the way.
+        high_z: height, metres, above which nothing is in the way.
     """
     origin = floors[:, :2].min(axis=0) - CELL_M
     shape = (np.ceil((floors[:, 2:].max(axis=0) + CELL_M - origin) / CELL_M).astype(int) + 1)[::-1]

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 
 MIN_CLEARANCE_M = 0.4  # between camera and everything else
 _RATE_HZ = 240.0  # at which motion is computed, whatever the frame rate
-_STOPS = 5  # in the room
+_HAND_STOPS, _ROBOT_STOPS = 5, 2  # in the room
+# Stops in the corridor, metres along it and away from the door.
+_HAND_AIMS, _ROBOT_AIMS = ((0.3, 0.9), (1.7, 1.0)), ((1.3, 1.0),)
 
 # The hand.
 _HAND_HEIGHT_M, _HAND_MARGIN_M = 1.5, 0.1  # height of the camera; clearance beyond the minimum, for sway
@@ -32,8 +34,8 @@ _MAX_PITCH = 0.4  # rad
 # The robot.
 _ROBOT_HEIGHT_M, _ROBOT_PITCH = 0.4, np.radians(8.0)
 _ROBOT_FORWARD_M = 0.1  # from the axis of rotation to the camera
-_DRIVE_SPEED, _DRIVE_ACCELERATION = 0.4, 0.4
-_TURN_RATE, _TURN_ACCELERATION = 0.8, 1.2
+_DRIVE_SPEED, _DRIVE_ACCELERATION = 0.6, 0.8
+_TURN_RATE, _TURN_ACCELERATION = 1.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -65,10 +67,10 @@ def plan_room_trajectory(
     time = np.arange(int(np.ceil(max(config.duration_s, timestamps[-1]) * _RATE_HZ)) + 2) / _RATE_HZ
     if config.motion == "hand":
         space = find_free_space(floors, obstacles, _BODY_TOP_M, _HAND_HEIGHT_M + 0.3 + MIN_CLEARANCE_M)
-        positions, angles = _walk(config, space, _Tour(floors, door, sights), time)
+        positions, angles = _walk(config, space, _Tour(_HAND_STOPS, _HAND_AIMS, door, sights), time)
     else:
         space = find_free_space(floors, obstacles, 0.02, _ROBOT_HEIGHT_M + MIN_CLEARANCE_M)
-        positions, angles = _drive(config, space, _Tour(floors, door, sights), time)
+        positions, angles = _drive(config, space, _Tour(_ROBOT_STOPS, _ROBOT_AIMS, door, sights), time)
     both = np.column_stack([positions, angles])
     at = np.stack([np.interp(timestamps, time, column) for column in both.T], axis=1)
     return RoomTrajectory(camera_poses(at[:, :3], at[:, 3:]), timestamps)
@@ -76,28 +78,36 @@ def plan_room_trajectory(
 
 @dataclass(frozen=True)
 class _Tour:
-    """Where a tour leads: floors, door and sights, as in `plan_room_trajectory`."""
+    """Where a tour leads.
 
-    floors: Array
+    Attributes:
+        room_stops: number of stops in the room.
+        aims: stops in the corridor, metres along it and away from the door.
+        door, sights: as in `plan_room_trajectory`.
+    """
+
+    room_stops: int
+    aims: tuple[tuple[float, float], ...]
     door: Array
     sights: Array
 
     def stops(self, space: FreeSpace, min_clearance_m: float, rng: np.random.Generator) -> Array:
-        """Stops (S, 2): far apart in the room, in a round, with two in the corridor after the one next to the door."""
+        """Stops (S, 2): those in the room in a round, the one next to the door last, then those in the corridor."""
         cells = space.cells(min_clearance_m, self.door)
         wall_y = self.door[1]
         room, corridor = cells[cells[:, 1] < wall_y - 0.5], cells[cells[:, 1] > wall_y + 0.6]
         chosen = [room[int(rng.integers(len(room)))]]
-        for _ in range(_STOPS - 1):
+        for _ in range(self.room_stops - 1):
             gaps = np.min([((room - stop) ** 2).sum(axis=1) for stop in chosen], axis=0)
             chosen.append(room[int(np.argmax(gaps))])
         stops = np.array(chosen)
         around = stops - stops.mean(axis=0)
         stops = stops[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
-        stops = np.roll(stops, -1 - int(np.argmin(((stops - self.door) ** 2).sum(axis=1))), axis=0)
+        stops = np.roll(stops, -int(np.argmin(((stops - self.door) ** 2).sum(axis=1))), axis=0)
         side = 1.0 if rng.random() < 0.5 else -1.0
-        aims = [self.door + [side * 0.3, 0.9], self.door + [side * 1.7, 1.0]]
-        return np.vstack([stops, *(corridor[np.argmin(((corridor - aim) ** 2).sum(axis=1))] for aim in aims)])
+        aims = self.door + np.array(self.aims) * [side, 1.0]
+        outside = [corridor[np.argmin(((corridor - aim) ** 2).sum(axis=1))] for aim in aims]
+        return np.vstack([stops[1:], stops[:1], *outside])
 
 
 def _waves(rng: np.random.Generator, x: Array, period: float, amplitude: float) -> Array:
@@ -112,13 +122,17 @@ def _walk(config: RoomConfig, space: FreeSpace, tour: _Tour, time: Array) -> tup
     """Positions (N, 3) and yaw, pitch, roll (N, 3) of a camera in a hand."""
     rng = config.rng(1)
     keep = MIN_CLEARANCE_M + _HAND_MARGIN_M
-    path = space.smooth(space.route(tour.stops(space, keep, rng), keep), keep)
+    path = space.smooth(np.vstack(space.route(tour.stops(space, keep, rng), keep)), keep)
     length = len(path) * 0.02
     speed = np.clip(0.6 + _waves(rng, time, 6.0, 0.2), _MIN_SPEED, _MAX_SPEED) * _walking(config, time)
     s = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 / _RATE_HZ)])
     grid = np.arange(len(path) + 1) * 0.02
     ahead = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
-    side = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
+    side = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.maximum(
+        np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9
+    )
+    # Where the path turns back, left becomes right: there, sway fades out and in again.
+    side = gaussian_filter1d(side, 20, axis=0, mode="wrap")
     reach = minimum_filter1d(np.clip(space.clearance_at(path) - keep, 0.0, 0.12), 61, mode="wrap")
     reach = gaussian_filter1d(reach, 15, mode="wrap") + 0.02
     wrapped = np.mod(s, length)
@@ -179,7 +193,7 @@ def _choose_targets(rng: np.random.Generator, space: FreeSpace, sights: Array, p
     for k in range(count):
         at = path[int((k + 0.7) * len(path) / count) % len(path)]
         gap = np.linalg.norm(sights[:, :2] - at, axis=1)
-        good = [i for i in np.flatnonzero((gap > 1.4) & (gap < 7.0)) if space.sees(at, sights[i, :2])]
+        good = [int(i) for i in np.flatnonzero((gap > 1.4) & (gap < 7.0)) if space.sees(at, sights[i, :2])]
         if not good:
             good = [int(np.argmax(gap))]
         targets.append(sights[good[int(rng.integers(len(good)))]])
@@ -209,8 +223,9 @@ def _drive(config: RoomConfig, space: FreeSpace, tour: _Tour, time: Array) -> tu
     rng = config.rng(1)
     keep = MIN_CLEARANCE_M + _ROBOT_FORWARD_M + 0.03
     stops = tour.stops(space, keep, rng)
-    corners = _straighten(space, space.route(stops, keep), keep)
-    x, y, heading = _moves(rng, corners, stops, len(time))
+    corners, is_stop = _straighten(space, space.route(stops, keep), keep)
+    is_stop &= corners[:, 1] < tour.door[1]  # it looks about in the room alone
+    x, y, heading = _moves(rng, corners, is_stop, len(time))
     shake = 0.5 * np.radians(0.15)
     moving = np.clip(np.abs(np.gradient(x)) + np.abs(np.gradient(y)), 0, 1e-3) / 1e-3
     moving = gaussian_filter1d(moving, 0.05 * _RATE_HZ)
@@ -221,28 +236,33 @@ def _drive(config: RoomConfig, space: FreeSpace, tour: _Tour, time: Array) -> tu
     return np.column_stack([np.stack([x, y], 1) + forward, z]), np.column_stack([heading, pitch, roll])
 
 
-def _straighten(space: FreeSpace, path: Array, min_clearance_m: float) -> Array:
-    """Corners (C, 2) of a closed polygon that keeps the clearance and follows a path of cells (P, 2)."""
-    corners, at = [path[0]], 0
-    while at < len(path):
-        end = at + 1
-        for last in range(len(path), at + 1, -1):
-            goal = path[last % len(path)]
-            count = int(np.linalg.norm(goal - path[at]) / 0.02) + 2
-            line = path[at] + np.linspace(0, 1, count)[:, None] * (goal - path[at])
-            if last - at <= 140 and space.clearance_at(line).min() >= min_clearance_m - 0.02:
-                end = last
-                break
-        if end < len(path):
-            corners.append(path[end])
-        at = end
-    return np.array(corners)
+def _straighten(space: FreeSpace, legs: list[Array], min_clearance_m: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Corners (C, 2) of a closed polygon that keeps the clearance along legs (P, 2), and which of them are stops."""
+    corners, is_stop = [], []
+    for leg, following in zip(legs, [*legs[1:], legs[0]], strict=True):
+        points, at = np.vstack([leg, following[:1]]), 0
+        while at < len(leg):
+            corners.append(points[at])
+            is_stop.append(at == 0)
+            ends = (
+                last for last in range(len(leg), at + 1, -1) if _is_free(space, points[[at, last]], min_clearance_m)
+            )
+            at = next(ends, at + 1)
+    return np.array(corners), np.array(is_stop)
 
 
-def _moves(rng: np.random.Generator, corners: Array, stops: Array, count: int) -> tuple[Array, Array, Array]:
-    """x, y and heading (count,) of a robot that goes round the corners; near stops it looks about."""
+def _is_free(space: FreeSpace, ends: Array, min_clearance_m: float) -> bool:
+    """Whether the straight line between two points (2, 2) keeps the clearance."""
+    count = int(np.linalg.norm(ends[1] - ends[0]) / 0.02) + 2
+    line = ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
+    return bool(space.clearance_at(line).min() >= min_clearance_m - 0.02)
+
+
+def _moves(
+    rng: np.random.Generator, corners: Array, is_stop: NDArray[np.bool_], count: int
+) -> tuple[Array, Array, Array]:
+    """x, y and heading (count,) of a robot that goes round the corners; at many stops it looks about."""
     spins = [np.pi / 2, np.pi, 1.5 * np.pi, 2 * np.pi]
-    is_stop = [np.linalg.norm(stops - corner, axis=1).min() < 0.15 for corner in corners]
     xy, headings, total, k = [np.tile(corners[0], (1, 1))], [np.zeros(1)], 0, 0
     heading = float(np.arctan2(*(corners[1] - corners[0])[::-1]))
     headings[0][:] = heading
@@ -250,7 +270,7 @@ def _moves(rng: np.random.Generator, corners: Array, stops: Array, count: int) -
         a, b = corners[k % len(corners)], corners[(k + 1) % len(corners)]
         wanted = float(np.arctan2(*(b - a)[::-1]))
         turn = _wrap(wanted - heading)
-        looks = is_stop[k % len(corners)] and k and rng.random() < 0.6
+        looks = is_stop[k % len(corners)] and k and rng.random() < 0.5
         spin = float(rng.choice(spins)) * (1.0 if turn >= 0 else -1.0) if looks else 0.0
         for angle in (spin, _wrap(wanted - heading - spin)):
             steps = _ramps(abs(angle), _TURN_RATE, _TURN_ACCELERATION) * np.sign(angle)

@@ -294,7 +294,7 @@ def _sway(config: SimulationConfig, count: int) -> Array:
 
 
 def camera_poses(positions: Array, angles: Array) -> Array:
-    """Poses (N, 4, 4), z up, of cameras at positions (N, 3), metres, by yaw, pitch (upwards) and roll (N, 3), radians."""
+    """Poses (N, 4, 4), z up, of cameras at positions (N, 3), metres, by yaw, pitch upwards and roll (N, 3), radians."""
     yaw, pitch, roll = angles.T
     zeros = np.zeros_like(yaw)
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)

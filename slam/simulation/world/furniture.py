@@ -1,6 +1,6 @@
 """Furniture and small things of a room.
 
-A piece stands with the middle of its footprint on the origin, its back towards +y and its front towards -y, z up, metres.
+A piece stands with the middle of its footprint on the origin, its back towards +y, its front towards -y, z up, metres.
 """
 
 from collections.abc import Callable
@@ -49,7 +49,7 @@ def blocks(low: ArrayLike, high: ArrayLike, material: int, tint: float | Array =
 def _legs(width: float, depth: float, height: float, thick: float, material: int) -> Mesh:
     """Four legs at the corners of a footprint that starts at the origin."""
     at = np.array([[0, 0, 0], [width - thick, 0, 0], [0, depth - thick, 0], [width - thick, depth - thick, 0]])
-    return blocks(at, at + [thick, thick, height], material, tile=0.6)
+    return blocks(at, at + np.array([thick, thick, height]), material, tile=0.6)
 
 
 def table(rng: np.random.Generator, width: float = 1.3, depth: float = 0.8) -> Piece:
@@ -138,7 +138,7 @@ def chair(rng: np.random.Generator) -> Piece:
     parts.append(blocks([[0, 0.385, 0.46], [0.385, 0.385, 0.46]], [[0.035, 0.42, 0.92], [0.42, 0.42, 0.92]], material))
     rails = np.array([0.56, 0.68, 0.8])
     low = np.stack([np.full(3, 0.035), np.full(3, 0.39), rails], -1)
-    parts.append(blocks(low, low + [0.35, 0.02, 0.075], material, 1.1, 0.5))
+    parts.append(blocks(low, low + np.array([0.35, 0.02, 0.075]), material, 1.1, 0.5))
     return _piece(parts)
 
 
@@ -147,9 +147,10 @@ def bookshelf(rng: np.random.Generator) -> Piece:
     width, depth, height = float(rng.uniform(0.8, 1.2)), 0.3, float(rng.uniform(1.7, 2.1))
     material, rows = int(rng.choice([Surface.WOOD, Surface.DARK_WOOD, Surface.LACQUER])), 5
     z = np.linspace(0.06, height - 0.025, rows + 1)
-    sides = blocks([[0, 0, 0], [width - 0.025, 0, 0]], [[0.025, depth, height], [width, depth, height]], material)
+    ends = np.array([[0.0, 0.0, 0.0], [width - 0.025, 0.0, 0.0]])
+    sides = blocks(ends, ends + np.array([0.025, depth, height]), material)
     low = np.stack([np.full(rows + 1, 0.025), np.zeros(rows + 1), z], -1)
-    boards = blocks(low, low + [width - 0.05, depth, 0.025], material, tile=0.8)
+    boards = blocks(low, low + np.array([width - 0.05, depth, 0.025]), material, tile=0.8)
     back = panel([0, depth - 0.01, 0], [width, 0, 0], [0, 0, height], material, (0, 0, width, height), 0.8)
     parts = [sides, boards, back]
     for row in range(rows):
@@ -280,7 +281,7 @@ def bed(rng: np.random.Generator) -> Piece:
     count = 1 if width < 1.2 else 2
     x = (np.arange(count) + 0.5) * width / count
     low = np.stack([x - 0.3, np.full(count, length - 0.5), np.full(count, 0.48)], -1)
-    pillows = blocks(low, low + [0.6, 0.42, 0.12], Surface.CURTAIN, 1.3, 0.5)
+    pillows = blocks(low, low + np.array([0.6, 0.42, 0.12]), Surface.CURTAIN, 1.3, 0.5)
     return _piece([frame, head, mattress, blanket, pillows, _legs(width, length, 0.12, 0.07, Surface.WOOD)])
 
 

@@ -4,7 +4,6 @@ Room frame: the origin is a corner of the room on the floor, x and y along its w
 [0, length] x [0, width]; the corridor lies behind the wall y = width.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -247,7 +246,7 @@ class _RoomBuilder:
             if any(k == other and _overlap(covers, r) for other, r in self.taken):
                 continue
             box = self._ordered(wall.at(u, _GAP_M, 0.0), wall.at(u + w, _GAP_M + d, h))
-            grown = box + [[-_GAP_M, -_GAP_M, 0], [_GAP_M, _GAP_M, 0]]
+            grown = box + np.array([[-_GAP_M, -_GAP_M, 0], [_GAP_M, _GAP_M, 0]])
             if any((grown[0, :2] < b[1, :2]).all() and (b[0, :2] < grown[1, :2]).all() for b in boxes):
                 continue
             yaw = float(np.arctan2(wall.inward[1], wall.inward[0]) + np.pi / 2)
@@ -282,7 +281,9 @@ class _RoomBuilder:
                 continue
             away = half[1] + 0.1 + float(rng.uniform(0.0, 0.08))
             x = x * 1.3 if abs(x) < 0.3 else x
-            self._put(seat, best + [x, side * away], (0.0 if side > 0 else np.pi) + float(rng.uniform(-0.15, 0.15)))
+            self._put(
+                seat, best + np.array([x, side * away]), (0.0 if side > 0 else np.pi) + float(rng.uniform(-0.15, 0.15))
+            )
             if abs(x) <= 0.3 * 1.3 and rng.random() < 0.5:
                 break
 
@@ -294,7 +295,7 @@ class _RoomBuilder:
 
     def _rug(self, at: Array) -> None:
         w, d = float(self.rng.uniform(1.6, 2.4)), float(self.rng.uniform(1.2, 1.7))
-        low, high = at - [w / 2, d / 2], at + [w / 2, d / 2]
+        low, high = at - np.array([w, d]) / 2, at + np.array([w, d]) / 2
         self._add(panel([*low, 0.008], [w, 0, 0], [0, d, 0], Surface.RUG, (0, 0, 1, 1)))
         self._add(blocks([*low, 0.0], [*high, 0.0075], Surface.FABRIC, 0.6))
 
@@ -419,7 +420,7 @@ def _curtain(wall: _Wall, a: float, b: float, top: float, rng: np.random.Generat
     folds = np.linspace(a, b, 25)
     out = 0.16 + 0.035 * np.sin(np.linspace(0, 2 * np.pi * float(rng.uniform(3.0, 4.5)), 25))
     low = np.array([wall.at(float(u), float(o), 0.03) for u, o in zip(folds, out, strict=True)])
-    high = low + [0, 0, top - 0.03]
+    high = low + np.array([0, 0, top - 0.03])
     corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
     u = (folds - a) / 0.6
     uv = np.stack([np.stack([u[:-1], u[1:], u[1:], u[:-1]], 1), np.tile([0, 0, top / 0.6, top / 0.6], (24, 1))], -1)

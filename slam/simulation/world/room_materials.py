@@ -17,8 +17,9 @@ from slam.simulation.world.textures import SIZE, asphalt_grain, build_atlas, cou
 
 Array = NDArray[np.floating]
 
-PICTURES, SPINES, PAPERS, SCREENS = 10, 3, 4, 2  # how many textures of a kind a room has
+PICTURES, SPINES, PAPERS, SCREENS = 15, 3, 4, 2  # how many textures of a kind a room has
 SPINES_OF_A_TEXTURE = 16  # beside each other
+_FIRST_PICTURE = 19  # row of the table
 _PAPER = 512  # texels, side of pictures, spines, papers and screens
 _WORDS = "ABCDEFGHIKLMNOPRSTUVWZabcdefghiklmnoprstuvwz0123456789"
 
@@ -45,10 +46,10 @@ class Surface(IntEnum):
     KEYBOARD = auto()
     LEAF = auto()
     CARTON = auto()
-    PICTURE = auto()
-    SPINE = PICTURE + PICTURES
-    PAPER = SPINE + SPINES
-    SCREEN = PAPER + PAPERS
+    PICTURE = _FIRST_PICTURE
+    SPINE = _FIRST_PICTURE + PICTURES
+    PAPER = _FIRST_PICTURE + PICTURES + SPINES
+    SCREEN = _FIRST_PICTURE + PICTURES + SPINES + PAPERS
 
 
 @lru_cache(maxsize=2)
@@ -109,7 +110,7 @@ def _wallpaper(rng: np.random.Generator) -> Array:
                 shift = [x + step // 2 * (y // step % 2), y]
                 for points in (motif + shift, motif * [-1, 1] + shift):
                     for dx in (0, SIZE):
-                        cv2.fillPoly(image, [(points + [dx, 0]).astype(np.int32)], level + 0.18, cv2.LINE_AA)
+                        cv2.fillPoly(image, [(points + np.array([dx, 0])).astype(np.int32)], level + 0.06, cv2.LINE_AA)
     return image
 
 
@@ -330,8 +331,8 @@ def _page(rng: np.random.Generator) -> Array:
         _write(image, " ".join(_word(rng, int(rng.integers(3, 8))) for _ in range(4)), (44, y), 0.75, 0.15)
     y0 = 95 + 30 * skip
     cv2.rectangle(image, (60, y0), (450, y0 + 95), 0.35, -1)
-    line = np.stack([np.linspace(70, 440, 12), y0 + 48 + 34 * np.sin(rng.uniform(0, 6, 12))], 1)
-    cv2.polylines(image, [line.astype(np.int32)[:, None]], False, 0.9, 4, cv2.LINE_AA)
+    curve = np.stack([np.linspace(70, 440, 12), y0 + 48 + 34 * np.sin(rng.uniform(0, 6, 12))], 1)
+    cv2.polylines(image, [curve.astype(np.int32)[:, None]], False, 0.9, 4, cv2.LINE_AA)
     return np.flipud(image).copy()
 
 
