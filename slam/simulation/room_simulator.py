@@ -6,6 +6,7 @@ Ground truth are the poses and the surfaces of the room. Frames go to the disk o
 import dataclasses
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -27,6 +28,7 @@ from slam.simulation.world.room_materials import Surface, build_room_materials
 from slam.simulation.world.textures import panorama
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 Progress = Callable[[int, int], None]
 
 _WORKERS = 2  # threads: frames are independent, and compiled code releases the interpreter
@@ -57,8 +59,10 @@ def simulate_room(config: RoomConfig, out: Path, progress: Progress | None = Non
     return write_once(contents, out, lambda folder: _RoomWriter(config, folder).write(progress or ignore))
 
 
-def light_room(room: Room, seed: int) -> LitRoom:
-    """Compute the light of a room, and make it ready to be rendered."""
+@lru_cache(maxsize=2)
+def light_room(seed: int) -> LitRoom:
+    """Compute the light of the room of a seed, and make it ready to be rendered."""
+    room = build_room(seed)
     sources = [*_lamps(room), _daylight(room)]
     corners = np.concatenate([mesh.corners[mesh.material != Surface.LAMP] for mesh in room.meshes])
     volume = bake_light(corners, sources, room.floors, room.height)
@@ -97,7 +101,7 @@ class _RoomWriter:
         self.config, self.folder = config, folder
         self.room = build_room(config.seed)
         self.trajectory = plan_motion(config, self.room)
-        self.lit = light_room(self.room, config.seed)
+        self.lit = light_room(config.seed)
         sides = (0, 1) if config.sensor == "stereo" else (0,)
         self.sensors = [build_sensor_model(config, side) for side in sides]
         self.layout: _TumLayout | _KittiLayout
@@ -120,18 +124,20 @@ class _RoomWriter:
         config, camera, poses = self.config, self.config.camera, self.trajectory.T_room_camera
         motion = se3.inverse(poses[frame]) @ poses[min(frame + 1, len(poses) - 1)]
         time, exposure = float(self.trajectory.timestamps[frame]), 1.0
+        images: list[NDArray[np.uint8]] = []
+        depth = None
         for sensor in self.sensors:
             here = poses[frame] @ se3.pose(np.eye(3), np.array([sensor.side * camera.baseline, 0.0, 0.0]))
             view = render_indoors(self.lit, camera, here)
             if sensor.side == 0:  # one exposure control serves both cameras
                 exposure = exposure_gain(config, view.light, time)
-            image = sensor.expose(view.light, view.depth, motion, exposure, frame)
-            self.layout.save_image(sensor.side, frame, time, image)
+            images.append(sensor.expose(view.light, view.depth, motion, exposure, frame))
             if config.sensor == "depth":
                 depth = sensor.displace(self._measure(view, frame), frame, cv2.INTER_NEAREST)
-                self.layout.save_depth(frame, time, depth)
+        self.layout.save(frame, time, images, depth)
 
-    def _measure(self, view: IndoorView, frame: int) -> NDArray[np.float32]:
+    def _measure(self, view: IndoorView, frame: int) -> Image:
+        """Return what the depth camera measures (H, W), metres; with a perfect sensor, the true depth."""
         if not self.config.conditions.real_sensor:
             return np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float32)
         return measure_depth(view.depth, view.returns, self.config.camera, self.config.rng(18, frame))
@@ -150,14 +156,15 @@ class _TumLayout:
         self.names = ("rgb", "depth") if config.sensor == "depth" else ("rgb",)
 
     def make_folders(self) -> None:
+        """Make the folders of the images."""
         for name in self.names:
             (self.folder / name).mkdir()
 
-    def save_image(self, side: int, frame: int, time: float, image: NDArray[np.uint8]) -> None:
-        save_png(self.folder / "rgb" / f"{time:.6f}.png", image)
-
-    def save_depth(self, frame: int, time: float, depth: NDArray[np.float32]) -> None:
-        save_png(self.folder / "depth" / f"{time:.6f}.png", encode_depth(depth))
+    def save(self, frame: int, time: float, images: list[NDArray[np.uint8]], depth: Image | None) -> None:
+        """Write the image of a frame, and its depth if there is one; files are named by their time."""
+        save_png(self.folder / "rgb" / f"{time:.6f}.png", images[0])
+        if depth is not None:
+            save_png(self.folder / "depth" / f"{time:.6f}.png", encode_depth(depth))
 
     def write_tables(self, trajectory: RoomTrajectory) -> Array:
         """Write lists, poses and calibration; return T_world_room (4, 4) of the poses."""
@@ -184,14 +191,14 @@ class _KittiLayout:
         self.sequence = folder / "sequences" / SEQUENCE
 
     def make_folders(self) -> None:
+        """Make the folders of the images."""
         for side in (0, 1):
             (self.sequence / f"image_{side}").mkdir(parents=True)
 
-    def save_image(self, side: int, frame: int, time: float, image: NDArray[np.uint8]) -> None:
-        save_png(self.sequence / f"image_{side}" / f"{frame:06d}.png", image)
-
-    def save_depth(self, frame: int, time: float, depth: NDArray[np.float32]) -> None:
-        raise NotImplementedError
+    def save(self, frame: int, time: float, images: list[NDArray[np.uint8]], depth: Image | None) -> None:
+        """Write the pair of a frame; files are named by its number."""
+        for side, image in enumerate(images):
+            save_png(self.sequence / f"image_{side}" / f"{frame:06d}.png", image)
 
     def write_tables(self, trajectory: RoomTrajectory) -> Array:
         """Write poses, times and calibration; return T_world_room (4, 4) of the poses."""

@@ -73,7 +73,10 @@ def bake_light(occluders: Array, sources: list[LightSource], floors: Array, heig
     around = _sphere(_DIRECTIONS)
     free_m = np.stack([scene.cast_rays(ray_of(cells, np.tile(d, (len(cells), 1))))["t_hit"].numpy() for d in around])
     facing = np.maximum(around @ _AXES.T, 0.0)
-    reflected = facing.T @ np.clip(free_m / _REACH_M, _MIN_REFLECTED, 1.0) / facing.sum(axis=0)[:, None]
+    # einsum and not @: equal bits for any number of threads.
+    reflected = (
+        np.einsum("da,dn->an", facing, np.clip(free_m / _REACH_M, _MIN_REFLECTED, 1.0)) / facing.sum(axis=0)[:, None]
+    )
     direct = np.zeros((6, len(cells)))
     for source in sources:
         for point in source.points:
@@ -81,9 +84,9 @@ def bake_light(occluders: Array, sources: list[LightSource], floors: Array, heig
             squared = (to_source**2).sum(axis=1)
             seen = ~scene.test_occlusions(ray_of(cells, to_source), tfar=0.995).numpy()
             d = to_source / np.sqrt(squared)[:, None]
-            emitted = np.maximum(-d @ source.facing, 0.0) if source.facing.any() else 1.0
+            emitted = np.maximum(-(d * source.facing).sum(axis=1), 0.0) if source.facing.any() else 1.0
             strength = source.strength / len(source.points) * seen * emitted / (squared + _MIN_DISTANCE_M**2)
-            direct += strength * np.maximum(_AXES @ d.T, 0.0)
+            direct += strength * np.maximum(np.einsum("ak,nk->an", _AXES, d), 0.0)
     is_free = (free_m > _FAR_M).mean(axis=0) > _MIN_FAR_SHARE
     is_free &= _is_inside(cells, floors) & (cells[:, 2] < height)
     light = _REFLECTED * reflected + (1 - _REFLECTED) * direct / direct[:, is_free].mean()
