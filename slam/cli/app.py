@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import typer
 
-from slam.cli import evaluate, inspect, places, run, simulate
+from slam.cli import evaluate, inspect, places, run
 from slam.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, FORMAT_NAMES
 from slam.environment import NUMBA_CACHE, outlive_readers, prepare_consoles
 from slam.errors import ConfigError, RevisitError
@@ -32,7 +32,7 @@ app.add_typer(vocabulary_app, name="vocabulary", help="Train the visual words th
 
 for command in (
     run.demo,
-    simulate.simulate,
+    run.simulate,
     run.run,
     run.reprocess,
     places.places,

@@ -24,7 +24,7 @@ from slam.simulation.scenario.room_config import ROOM, ROOM_FORMAT, RoomConfig
 from slam.simulation.scenario.room_motion import RoomTrajectory, plan_room_trajectory
 from slam.simulation.simulator import SEQUENCE, ignore, save_png, write_kitti_tables, write_once
 from slam.simulation.world.room import Room, build_room
-from slam.simulation.world.room_materials import Surface, build_room_materials
+from slam.simulation.world.room_materials import RoomSurface, build_room_materials
 from slam.simulation.world.textures import panorama
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def light_room(seed: int) -> LitRoom:
     """Compute the light of the room of a seed, and make it ready to be rendered."""
     room = build_room(seed)
     sources = [*_lamps(room), _daylight(room)]
-    corners = np.concatenate([mesh.corners[mesh.material != Surface.LAMP] for mesh in room.meshes])
+    corners = np.concatenate([mesh.corners[mesh.material != RoomSurface.LAMP] for mesh in room.meshes])
     volume = bake_light(corners, sources, room.floors, room.height)
     outdoors = panorama(RoomConfig(seed=seed).rng(32), 2048)
     return LitRoom(build_scene(room.meshes), volume, outdoors, build_room_materials(seed))
@@ -73,7 +73,7 @@ def light_room(seed: int) -> LitRoom:
 def _lamps(room: Room) -> Iterator[LightSource]:
     """Return a source for each lamp: four points at its lower side."""
     for mesh in room.meshes:
-        shade = mesh.corners[mesh.material == Surface.LAMP].reshape(-1, 3)
+        shade = mesh.corners[mesh.material == RoomSurface.LAMP].reshape(-1, 3)
         if len(shade):
             low, high = shade.min(axis=0), shade.max(axis=0)
             spots = np.array([[0.2, 0.2], [0.8, 0.2], [0.2, 0.8], [0.8, 0.8]]) * (high - low)[:2] + low[:2]

@@ -25,7 +25,7 @@ class FreeSpace:
 
     Attributes:
         origin: (2,) middle of the first cell, metres.
-        clearance_m: (Y, X) distance from each cell to the nearest obstacle or wall, at most that.
+        clearance_m: (Y, X) distance from each cell to the nearest obstacle or wall, to a cell's width.
         is_floor: (Y, X) whether there is floor, with or without furniture.
     """
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam.simulation.world.mesh import Mesh, boxes, merge_meshes, panel, prism, quads
-from slam.simulation.world.room_materials import PAPERS, PICTURES, SCREENS, SPINES, SPINES_OF_A_TEXTURE, Surface
+from slam.simulation.world.room_materials import PAPERS, PICTURES, SCREENS, SPINES, SPINES_OF_A_TEXTURE, RoomSurface
 
 Array = NDArray[np.float64]
 _WHOLE = (0.0, 0.0, 1.0, 1.0)  # tiles of a texture that is shown once
@@ -54,7 +54,7 @@ def _legs(width: float, depth: float, height: float, thick: float, material: int
 
 def table(rng: np.random.Generator, width: float = 1.3, depth: float = 0.8) -> Piece:
     """Build a table with things on it."""
-    material, height = int(rng.choice([Surface.WOOD, Surface.DARK_WOOD, Surface.LACQUER])), 0.74
+    material, height = int(rng.choice([RoomSurface.WOOD, RoomSurface.DARK_WOOD, RoomSurface.LACQUER])), 0.74
     top = blocks([0, 0, height - 0.04], [width, depth, height], material, tile=0.9)
     rail = blocks([0.06, 0.06, height - 0.12], [width - 0.06, depth - 0.06, height - 0.04], material, 0.9, 0.9)
     parts = [top, rail, _legs(width, depth, height - 0.04, 0.06, material)]
@@ -63,7 +63,7 @@ def table(rng: np.random.Generator, width: float = 1.3, depth: float = 0.8) -> P
 
 def low_table(rng: np.random.Generator) -> Piece:
     """Build a table for a sofa."""
-    material, width, depth, height = Surface.DARK_WOOD, 0.9, 0.55, 0.42
+    material, width, depth, height = RoomSurface.DARK_WOOD, 0.9, 0.55, 0.42
     top = blocks([0, 0, height - 0.03], [width, depth, height], material, 1.4, tile=0.7)
     shelf = blocks([0.04, 0.04, 0.15], [width - 0.04, depth - 0.04, 0.17], material, 1.2, tile=0.7)
     parts = [top, shelf, _legs(width, depth, height - 0.03, 0.05, material)]
@@ -83,25 +83,27 @@ def _clutter(rng: np.random.Generator, width: float, depth: float, height: float
 
 def _paper(rng: np.random.Generator) -> Mesh:
     a, b = np.array([-0.1, -0.14, 0.003]), np.array([0.0, 0.0, 0.0])
-    return panel(a + b, [0.2, 0, 0], [0, 0.28, 0], Surface.PAPER + int(rng.integers(PAPERS)), _WHOLE)
+    return panel(a + b, [0.2, 0, 0], [0, 0.28, 0], RoomSurface.PAPER + int(rng.integers(PAPERS)), _WHOLE)
 
 
 def _lying_books(rng: np.random.Generator) -> Mesh:
     parts, z = [], 0.0
     for _ in range(int(rng.integers(1, 4))):
         w, d, h = rng.uniform(0.12, 0.19), rng.uniform(0.17, 0.25), rng.uniform(0.015, 0.045)
-        parts.append(blocks([-w / 2, -d / 2, z], [w / 2, d / 2, z + h], Surface.LACQUER, float(rng.uniform(0.2, 1.1))))
+        parts.append(
+            blocks([-w / 2, -d / 2, z], [w / 2, d / 2, z + h], RoomSurface.LACQUER, float(rng.uniform(0.2, 1.1)))
+        )
         z += h
-        cover = Surface.PICTURE + int(rng.integers(PICTURES))
+        cover = RoomSurface.PICTURE + int(rng.integers(PICTURES))
         parts.append(panel([-w / 2, -d / 2, z + 0.001], [w, 0, 0], [0, d, 0], cover, _WHOLE))
     return merge_meshes(parts)
 
 
 def _mug(rng: np.random.Generator) -> Mesh:
     tint = float(rng.uniform(0.3, 1.2))
-    wall = prism(0.04, 0.042, 0.1, Surface.LACQUER, sides=12).scale_brightness(tint)
-    handle = blocks([0.038, -0.008, 0.02], [0.07, 0.008, 0.08], Surface.LACQUER, tint)
-    return merge_meshes([wall, handle, _disc(0.04, 0.085, Surface.DARK_WOOD)])
+    wall = prism(0.04, 0.042, 0.1, RoomSurface.LACQUER, sides=12).scale_brightness(tint)
+    handle = blocks([0.038, -0.008, 0.02], [0.07, 0.008, 0.08], RoomSurface.LACQUER, tint)
+    return merge_meshes([wall, handle, _disc(0.04, 0.085, RoomSurface.DARK_WOOD)])
 
 
 def _disc(radius: float, z: float, material: int, tint: float = 1.0, sides: int = 12) -> Mesh:
@@ -115,14 +117,14 @@ def _disc(radius: float, z: float, material: int, tint: float = 1.0, sides: int 
 
 def _parcel(rng: np.random.Generator) -> Mesh:
     w, d, h = rng.uniform(0.08, 0.24), rng.uniform(0.08, 0.2), rng.uniform(0.06, 0.25)
-    material = int(rng.choice([Surface.CARTON, Surface.PICTURE + int(rng.integers(PICTURES))]))
+    material = int(rng.choice([RoomSurface.CARTON, RoomSurface.PICTURE + int(rng.integers(PICTURES))]))
     return blocks([-w / 2, -d / 2, 0], [w / 2, d / 2, h], material, tile=0.25)
 
 
 def _vase(rng: np.random.Generator) -> Mesh:
     height, tint = float(rng.uniform(0.15, 0.28)), float(rng.uniform(0.25, 1.2))
-    body = prism(0.04, 0.07, height * 0.6, Surface.RUG, sides=12)
-    neck = prism(0.07, 0.035, height * 0.4, Surface.RUG, sides=12).transform(0.0, np.array([0, 0, height * 0.6]))
+    body = prism(0.04, 0.07, height * 0.6, RoomSurface.RUG, sides=12)
+    neck = prism(0.07, 0.035, height * 0.4, RoomSurface.RUG, sides=12).transform(0.0, np.array([0, 0, height * 0.6]))
     return merge_meshes([body, neck]).scale_brightness(tint)
 
 
@@ -131,7 +133,7 @@ _THINGS: tuple[Callable[[np.random.Generator], Mesh], ...] = (_paper, _lying_boo
 
 def chair(rng: np.random.Generator) -> Piece:
     """Build a chair of wood, cushioned or not."""
-    material, seat = int(rng.choice([Surface.WOOD, Surface.DARK_WOOD])), Surface.FABRIC
+    material, seat = int(rng.choice([RoomSurface.WOOD, RoomSurface.DARK_WOOD])), RoomSurface.FABRIC
     parts = [_legs(0.42, 0.42, 0.44, 0.035, material), blocks([0, 0, 0.43], [0.42, 0.42, 0.46], material, tile=0.5)]
     if rng.random() < 0.6:
         parts.append(blocks([0.02, 0.02, 0.46], [0.40, 0.38, 0.5], seat, float(rng.uniform(0.7, 1.6)), 0.5))
@@ -145,7 +147,7 @@ def chair(rng: np.random.Generator) -> Piece:
 def bookshelf(rng: np.random.Generator) -> Piece:
     """Build a shelf of several boards with books and things."""
     width, depth, height = float(rng.uniform(0.8, 1.2)), 0.3, float(rng.uniform(1.7, 2.1))
-    material, rows = int(rng.choice([Surface.WOOD, Surface.DARK_WOOD, Surface.LACQUER])), 5
+    material, rows = int(rng.choice([RoomSurface.WOOD, RoomSurface.DARK_WOOD, RoomSurface.LACQUER])), 5
     z = np.linspace(0.06, height - 0.025, rows + 1)
     ends = np.array([[0.0, 0.0, 0.0], [width - 0.025, 0.0, 0.0]])
     sides = blocks(ends, ends + np.array([0.025, depth, height]), material)
@@ -172,10 +174,10 @@ def _row_of_books(rng: np.random.Generator, width: float, z: float, height: floa
             continue
         w, h, front = rng.uniform(0.018, 0.055), height * rng.uniform(0.62, 0.98), rng.uniform(0.02, 0.08)
         tint, column = float(rng.uniform(0.25, 1.1)), int(rng.integers(SPINES_OF_A_TEXTURE))
-        parts.append(blocks([x, front, z], [x + w, 0.27, z + h], Surface.LACQUER, tint))
+        parts.append(blocks([x, front, z], [x + w, 0.27, z + h], RoomSurface.LACQUER, tint))
         u = column / SPINES_OF_A_TEXTURE
         tiles = (u, 0.0, u + 1 / SPINES_OF_A_TEXTURE, 1.0)
-        spine = Surface.SPINE + int(rng.integers(SPINES))
+        spine = RoomSurface.SPINE + int(rng.integers(SPINES))
         parts.append(panel([x, front - _ABOVE, z], [w, 0, 0], [0, 0, h], spine, tiles))
         x += w + (0.001 if rng.random() < 0.9 else rng.uniform(0.03, 0.15))
     return parts
@@ -187,10 +189,10 @@ def cupboard(rng: np.random.Generator) -> Piece:
     width, depth = float(rng.uniform(0.8, 1.3)), float(rng.uniform(0.38, 0.55))
     height = 1.95 if high else float(rng.uniform(0.75, 0.95))
     tint = float(rng.uniform(0.6, 1.4))
-    body = blocks([0, 0, 0.06], [width, depth, height], Surface.WOOD, tint, 0.9)
-    foot = blocks([0.03, 0.04, 0], [width - 0.03, depth, 0.06], Surface.BLACK)
-    front = panel([0.01, -0.012, 0.07], [width - 0.02, 0, 0], [0, 0, height - 0.09], Surface.FRONT, _WHOLE, tint)
-    rim = blocks([0.01, -0.01, 0.07], [width - 0.01, 0, height - 0.02], Surface.WOOD, tint)
+    body = blocks([0, 0, 0.06], [width, depth, height], RoomSurface.WOOD, tint, 0.9)
+    foot = blocks([0.03, 0.04, 0], [width - 0.03, depth, 0.06], RoomSurface.BLACK)
+    front = panel([0.01, -0.012, 0.07], [width - 0.02, 0, 0], [0, 0, height - 0.09], RoomSurface.FRONT, _WHOLE, tint)
+    rim = blocks([0.01, -0.01, 0.07], [width - 0.01, 0, height - 0.02], RoomSurface.WOOD, tint)
     parts = [body, foot, rim, front]
     return _piece(parts if high else parts + _clutter(rng, width, depth, height, 3))
 
@@ -198,13 +200,13 @@ def cupboard(rng: np.random.Generator) -> Piece:
 def desk(rng: np.random.Generator) -> Piece:
     """Build a desk with a screen, a keyboard, a lamp and papers."""
     width, depth, height = float(rng.uniform(1.2, 1.6)), 0.7, 0.73
-    material = int(rng.choice([Surface.WOOD, Surface.LACQUER]))
+    material = int(rng.choice([RoomSurface.WOOD, RoomSurface.LACQUER]))
     top = blocks([0, 0, height - 0.03], [width, depth, height], material, tile=0.9)
     drawers = blocks([width - 0.42, 0.05, 0.05], [width - 0.02, depth - 0.02, height - 0.03], material, 0.9, 0.9)
-    front = panel([width - 0.42, 0.048, 0.05], [0.4, 0, 0], [0, 0, height - 0.08], Surface.FRONT, _WHOLE, 0.9)
-    legs = _legs(width, depth, height - 0.03, 0.05, Surface.METAL)
-    keys = blocks([0.32, 0.12, height], [0.76, 0.27, height + 0.02], Surface.BLACK)
-    key_top = panel([0.32, 0.12, height + 0.022], [0.44, 0, 0], [0, 0.15, 0], Surface.KEYBOARD, _WHOLE)
+    front = panel([width - 0.42, 0.048, 0.05], [0.4, 0, 0], [0, 0, height - 0.08], RoomSurface.FRONT, _WHOLE, 0.9)
+    legs = _legs(width, depth, height - 0.03, 0.05, RoomSurface.METAL)
+    keys = blocks([0.32, 0.12, height], [0.76, 0.27, height + 0.02], RoomSurface.BLACK)
+    key_top = panel([0.32, 0.12, height + 0.022], [0.44, 0, 0], [0, 0.15, 0], RoomSurface.KEYBOARD, _WHOLE)
     screen = monitor(rng, 0.56, 0.33).transform(0.0, np.array([0.54, 0.5, height]))
     things = [_THINGS[int(k)](rng) for k in rng.integers(0, len(_THINGS), 3)]
     spots = ([0.14, 0.2, height], [width - 0.2, 0.2, height], [width - 0.2, 0.5, height])
@@ -214,10 +216,10 @@ def desk(rng: np.random.Generator) -> Piece:
 
 def monitor(rng: np.random.Generator, width: float, height: float) -> Mesh:
     """Build a screen on a foot, with its middle above the origin."""
-    foot = blocks([-0.12, -0.08, 0], [0.12, 0.1, 0.015], Surface.BLACK)
-    neck = blocks([-0.03, 0.03, 0.015], [0.03, 0.06, 0.15], Surface.BLACK)
-    case = blocks([-width / 2, -0.01, 0.1], [width / 2, 0.03, 0.12 + height], Surface.BLACK)
-    picture = Surface.SCREEN + int(rng.integers(SCREENS))
+    foot = blocks([-0.12, -0.08, 0], [0.12, 0.1, 0.015], RoomSurface.BLACK)
+    neck = blocks([-0.03, 0.03, 0.015], [0.03, 0.06, 0.15], RoomSurface.BLACK)
+    case = blocks([-width / 2, -0.01, 0.1], [width / 2, 0.03, 0.12 + height], RoomSurface.BLACK)
+    picture = RoomSurface.SCREEN + int(rng.integers(SCREENS))
     glass = panel(
         [-width / 2 + 0.012, -0.01 - _ABOVE, 0.112], [width - 0.024, 0, 0], [0, 0, height - 0.01], picture, _WHOLE
     )
@@ -227,9 +229,9 @@ def monitor(rng: np.random.Generator, width: float, height: float) -> Mesh:
 def media_board(rng: np.random.Generator) -> Piece:
     """Build a low board with a television."""
     width, depth, height = 1.5, 0.4, 0.5
-    body = blocks([0, 0, 0.05], [width, depth, height], Surface.DARK_WOOD, 1.5, 0.8)
-    front = panel([0, -_ABOVE, 0.06], [width, 0, 0], [0, 0, height - 0.08], Surface.FRONT, (0, 0, 2, 1), 0.7)
-    foot = blocks([0.05, 0.05, 0], [width - 0.05, depth - 0.02, 0.05], Surface.BLACK)
+    body = blocks([0, 0, 0.05], [width, depth, height], RoomSurface.DARK_WOOD, 1.5, 0.8)
+    front = panel([0, -_ABOVE, 0.06], [width, 0, 0], [0, 0, height - 0.08], RoomSurface.FRONT, (0, 0, 2, 1), 0.7)
+    foot = blocks([0.05, 0.05, 0], [width - 0.05, depth - 0.02, 0.05], RoomSurface.BLACK)
     tv = monitor(rng, 1.05, 0.6).transform(0.0, np.array([0.7, 0.2, height]))
     thing = _vase(rng).transform(0.0, np.array([1.38, 0.2, height]))
     return _piece([body, front, foot, tv, thing])
@@ -238,7 +240,7 @@ def media_board(rng: np.random.Generator) -> Piece:
 def sofa(rng: np.random.Generator) -> Piece:
     """Build a sofa with cushions."""
     width, depth, tint = float(rng.uniform(1.5, 1.95)), 0.85, float(rng.uniform(0.7, 1.5))
-    cloth = Surface.FABRIC
+    cloth = RoomSurface.FABRIC
     base = blocks([0, 0, 0.08], [width, depth, 0.28], cloth, tint * 0.9, 0.8)
     back = blocks([0.0, depth - 0.2, 0.28], [width, depth, 0.82], cloth, tint, 0.8)
     arms = blocks(
@@ -250,7 +252,7 @@ def sofa(rng: np.random.Generator) -> Piece:
         [[half - 0.005, depth - 0.21, 0.44], [width - 0.185, depth - 0.21, 0.44]],
         cloth, tint * 1.1, 0.8,
     )  # fmt: skip
-    feet = _legs(width, depth, 0.08, 0.06, Surface.DARK_WOOD)
+    feet = _legs(width, depth, 0.08, 0.06, RoomSurface.DARK_WOOD)
     parts = [base, back, arms, seats, feet]
     for x in (0.4, width - 0.42):
         corner = [
@@ -259,7 +261,7 @@ def sofa(rng: np.random.Generator) -> Piece:
             [x + 0.19, depth - 0.24, 0.8],
             [x - 0.19, depth - 0.24, 0.8],
         ]
-        pillow = Surface.RUG if rng.random() < 0.5 else Surface.PICTURE + int(rng.integers(PICTURES))
+        pillow = RoomSurface.RUG if rng.random() < 0.5 else RoomSurface.PICTURE + int(rng.integers(PICTURES))
         face = np.array([corner])
         parts.append(quads(face, np.array([[[0, 0], [1, 0], [1, 1], [0, 1]]]), pillow))
         sides = [face[0][[0, 3]] + [0, 0, 0], face[0][[1, 2]]]
@@ -274,21 +276,21 @@ def sofa(rng: np.random.Generator) -> Piece:
 def bed(rng: np.random.Generator) -> Piece:
     """Build a bed whose head is at the wall."""
     width, length = float(rng.choice([1.0, 1.5])), 2.05
-    frame = blocks([0, 0, 0.12], [width, length, 0.32], Surface.WOOD, tile=0.8)
-    head = blocks([0, length, 0], [width, length + 0.05, 0.95], Surface.WOOD, tile=0.8)
-    mattress = blocks([0.03, 0.03, 0.32], [width - 0.03, length - 0.02, 0.48], Surface.LACQUER)
-    blanket = blocks([-0.02, -0.02, 0.3], [width + 0.02, length * 0.68, 0.53], Surface.FABRIC, 1.2, 0.7)
+    frame = blocks([0, 0, 0.12], [width, length, 0.32], RoomSurface.WOOD, tile=0.8)
+    head = blocks([0, length, 0], [width, length + 0.05, 0.95], RoomSurface.WOOD, tile=0.8)
+    mattress = blocks([0.03, 0.03, 0.32], [width - 0.03, length - 0.02, 0.48], RoomSurface.LACQUER)
+    blanket = blocks([-0.02, -0.02, 0.3], [width + 0.02, length * 0.68, 0.53], RoomSurface.FABRIC, 1.2, 0.7)
     count = 1 if width < 1.2 else 2
     x = (np.arange(count) + 0.5) * width / count
     low = np.stack([x - 0.3, np.full(count, length - 0.5), np.full(count, 0.48)], -1)
-    pillows = blocks(low, low + np.array([0.6, 0.42, 0.12]), Surface.CURTAIN, 1.3, 0.5)
-    return _piece([frame, head, mattress, blanket, pillows, _legs(width, length, 0.12, 0.07, Surface.WOOD)])
+    pillows = blocks(low, low + np.array([0.6, 0.42, 0.12]), RoomSurface.CURTAIN, 1.3, 0.5)
+    return _piece([frame, head, mattress, blanket, pillows, _legs(width, length, 0.12, 0.07, RoomSurface.WOOD)])
 
 
 def plant(rng: np.random.Generator) -> Piece:
     """Build a plant in a pot: leaves at the ends of bent stalks."""
-    pot = prism(0.12, 0.17, 0.32, Surface.LACQUER, sides=12).scale_brightness(float(rng.uniform(0.3, 1.0)))
-    soil = _disc(0.165, 0.29, Surface.DARK_WOOD, 0.7)
+    pot = prism(0.12, 0.17, 0.32, RoomSurface.LACQUER, sides=12).scale_brightness(float(rng.uniform(0.3, 1.0)))
+    soil = _disc(0.165, 0.29, RoomSurface.DARK_WOOD, 0.7)
     corners = []
     for _ in range(46):
         angle, out, z = rng.uniform(0, 2 * np.pi), rng.uniform(0.03, 0.33), rng.uniform(0.45, 1.25)
@@ -297,9 +299,9 @@ def plant(rng: np.random.Generator) -> Piece:
         foot = np.array([out * np.cos(angle), out * np.sin(angle), z])
         corners.append([foot, foot + along / 2 + across, foot + along, foot + along / 2 - across])
     part = rng.uniform(0, 0.7, (46, 1, 2)) + np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0, 0.3]])
-    leaves = quads(np.array(corners), part, Surface.LEAF, rng.uniform(0.7, 1.8, 46))
+    leaves = quads(np.array(corners), part, RoomSurface.LEAF, rng.uniform(0.7, 1.8, 46))
     stalks = [
-        prism(0.012, 0.008, 0.95, Surface.DARK_WOOD, sides=5).transform(0.0, np.array([x, 0.0, 0.28]))
+        prism(0.012, 0.008, 0.95, RoomSurface.DARK_WOOD, sides=5).transform(0.0, np.array([x, 0.0, 0.28]))
         for x in (-0.04, 0.05)
     ]
     return _piece([pot, soil, leaves, *stalks])
@@ -307,9 +309,9 @@ def plant(rng: np.random.Generator) -> Piece:
 
 def floor_lamp(rng: np.random.Generator) -> Piece:
     """Build a lamp on a stand; its shade glows."""
-    stand = prism(0.015, 0.015, 1.45, Surface.METAL, sides=8)
-    foot = blocks([-0.14, -0.14, 0], [0.14, 0.14, 0.025], Surface.METAL)
-    shade = prism(0.2, 0.13, 0.28, Surface.LAMP, sides=16).transform(0.0, np.array([0, 0, 1.42]))
+    stand = prism(0.015, 0.015, 1.45, RoomSurface.METAL, sides=8)
+    foot = blocks([-0.14, -0.14, 0], [0.14, 0.14, 0.025], RoomSurface.METAL)
+    shade = prism(0.2, 0.13, 0.28, RoomSurface.LAMP, sides=16).transform(0.0, np.array([0, 0, 1.42]))
     return _piece([stand, foot, shade.scale_brightness(float(rng.uniform(0.55, 0.75)))])
 
 
@@ -318,7 +320,7 @@ def cartons(rng: np.random.Generator) -> Piece:
     parts, z = [], 0.0
     for _ in range(int(rng.integers(1, 4))):
         w, d, h = rng.uniform(0.3, 0.45), rng.uniform(0.3, 0.4), rng.uniform(0.2, 0.34)
-        box = blocks([-w / 2, -d / 2, z], [w / 2, d / 2, z + h], Surface.CARTON, float(rng.uniform(0.8, 1.2)), 0.45)
+        box = blocks([-w / 2, -d / 2, z], [w / 2, d / 2, z + h], RoomSurface.CARTON, float(rng.uniform(0.8, 1.2)), 0.45)
         parts.append(box.transform(float(rng.uniform(-0.2, 0.2)), np.zeros(3)))
         z += h
     return _piece(parts)

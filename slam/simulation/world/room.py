@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slam.simulation.scenario.room_config import RoomConfig
 from slam.simulation.world.furniture import WALL_PIECES, Piece, blocks, chair, low_table, table
 from slam.simulation.world.mesh import Mesh, merge_meshes, panel, quads
-from slam.simulation.world.room_materials import PAPERS, PICTURES, Surface
+from slam.simulation.world.room_materials import PAPERS, PICTURES, RoomSurface
 
 Array = NDArray[np.float64]
 Rectangle = tuple[float, float, float, float]  # low u, low z, high u, high z on a wall, metres
@@ -78,7 +78,7 @@ class _Wall:
         return blocks(ends.min(axis=0), ends.max(axis=0), material, tint, tile)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def build_room(seed: int) -> Room:
     """Build the room of a seed."""
     return _RoomBuilder(RoomConfig(seed=seed).rng(31)).build()
@@ -144,12 +144,12 @@ class _RoomBuilder:
     def _shell(self) -> None:
         L, W, H = self.length, self.width, self.height
         floor_tile = 2.0
-        self._add(panel([0, 0, 0], [L, 0, 0], [0, W, 0], Surface.FLOOR, (0, 0, L / floor_tile, W / floor_tile)))
-        self._add(panel([0, 0, H], [L, 0, 0], [0, W, 0], Surface.CEILING, (0, 0, L / 3, W / 3)))
+        self._add(panel([0, 0, 0], [L, 0, 0], [0, W, 0], RoomSurface.FLOOR, (0, 0, L / floor_tile, W / floor_tile)))
+        self._add(panel([0, 0, H], [L, 0, 0], [0, W, 0], RoomSurface.CEILING, (0, 0, L / 3, W / 3)))
         door = (self.door_u, 0.0, self.door_u + DOOR_WIDTH_M, DOOR_HEIGHT_M)
         for k, wall in enumerate(self.walls):
             holes = [door] if k == 2 else [self.window] if k == self.window_wall else []
-            material = Surface.ACCENT_WALL if k == self.accent else Surface.WALL
+            material = RoomSurface.ACCENT_WALL if k == self.accent else RoomSurface.WALL
             self._plaster(wall, H, holes, material)
             self._skirting(wall, holes if k == 2 else [])
         self._frame_of_the_window()
@@ -163,7 +163,7 @@ class _RoomBuilder:
 
     def _skirting(self, wall: _Wall, holes: list[Rectangle], tint: float = 1.0) -> None:
         for r in _around(wall.length, 0.08, [(h[0] - 0.1, 0.0, h[2] + 0.1, 1.0) for h in holes]):
-            self._add(wall.box(r, (0.0, 0.014), Surface.DARK_WOOD if tint < 1 else Surface.LACQUER))
+            self._add(wall.box(r, (0.0, 0.014), RoomSurface.DARK_WOOD if tint < 1 else RoomSurface.LACQUER))
 
     def _frame_of_the_window(self) -> None:
         """Reveal, frame with bars, sill, radiator and curtains; what is seen through it is far away."""
@@ -171,25 +171,25 @@ class _RoomBuilder:
         deep = (-WALL_THICKNESS_M, 0.0)
         middle = (u0 + u1) / 2
         parts = [
-            wall.box(r, (-0.22, 0.0), Surface.LACQUER)
+            wall.box(r, (-0.22, 0.0), RoomSurface.LACQUER)
             for r in ((u0 - 0.01, z0, u0, z1), (u1, z0, u1 + 0.01, z1), (u0, z1, u1, z1 + 0.01))
         ]
         bars = [(u0, z0, u1, z0 + 0.06), (u0, z1 - 0.06, u1, z1), (u0, z0, u0 + 0.06, z1), (u1 - 0.06, z0, u1, z1)]
         bars += [(middle - 0.05, z0, middle + 0.05, z1), (u0, z0 + 0.72 * (z1 - z0), u1, z0 + 0.72 * (z1 - z0) + 0.05)]
-        parts += [wall.box(r, (deep[0] - 0.02 * (k % 3), -0.06), Surface.LACQUER, 1.05) for k, r in enumerate(bars)]
-        parts.append(wall.box((u0 - 0.08, z0 - 0.035, u1 + 0.08, z0), (-0.2, 0.16), Surface.LACQUER, 1.0))
+        parts += [wall.box(r, (deep[0] - 0.02 * (k % 3), -0.06), RoomSurface.LACQUER, 1.05) for k, r in enumerate(bars)]
+        parts.append(wall.box((u0 - 0.08, z0 - 0.035, u1 + 0.08, z0), (-0.2, 0.16), RoomSurface.LACQUER, 1.0))
         self._add(merge_meshes(parts))
         ribs = np.arange(u0 + 0.1, u1 - 0.16, 0.075)
         radiator = [
-            wall.box((float(u), 0.12, float(u) + 0.055, 0.72), (0.04, 0.11), Surface.LACQUER, 0.95) for u in ribs
+            wall.box((float(u), 0.12, float(u) + 0.055, 0.72), (0.04, 0.11), RoomSurface.LACQUER, 0.95) for u in ribs
         ]
-        radiator.append(wall.box((u0 + 0.1, 0.2, u1 - 0.1, 0.25), (0.06, 0.09), Surface.LACQUER, 0.9))
+        radiator.append(wall.box((u0 + 0.1, 0.2, u1 - 0.1, 0.25), (0.06, 0.09), RoomSurface.LACQUER, 0.9))
         self._add(merge_meshes(radiator))
         self._block(wall.at(u0, 0.0, 0.0), wall.at(u1, 0.16, z0))
         for a, b in ((u0 - 0.3, u0 + 0.12), (u1 - 0.12, u1 + 0.3)):
             self._add(_curtain(wall, a, b, z1 + 0.12, self.rng))
             self._block(wall.at(a, 0.1, 0.0), wall.at(b, 0.24, z1))
-        self._add(wall.box((u0 - 0.35, z1 + 0.12, u1 + 0.35, z1 + 0.15), (0.14, 0.18), Surface.METAL))
+        self._add(wall.box((u0 - 0.35, z1 + 0.12, u1 + 0.35, z1 + 0.15), (0.14, 0.18), RoomSurface.METAL))
         self.taken.append((self.window_wall, (u0 - 0.35, 0.0, u1 + 0.35, 2.6)))
         self.sights.append(wall.at((u0 + u1) / 2, 0.0, 1.3))
 
@@ -198,15 +198,15 @@ class _RoomBuilder:
         thick = (-WALL_THICKNESS_M - 0.02, 0.02)
         top = DOOR_HEIGHT_M
         parts = [
-            wall.box((u0 - 0.07, 0.0, u0, top + 0.07), thick, Surface.LACQUER),
-            wall.box((u1, 0.0, u1 + 0.07, top + 0.07), thick, Surface.LACQUER),
-            wall.box((u0, top, u1, top + 0.07), thick, Surface.LACQUER),
+            wall.box((u0 - 0.07, 0.0, u0, top + 0.07), thick, RoomSurface.LACQUER),
+            wall.box((u1, 0.0, u1 + 0.07, top + 0.07), thick, RoomSurface.LACQUER),
+            wall.box((u0, top, u1, top + 0.07), thick, RoomSurface.LACQUER),
         ]
         sill = panel(
             wall.at(u0, -WALL_THICKNESS_M, 0.0),
             np.append(wall.along, 0) * DOOR_WIDTH_M,
             np.append(wall.inward, 0) * WALL_THICKNESS_M,
-            Surface.DARK_WOOD,
+            RoomSurface.DARK_WOOD,
             (0, 0, 1, 0.2),
         )
         self._add(merge_meshes([*parts, sill]))
@@ -296,17 +296,23 @@ class _RoomBuilder:
     def _rug(self, at: Array) -> None:
         w, d = float(self.rng.uniform(1.6, 2.4)), float(self.rng.uniform(1.2, 1.7))
         low, high = at - np.array([w, d]) / 2, at + np.array([w, d]) / 2
-        self._add(panel([*low, 0.008], [w, 0, 0], [0, d, 0], Surface.RUG, (0, 0, 1, 1)))
-        self._add(blocks([*low, 0.0], [*high, 0.0075], Surface.FABRIC, 0.6))
+        self._add(panel([*low, 0.008], [w, 0, 0], [0, d, 0], RoomSurface.RUG, (0, 0, 1, 1)))
+        self._add(blocks([*low, 0.0], [*high, 0.0075], RoomSurface.FABRIC, 0.6))
 
     def _furnish_corridor(self) -> None:
         """Walls, doors, pictures and a cupboard of the corridor."""
         rng, (x0, y0, x1, y1), H = self.rng, self.corridor, self.height
         length, width = x1 - x0, y1 - y0
         self._add(
-            panel([x0, y0, 0], [length, 0, 0], [0, width, 0], Surface.CORRIDOR_FLOOR, (0, 0, length / 1.2, width / 1.2))
+            panel(
+                [x0, y0, 0],
+                [length, 0, 0],
+                [0, width, 0],
+                RoomSurface.CORRIDOR_FLOOR,
+                (0, 0, length / 1.2, width / 1.2),
+            )
         )
-        self._add(panel([x0, y0, H], [length, 0, 0], [0, width, 0], Surface.CEILING, (0, 0, length / 3, width / 3)))
+        self._add(panel([x0, y0, H], [length, 0, 0], [0, width, 0], RoomSurface.CEILING, (0, 0, length / 3, width / 3)))
         hole = (self.door[0] - DOOR_WIDTH_M / 2 - x0, 0.0, self.door[0] + DOOR_WIDTH_M / 2 - x0, DOOR_HEIGHT_M)
         walls = [
             (_Wall(np.array([x0, y0]), np.array([1.0, 0.0]), length), [hole]),
@@ -315,14 +321,14 @@ class _RoomBuilder:
             (_Wall(np.array([x0, y1]), np.array([0.0, -1.0]), width), []),
         ]
         for wall, holes in walls:
-            self._plaster(wall, H, holes, Surface.WALL)
+            self._plaster(wall, H, holes, RoomSurface.WALL)
             self._skirting(wall, holes, 0.5)
         across, end = walls[2][0], walls[1][0]
         opposite = x1 - self.door[0]  # u of the door on the wall across
         for u in (opposite - 2.3, opposite + 1.3):
             if 0.2 < u < length - 1.2:
-                self._add(across.rectangle((u, 0.0, u + 0.95, 2.05), 0.012, Surface.DOOR, (0, 0, 1, 1)))
-                self._add(across.box((u - 0.07, 0.0, u + 1.02, 2.12), (0.0, 0.01), Surface.LACQUER))
+                self._add(across.rectangle((u, 0.0, u + 0.95, 2.05), 0.012, RoomSurface.DOOR, (0, 0, 1, 1)))
+                self._add(across.box((u - 0.07, 0.0, u + 1.02, 2.12), (0.0, 0.01), RoomSurface.LACQUER))
         self._picture(across, (opposite - 1.0, 1.1, opposite - 0.1, 1.9))
         self._picture(across, (opposite + 0.15, 1.2, opposite + 0.85, 2.0))
         self._picture(end, (0.4, 1.2, width - 0.4, 2.0))
@@ -354,15 +360,18 @@ class _RoomBuilder:
                 self.sights.append(wall.at((r[0] + r[2]) / 2, 0.0, (r[1] + r[3]) / 2))
             if k != self.window_wall:
                 u = float(rng.uniform(0.3, wall.length - 0.4))
-                self._add(wall.box((u, 0.28, u + 0.08, 0.36), (0.0, 0.012), Surface.LACQUER, 1.15))
+                self._add(wall.box((u, 0.28, u + 0.08, 0.36), (0.0, 0.012), RoomSurface.LACQUER, 1.15))
 
     def _picture(self, wall: _Wall, r: Rectangle) -> None:
         """Hang a framed picture, or a sheet of paper if it is small."""
         rng = self.rng
         if r[2] - r[0] < 0.34:
-            self._add(wall.rectangle(r, 0.003, Surface.PAPER + int(rng.integers(PAPERS)), (0, 0, 1, 1)))
+            self._add(wall.rectangle(r, 0.003, RoomSurface.PAPER + int(rng.integers(PAPERS)), (0, 0, 1, 1)))
             return
-        edge, frame = 0.025, int(rng.choice([Surface.DARK_WOOD, Surface.WOOD, Surface.BLACK, Surface.LACQUER]))
+        edge, frame = (
+            0.025,
+            int(rng.choice([RoomSurface.DARK_WOOD, RoomSurface.WOOD, RoomSurface.BLACK, RoomSurface.LACQUER])),
+        )
         inner = (r[0] + edge, r[1] + edge, r[2] - edge, r[3] - edge)
         rims = (
             (r[0], r[1], r[2], inner[1]),
@@ -371,7 +380,7 @@ class _RoomBuilder:
             (inner[2], inner[1], r[2], inner[3]),
         )
         parts = [wall.box(rim, (0.0, 0.025), frame, 1.2) for rim in rims]
-        parts.append(wall.rectangle(inner, 0.012, Surface.PICTURE + int(rng.integers(PICTURES)), (0, 0, 1, 1)))
+        parts.append(wall.rectangle(inner, 0.012, RoomSurface.PICTURE + int(rng.integers(PICTURES)), (0, 0, 1, 1)))
         self._add(merge_meshes(parts))
 
     def _lamps(self) -> None:
@@ -383,8 +392,8 @@ class _RoomBuilder:
         for k, (x, y) in enumerate(spots):
             w, d = (0.6, 0.3) if k < count else (0.25, 0.25)
             low, high = np.array([x - w / 2, y - d / 2, H - 0.1]), np.array([x + w / 2, y + d / 2, H - 0.02])
-            rim = blocks([*low[:2], H - 0.02], [*high[:2], H], Surface.METAL)
-            self._add(merge_meshes([rim, blocks(low, high, Surface.LAMP)]))
+            rim = blocks([*low[:2], H - 0.02], [*high[:2], H], RoomSurface.METAL)
+            self._add(merge_meshes([rim, blocks(low, high, RoomSurface.LAMP)]))
             self._block(low, [*high[:2], H])
 
     def _add(self, mesh: Mesh) -> None:
@@ -424,4 +433,4 @@ def _curtain(wall: _Wall, a: float, b: float, top: float, rng: np.random.Generat
     corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
     u = (folds - a) / 0.6
     uv = np.stack([np.stack([u[:-1], u[1:], u[1:], u[:-1]], 1), np.tile([0, 0, top / 0.6, top / 0.6], (24, 1))], -1)
-    return quads(corners, uv, Surface.CURTAIN, float(rng.uniform(0.8, 1.4)))
+    return quads(corners, uv, RoomSurface.CURTAIN, float(rng.uniform(0.8, 1.4)))

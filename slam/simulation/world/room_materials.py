@@ -24,7 +24,7 @@ _PAPER = 512  # texels, side of pictures, spines, papers and screens
 _WORDS = "ABCDEFGHIKLMNOPRSTUVWZabcdefghiklmnoprstuvwz0123456789"
 
 
-class Surface(IntEnum):
+class RoomSurface(IntEnum):
     """Materials, as rows of the table; those of which there are several count from the one that is named."""
 
     WALL = 0
@@ -76,19 +76,19 @@ def build_room_materials(seed: int) -> Materials:
     rows[:, 0], rows[:, 1], rows[:, 2:4], rows[:, 8] = np.arange(grain), grain, 1.0, 1.0
     for surface, tiles, strength in _GRAINS:
         rows[surface, 2:5] = tiles, tiles, strength
-    rows[Surface.LAMP, 7:] = 1.6, 0.0
-    rows[Surface.SCREEN :, 7:] = 0.75, 0.0
-    rows[Surface.BLACK, 8] = 0.0
+    rows[RoomSurface.LAMP, 7:] = 1.6, 0.0
+    rows[RoomSurface.SCREEN :, 7:] = 0.75, 0.0
+    rows[RoomSurface.BLACK, 8] = 0.0
     return Materials(build_atlas([(image, None) for image in images]), rows)
 
 
 # Fine grain that gives surfaces texture when they are seen from near: tiles on a tile of the material, and strength.
 _GRAINS = (
-    (Surface.WALL, 3.0, 0.03),
-    (Surface.FLOOR, 3.0, 0.12),
-    (Surface.FABRIC, 2.0, 0.25),
-    (Surface.CURTAIN, 2.0, 0.2),
-    (Surface.CARTON, 1.0, 0.12),
+    (RoomSurface.WALL, 3.0, 0.03),
+    (RoomSurface.FLOOR, 3.0, 0.12),
+    (RoomSurface.FABRIC, 2.0, 0.25),
+    (RoomSurface.CURTAIN, 2.0, 0.2),
+    (RoomSurface.CARTON, 1.0, 0.12),
 )
 
 
