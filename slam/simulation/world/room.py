@@ -88,7 +88,7 @@ class _RoomBuilder:
     """Draws the measures of a room and fills it."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self.rng = rng
+        self.rng, self.boards = rng, rng.spawn(1)[0]
         self.length, self.width = float(rng.uniform(4.6, 8.0)), float(rng.uniform(4.2, 7.0))
         self.height = float(rng.uniform(2.5, 3.0))
         L, W = self.length, self.width
@@ -217,6 +217,21 @@ class _RoomBuilder:
         # Nothing may stand before the door; the box is no obstacle to the camera.
         self.approach = np.stack([wall.at(u1 + 0.05, 0.0, 0.0), wall.at(u0 - 0.05, _APPROACH_M, 2.0)])
 
+    def _wainscot(self, wall: _Wall, holes: list[Rectangle]) -> None:
+        """Cover the lower part of a wall with boards and battens, which a robot sees where pictures hang too high."""
+        tint = float(self.boards.uniform(0.9, 1.4))
+        beside = [(h[0] - 0.1, 0.0, h[2] + 0.1, 2.0) for h in holes]
+        for u0, z0, u1, z1 in _around(wall.length, 0.95, beside):
+            if z0 > 0.0 or u1 - u0 < 0.1:
+                continue
+            self._add(wall.rectangle((u0, z0, u1, z1), 0.004, RoomSurface.WOOD, (u0, z0, u1, z1), tint))
+            parts = [wall.box((u0, z1 - 0.04, u1, z1), (0.0, 0.03), RoomSurface.WOOD, 0.8 * tint)]
+            u = u0
+            while u < u1 - 0.05:
+                parts.append(wall.box((u, 0.08, u + 0.04, z1 - 0.04), (0.0, 0.016), RoomSurface.WOOD, 0.75 * tint))
+                u += float(self.boards.uniform(0.22, 0.4))
+            self._add(merge_meshes(parts))
+
     # What stands in it.
 
     def _furnish(self) -> None:
@@ -320,15 +335,17 @@ class _RoomBuilder:
             (_Wall(np.array([x1, y1]), np.array([-1.0, 0.0]), length), []),
             (_Wall(np.array([x0, y1]), np.array([0.0, -1.0]), width), []),
         ]
+        across, end = walls[2][0], walls[1][0]
+        opposite = x1 - self.door[0]  # u of the door on the wall across
+        doors = [(u, 0.0, u + 0.95, 2.05) for u in (opposite - 2.3, opposite + 1.3) if 0.2 < u < length - 1.2]
         for wall, holes in walls:
             self._plaster(wall, H, holes, RoomSurface.WALL)
             self._skirting(wall, holes, 0.5)
-        across, end = walls[2][0], walls[1][0]
-        opposite = x1 - self.door[0]  # u of the door on the wall across
-        for u in (opposite - 2.3, opposite + 1.3):
-            if 0.2 < u < length - 1.2:
-                self._add(across.rectangle((u, 0.0, u + 0.95, 2.05), 0.012, RoomSurface.DOOR, (0, 0, 1, 1)))
-                self._add(across.box((u - 0.07, 0.0, u + 1.02, 2.12), (0.0, 0.01), RoomSurface.LACQUER))
+            self._wainscot(wall, holes + (doors if wall is across else []))
+        for door in doors:
+            u = door[0]
+            self._add(across.rectangle(door, 0.012, RoomSurface.DOOR, (0, 0, 1, 1)))
+            self._add(across.box((u - 0.07, 0.0, u + 1.02, 2.12), (0.0, 0.01), RoomSurface.LACQUER))
         self._picture(across, (opposite - 1.0, 1.1, opposite - 0.1, 1.9))
         self._picture(across, (opposite + 0.15, 1.2, opposite + 0.85, 2.0))
         self._picture(end, (0.4, 1.2, width - 0.4, 2.0))
