@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
+from slam.errors import RevisitError
+
 Array = NDArray[np.float64]
 
 _CELL_M = 0.13
@@ -96,9 +98,16 @@ def bake_light(occluders: Array, sources: list[LightSource], floors: Array, heig
     return LightVolume(np.asarray(low, np.float64), _CELL_M, np.ascontiguousarray(light, dtype=np.float32))
 
 
+def _open3d() -> Any:  # its stubs know no numpy
+    try:
+        return import_module("open3d")
+    except (ImportError, OSError) as error:
+        raise RevisitError(f"open3d: expected a library that loads, {error}; type: revisit doctor") from error
+
+
 def _ray_caster(triangles: Array) -> tuple[Any, Callable[[Array, Array], Any]]:
     """Scene of Open3D, and a function that makes its rays of origins and directions (N, 3)."""
-    o3d: Any = import_module("open3d")  # its stubs know no numpy
+    o3d = _open3d()
     scene = o3d.t.geometry.RaycastingScene()
     corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
     numbers = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)

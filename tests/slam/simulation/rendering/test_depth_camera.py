@@ -66,15 +66,15 @@ def test_the_shadow_of_a_near_thing_is_on_its_left():
 
 def test_surfaces_at_grazing_angles_have_no_depth():
     # A floor 0.4 m below a level camera: at z metres the ray meets it at an angle with the tangent 0.4 / z.
-    row = np.arange(120) - CAMERA.cy
+    camera = RoomConfig().camera
+    row = np.arange(480) - camera.cy
     with np.errstate(divide="ignore"):
-        depth = np.where(row > 0, 0.4 * CAMERA.fy / row, np.inf)
-    measured = measure(np.repeat(depth[:, None], 160, axis=1))[:, 80]
-    rows = np.flatnonzero(measured)
-    cosine = 0.4 / np.hypot(0.4, depth[rows])
-    assert cosine.min() > 0.16
-    assert np.isfinite(depth[rows.min() - 1])
-    assert depth[rows.min() - 1] < MAX_DEPTH_M
+        depth = np.where(row > 0, 0.4 * camera.fy / row, np.inf)
+    image = np.repeat(depth[:, None], 640, axis=1).astype(np.float32)
+    measured = measure_depth(image, np.ones(image.shape, bool), camera, np.random.default_rng(0))[:, 320]
+    farthest = depth[np.flatnonzero(measured).min()]
+    assert 0.4 / np.hypot(0.4, farthest) == pytest.approx(0.17, abs=0.01)
+    assert farthest < MAX_DEPTH_M
 
 
 def test_depth_is_stored_in_5000ths_of_a_metre():
