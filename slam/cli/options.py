@@ -9,6 +9,9 @@ from typing import Annotated
 
 import typer
 
+from slam.simulation.scenario.config import SimulationConfig as Drive
+from slam.simulation.scenario.room_config import RoomConfig as Room
+
 # Shells report 130 for a program that Ctrl-C has ended; typer reports 2 for an unknown option.
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -24,7 +27,7 @@ FORMAT_NAMES = "kitti, kitti-raw, euroc, tum-rgbd, own-camera, bag, malaga, new-
 
 # Groups of options in the help of commands that have many.
 INPUT, RECOGNITION, BACK_END, OUTPUT = "Input", "Place recognition", "Odometry and back end", "Output"
-_ROUTE, _SCENE, _CAMERA = "Route", "Scene", "Camera"
+_ROUTE, _SCENE, _ROOM, _CAMERA = "Route", "Scene", "Room", "Camera"
 _RULE = "Rule of a revisit, for ground truth given as poses"
 
 # The defaults of RunConfig, for help: without an option its value comes from --config, and without that from here.
@@ -96,22 +99,56 @@ _PRESET_HELP = f"Settings of the paradigm by name, as the papers state them or o
 
 # simulate
 
+
+def _default(drive: object, room: object) -> str:
+    """Name the default of an option that differs between drives and rooms."""
+    return f"{drive}; {room} in a room"
+
+
 Shape = Annotated[
-    str, typer.Argument(help="Shape of the route: circle, figure-eight, blocks, or the path of a KITTI pose file.")
+    str,
+    typer.Argument(
+        help="Shape of the route in a town: circle, figure-eight, blocks, or the path of a KITTI pose file; or room."
+    ),
 ]
-Laps = Annotated[int, typer.Option(help="Number of laps.", rich_help_panel=_ROUTE)]
-LapLength = Annotated[float, typer.Option(help="Length of one lap, metres.", rich_help_panel=_ROUTE)]
-Speed = Annotated[float, typer.Option(help="Speed of the car, metres per second.", rich_help_panel=_ROUTE)]
+Laps = Annotated[int | None, typer.Option(help="Number of laps.", show_default=str(Drive.laps), rich_help_panel=_ROUTE)]
+LapLength = Annotated[
+    float | None,
+    typer.Option(help="Length of one lap, metres.", show_default=str(Drive.length_m), rich_help_panel=_ROUTE),
+]
+Speed = Annotated[
+    float | None,
+    typer.Option(
+        help="Speed of the car, metres per second.", show_default=str(Drive.speed_m_per_s), rich_help_panel=_ROUTE
+    ),
+]
 LateralOffset = Annotated[
-    float, typer.Option(help="Sideways shift of the laps after the first, metres.", rich_help_panel=_ROUTE)
+    float | None,
+    typer.Option(
+        help="Sideways shift of the laps after the first, metres.",
+        show_default=str(Drive.lateral_offset_m),
+        rich_help_panel=_ROUTE,
+    ),
 ]
 Reverse = Annotated[
     bool, typer.Option("--reverse", help="Drive every second lap in the opposite direction.", rich_help_panel=_ROUTE)
 ]
 MaxFrames = Annotated[
-    int, typer.Option(help="Maximum number of frames; 0 renders the whole route.", rich_help_panel=_ROUTE)
+    int | None,
+    typer.Option(
+        help="Maximum number of frames; 0 renders the whole route.",
+        show_default=str(Drive.max_frames),
+        rich_help_panel=_CAMERA,
+    ),
 ]
-TownSeed = Annotated[int, typer.Option(help="Random seed of the town and of the camera noise.", rich_help_panel=_SCENE)]
+SceneSeed = Annotated[
+    int | None,
+    typer.Option(
+        help="Random seed of the town or room, and of the camera noise.",
+        show_default=str(Drive.seed),
+        rich_help_panel=_SCENE,
+    ),
+]
 ChangeIllumination = Annotated[
     bool, typer.Option("--change-illumination", help="Give later laps another sun and sky.", rich_help_panel=_SCENE)
 ]
@@ -120,17 +157,69 @@ PerceptualAliasing = Annotated[
     typer.Option("--perceptual-aliasing", help="Make two different streets look alike.", rich_help_panel=_SCENE),
 ]
 CarsPer360m = Annotated[
-    int, typer.Option("--cars-per-360m", help="Number of moving cars met on 360 metres.", rich_help_panel=_SCENE)
+    int | None,
+    typer.Option(
+        "--cars-per-360m",
+        help="Number of moving cars met on 360 metres.",
+        show_default=str(Drive.cars_per_360m),
+        rich_help_panel=_SCENE,
+    ),
 ]
-StereoFrameRate = Annotated[float, typer.Option(help="Stereo pairs per second.", rich_help_panel=_CAMERA)]
-Width = Annotated[int, typer.Option(help="Image width, pixels.", rich_help_panel=_CAMERA)]
-Height = Annotated[int, typer.Option(help="Image height, pixels.", rich_help_panel=_CAMERA)]
+Motion = Annotated[
+    str | None,
+    typer.Option(
+        help="Motion in a room: hand, carried about; robot, driving and turning on the spot.",
+        show_default=Room.motion,
+        rich_help_panel=_ROOM,
+    ),
+]
+Sensor = Annotated[
+    str | None,
+    typer.Option(
+        help="Sensor in a room: mono, one camera; stereo, a pair; depth, one camera with a depth camera.",
+        show_default=Room.sensor,
+        rich_help_panel=_ROOM,
+    ),
+]
+Duration = Annotated[
+    float | None,
+    typer.Option(
+        help="Length of a sequence in a room, seconds.", show_default=f"{Room.duration_s}", rich_help_panel=_ROOM
+    ),
+]
+PureRotation = Annotated[
+    float | None,
+    typer.Option(
+        help="Time in the middle in which a carried camera turns without moving, seconds.",
+        show_default=f"{Room.pure_rotation_s}",
+        rich_help_panel=_ROOM,
+    ),
+]
+SimulatedFrameRate = Annotated[
+    float | None,
+    typer.Option(
+        help="Images or stereo pairs per second.",
+        show_default=_default(Drive.frame_rate_hz, Room.frame_rate_hz),
+        rich_help_panel=_CAMERA,
+    ),
+]
+Width = Annotated[
+    int | None,
+    typer.Option(help="Image width, pixels.", show_default=_default(Drive.width, Room.width), rich_help_panel=_CAMERA),
+]
+Height = Annotated[
+    int | None,
+    typer.Option(
+        help="Image height, pixels.", show_default=_default(Drive.height, Room.height), rich_help_panel=_CAMERA
+    ),
+]
 DifficultyLevel = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--difficulty",
-        help="How hard the drive is: street, with errors of the calibration and corners as on real streets; standard, "
-        "with less of the first and constant speed; clean, with a perfect camera, constant speed and no wind.",
+        help="How hard it is: street, with errors of the calibration and corners as on real streets (not for a room); "
+        "standard, with less of the first and constant speed; clean, with a perfect camera, constant speed, no wind.",
+        show_default=_default(Drive.difficulty, Room.difficulty),
         rich_help_panel=_SCENE,
     ),
 ]
@@ -155,7 +244,9 @@ LensError = Annotated[
 ]
 SaveDepth = Annotated[
     bool,
-    typer.Option("--save-depth", help="Also write the true depth map of each left image.", rich_help_panel=OUTPUT),
+    typer.Option(
+        "--save-depth", help="Also write the true depth map of each left image of a drive.", rich_help_panel=OUTPUT
+    ),
 ]
 
 # run

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from odometry.camera import StereoCamera
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
 from slam.errors import OutputError
 from slam.simulation.rendering.renderer import (
@@ -70,8 +71,26 @@ def simulate(config: SimulationConfig, out: Path, progress: Progress | None = No
     Raises:
         OutputError: `out` contains something else, or cannot be written.
     """
+    return write_once(manifest(config), out, lambda folder: _DatasetWriter(config, folder).write(progress or ignore))
+
+
+def ignore(done: int, total: int) -> None:
+    """Progress that nobody watches."""
+
+
+def write_once(contents: dict[str, object], out: Path, write: Callable[[Path], None]) -> Path:
+    """Write a dataset into a folder that appears complete or not at all, and return the folder.
+
+    Args:
+        contents: of the manifest, which is written last; a folder with the same manifest is kept as it is.
+        out: folder to write.
+        write: writes all else into an empty folder.
+
+    Raises:
+        OutputError: `out` contains something else, or cannot be written.
+    """
     out = Path(out)
-    if is_complete(config, out):
+    if is_complete(contents, out):
         return out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise OutputError(f"{out}: expected no folder, an empty one or the same drive, found something else; "
@@ -82,15 +101,16 @@ def simulate(config: SimulationConfig, out: Path, progress: Progress | None = No
     except OSError as error:
         raise OutputError(f"{out}: cannot be written ({error.strerror}); name another folder") from error
     try:
-        _DatasetWriter(config, unfinished).write(progress or (lambda done, total: None))
+        write(unfinished)
+        (unfinished / MANIFEST).write_text(json.dumps(contents, indent=1) + "\n")
         unfinished.chmod(0o755)
-        _put_in_place(config, unfinished, out)
+        _put_in_place(contents, unfinished, out)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
     return out
 
 
-def _put_in_place(config: SimulationConfig, unfinished: Path, out: Path) -> None:
+def _put_in_place(contents: dict[str, object], unfinished: Path, out: Path) -> None:
     """Replace an empty folder in one step; what another command has rendered there meanwhile stays if it is the same.
 
     Raises:
@@ -99,17 +119,17 @@ def _put_in_place(config: SimulationConfig, unfinished: Path, out: Path) -> None
     try:
         unfinished.replace(out)
     except OSError as error:
-        if not is_complete(config, out):
+        if not is_complete(contents, out):
             raise OutputError(
                 f"{out}: expected no folder or an empty one, found {error.strerror}, perhaps by another command;"
                 " name another folder"
             ) from error
 
 
-def is_complete(config: SimulationConfig, out: Path) -> bool:
-    """Whether `out` already contains the dataset of this configuration, written by this version."""
+def is_complete(contents: dict[str, object], out: Path) -> bool:
+    """Whether `out` already contains the dataset with this manifest, written by this version."""
     try:
-        return json.loads((out / MANIFEST).read_text()) == manifest(config)
+        return bool(json.loads((out / MANIFEST).read_text()) == contents)
     except (OSError, ValueError):
         return False
 
@@ -132,14 +152,13 @@ class _DatasetWriter:
         self.done = 0
 
     def write(self, progress: Progress) -> None:
-        """Write every file, the manifest last."""
+        """Write every file but the manifest."""
         for name in ("image_0", "image_1", *(["depth"] if self.config.depth else [])):
             (self.sequence / name).mkdir(parents=True)
         total = len(self.trajectory.distance_m)
         for done, _ in enumerate(self._frames(), start=1):
             progress(done, total)
         self._write_tables()
-        (self.folder / MANIFEST).write_text(json.dumps(manifest(self.config), indent=1) + "\n")
 
     def _frames(self) -> Iterator[None]:
         """Render all frames in parallel: the pixels of a frame depend on its number alone."""
@@ -164,18 +183,32 @@ class _DatasetWriter:
                 self._save("depth", frame, _encode_depth(depth))
 
     def _save(self, name: str, frame: int, image: NDArray[np.generic]) -> None:
-        path = self.sequence / name / f"{frame:06d}.png"
-        if not cv2.imwrite(str(path), image, _FAST_PNG):
-            raise OutputError(f"{path}: cannot be written; is the disk full?")
+        save_png(self.sequence / name / f"{frame:06d}.png", image)
 
     def _write_tables(self) -> None:
         poses = se3.inverse(self.trajectory.T_town_camera[0]) @ self.trajectory.T_town_camera
-        (self.folder / "poses").mkdir()
-        np.savetxt(self.folder / "poses" / f"{SEQUENCE}.txt", poses[:, :3].reshape(-1, 12), fmt="%.9e")
-        np.savetxt(self.sequence / "times.txt", self.trajectory.timestamps, fmt="%.6e")
-        (self.sequence / "calib.txt").write_text(_format_calibration(self.config))
+        write_kitti_tables(self.folder, poses, self.trajectory.timestamps, self.config.camera)
         truth = loop_truth(poses)
         np.savez_compressed(self.folder / f"loops_{SEQUENCE}.npz", truth=truth, positions=poses[:, :3, 3])
+
+
+def save_png(path: Path, image: NDArray[np.generic]) -> None:
+    """Write an image, quickly.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if not cv2.imwrite(str(path), image, _FAST_PNG):
+        raise OutputError(f"{path}: cannot be written; is the disk full?")
+
+
+def write_kitti_tables(folder: Path, T_world_camera: Array, timestamps: Array, camera: StereoCamera) -> None:
+    """Write poses (N, 4, 4), times (N,) and the calibration of a pair in the layout of KITTI."""
+    sequence = folder / "sequences" / SEQUENCE
+    (folder / "poses").mkdir()
+    np.savetxt(folder / "poses" / f"{SEQUENCE}.txt", T_world_camera[:, :3].reshape(-1, 12), fmt="%.9e")
+    np.savetxt(sequence / "times.txt", timestamps, fmt="%.6e")
+    (sequence / "calib.txt").write_text(_format_calibration(camera))
 
 
 def _encode_depth(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -184,12 +217,12 @@ def _encode_depth(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where(scaled < 2**16, scaled, 0).astype(np.uint16)
 
 
-def _format_calibration(config: SimulationConfig) -> str:
+def _format_calibration(camera: StereoCamera) -> str:
     """Format calib.txt: the grey pair P0 and P1, repeated as P2 and P3, since there are no colour cameras.
 
     Readers of KITTI expect the pose of a laser too; `Tr` places it in the camera.
     """
-    camera, lines = config.camera, []
+    lines = []
     for index in range(4):
         P = np.hstack([camera.K, [[-camera.fx * camera.baseline * (index % 2)], [0.0], [0.0]]])
         lines.append(f"P{index}: " + " ".join(f"{value:.12e}" for value in P.ravel()))

@@ -152,8 +152,8 @@ def cull_scene(lit: LitScene, frame: RenderFrame, camera: StereoCamera, T_town_c
         T_town_camera: (4, 4) pose of the left camera, metres.
     """
     scene = lit.scene
-    P, centre = _projection(camera, T_town_camera), T_town_camera[:3, 3]
-    ranges = _visible(scene, P, centre, camera)
+    P, centre = projection_matrix(camera, T_town_camera), T_town_camera[:3, 3]
+    ranges = visible_ranges(scene, P, centre, camera)
     pick = np.concatenate([np.arange(first, last) for first, last in ranges] or [np.zeros(0, np.int64)])
     extra = build_scene(frame.moving) if frame.moving else None
     leaves = lit.materials.table[scene.material[pick], LEAF] > 0
@@ -176,7 +176,7 @@ def _sway_leaves(corners: NDArray[np.float32], leaves: NDArray[np.bool_], number
     return corners
 
 
-def _projection(camera: StereoCamera, T_town_camera: Array) -> Array:
+def projection_matrix(camera: StereoCamera, T_town_camera: Array) -> Array:
     """P (3, 4): town to homogeneous pixels."""
     R, centre = T_town_camera[:3, :3], T_town_camera[:3, 3]
     return camera.K @ np.hstack([R.T, -(R.T @ centre)[:, None]])
@@ -195,7 +195,7 @@ def render_view(lit: LitScene, scene: Scene, camera: StereoCamera, T_town_camera
     shape = (camera.height, camera.width)
     inverse_depth = np.zeros((*shape, SAMPLES), np.float32)
     ids = np.full((*shape, SAMPLES), -1, np.int32)
-    rasterize(scene.corners, scene.ranges, _projection(camera, T_town_camera), inverse_depth, ids)
+    rasterize(scene.corners, scene.ranges, projection_matrix(camera, T_town_camera), inverse_depth, ids)
     light, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
     atlas, sky = lit.materials.atlas, lit.light
     shade(
@@ -209,7 +209,7 @@ def render_view(lit: LitScene, scene: Scene, camera: StereoCamera, T_town_camera
     return light, depth
 
 
-def _visible(scene: Scene, P: Array, centre: Array, camera: StereoCamera) -> NDArray[np.int64]:
+def visible_ranges(scene: Scene, P: Array, centre: Array, camera: StereoCamera) -> NDArray[np.int64]:
     """Ranges of the clusters whose bounding sphere reaches into the view of a pair, nearest first."""
     forward = P[2, :3]
     # Normals of the planes through the camera and the first and last column and row.

@@ -1,7 +1,7 @@
 """Sensor model: turns light into grey values, with motion blur, defocus, calibration errors, exposure and noise."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -9,14 +9,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.simulation.scenario.config import Difficulty, SimulationConfig
+from slam.simulation.scenario.config import Difficulty
 
 Buffer = NDArray[Any]  # read and written by compiled code, which takes any number type
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_SHUTTER_S = 0.005  # time that the shutter is open
 _DEFOCUS_PX = 0.5  # at KITTI's size: standard deviation of the blur of lens and rectification
 _VIGNETTE = 0.22  # share of the light lost in a corner of the image
 _READ_NOISE, _SHOT_NOISE = 1.1, 0.012  # standard deviation, grey values; variance per grey value
@@ -31,6 +30,41 @@ _KITTI_WIDTH = 1241.0  # px, to which errors in pixels refer
 _MAX_BLUR_PX, _MIN_BLUR_PX = 24.0, 0.6  # length of motion blur: longer is cut, shorter is invisible
 
 
+class SensorConfig(Protocol):
+    """What the sensor model must know of a simulated drive or room."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of all random generators."""
+
+    @property
+    def width(self) -> int:
+        """Image width, pixels."""
+
+    @property
+    def height(self) -> int:
+        """Image height, pixels."""
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Images per second."""
+
+    @property
+    def shutter_s(self) -> float:
+        """Time that the shutter is open, seconds."""
+
+    @property
+    def conditions(self) -> Difficulty:
+        """Errors of the camera."""
+
+    @property
+    def camera(self) -> StereoCamera:
+        """The camera as its calibration describes it."""
+
+    def rng(self, *purpose: int) -> np.random.Generator:
+        """Return the generator of one purpose."""
+
+
 @dataclass(frozen=True)
 class SensorModel:
     """One camera of the pair, with its constant errors.
@@ -43,7 +77,7 @@ class SensorModel:
         vignette: (H, W) factor on the light.
     """
 
-    config: SimulationConfig
+    config: SensorConfig
     side: int
     map_x: Image
     map_y: Image
@@ -60,7 +94,7 @@ class SensorModel:
             frame: number of the frame, which the noise depends on.
         """
         real, side = self.config.conditions.real_sensor, self.side
-        image = self._displace(self._blur(light, depth, motion) if real else light, frame)
+        image = self.displace(self._blur(light, depth, motion) if real else light, frame)
         grey = image * np.float32(255.0 * gain * _own_gain(self.config, side, frame))
         if not real:
             return _quantize(grey)
@@ -71,19 +105,17 @@ class SensorModel:
     def _blur(self, light: Image, depth: Image, motion: Array) -> Image:
         """Return the light after motion blur, defocus and vignetting."""
         camera = self.config.camera
-        share = _SHUTTER_S * self.config.frame_rate_hz
+        share = self.config.shutter_s * self.config.frame_rate_hz
         image = blur_motion(light, depth, (motion[:3] - np.eye(3, 4)) * share, intrinsics_of(camera))
         sigma = _DEFOCUS_PX * max(camera.width / _KITTI_WIDTH, 0.5)
         return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma) * self.vignette)
 
-    def _displace(self, image: Image, frame: int) -> Image:
+    def displace(self, image: Image, frame: int, interpolation: int = cv2.INTER_LINEAR) -> Image:
         """Return the image as the camera shows it, which is not as its calibration says."""
         if not _has_calibration_error(self.config.conditions):
             return image
         columns, rows = _rig_shifts(self.config, self.side, frame, image.shape)
-        return cv2.remap(
-            image, self.map_x + columns, self.map_y + rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
-        )
+        return cv2.remap(image, self.map_x + columns, self.map_y + rows, interpolation, borderMode=cv2.BORDER_REFLECT)
 
 
 def _has_calibration_error(level: Difficulty) -> bool:
@@ -100,7 +132,7 @@ def intrinsics_of(camera: StereoCamera) -> Array:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def build_sensor_model(config: SimulationConfig, side: int) -> SensorModel:
+def build_sensor_model(config: SensorConfig, side: int) -> SensorModel:
     """Draw the constant errors of one camera at random: its own calibration error, and the lens error of both."""
     x, y = np.meshgrid(np.arange(config.width, dtype=np.float64), np.arange(config.height, dtype=np.float64))
     a, b = 2 * x / config.width - 1, 2 * y / config.height - 1
@@ -116,7 +148,7 @@ def build_sensor_model(config: SimulationConfig, side: int) -> SensorModel:
     )
 
 
-def _rectification_shifts(config: SimulationConfig, side: int, a: Array, b: Array) -> Array:
+def _rectification_shifts(config: SensorConfig, side: int, a: Array, b: Array) -> Array:
     """Smooth shifts (2, H, W), pixels, up to half the rectification error; a and b run from -1 to 1 over the image."""
     terms = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b, a * a * a])
     shifts = np.tensordot(config.rng(11, side).normal(size=(2, len(terms))), terms, axes=1)
@@ -124,7 +156,7 @@ def _rectification_shifts(config: SimulationConfig, side: int, a: Array, b: Arra
     return np.asarray(shifts * peak / np.abs(shifts).max(axis=(1, 2), keepdims=True))
 
 
-def _lens_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
+def _lens_shifts(config: SensorConfig, x: Array, y: Array) -> Array:
     """Shifts (2, H, W), pixels, by distortion that the calibration has left.
 
     Radial distortion, and decentering in a random direction (Brown, Decentering Distortion of Lenses, 1966). Both
@@ -141,7 +173,7 @@ def _lens_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
     return np.stack([across, down]) * (config.conditions.lens_error_px * config.width / _KITTI_WIDTH)
 
 
-def _local_shifts(config: SimulationConfig, side: int) -> Array:
+def _local_shifts(config: SensorConfig, side: int) -> Array:
     """Shifts (2, H, W), pixels, by what no polynomial describes: a field with about four hills across the image."""
     nodes = config.rng(14, side).standard_normal((2, _LOCAL_ROWS, _LOCAL_COLUMNS), dtype=np.float32)
     size = (config.width, config.height)
@@ -150,7 +182,7 @@ def _local_shifts(config: SimulationConfig, side: int) -> Array:
     return np.asarray(field * (config.conditions.local_error_px * config.width / _KITTI_WIDTH) / rms)
 
 
-def _intrinsic_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
+def _intrinsic_shifts(config: SensorConfig, x: Array, y: Array) -> Array:
     """Shifts (2, H, W), pixels, by the errors of focal length and principal point.
 
     Both cameras have the same: rectification gives them one camera matrix, and what differs between them would be seen
@@ -164,7 +196,7 @@ def _intrinsic_shifts(config: SimulationConfig, x: Array, y: Array) -> Array:
     return np.stack([(x - cx) / longer + camera.cx - x, (y - cy) / longer + camera.cy - y])
 
 
-def _rig_shifts(config: SimulationConfig, side: int, frame: int, shape: tuple[int, ...]) -> tuple[Image, Image]:
+def _rig_shifts(config: SensorConfig, side: int, frame: int, shape: tuple[int, ...]) -> tuple[Image, Image]:
     """Shifts of columns and rows, pixels, by the movement of the right camera since its calibration.
 
     The rotations about its three axes wander as sums of oscillations, which depend on the time alone.
@@ -180,7 +212,7 @@ def _rig_shifts(config: SimulationConfig, side: int, frame: int, shape: tuple[in
     return columns.astype(np.float32), rows.astype(np.float32)
 
 
-def exposure_gain(config: SimulationConfig, light: Image, time: float) -> float:
+def exposure_gain(config: SensorConfig, light: Image, time: float) -> float:
     """Return the gain at a time, seconds: control towards a mean, slow drift, and a jump every few seconds."""
     if not config.conditions.real_sensor:
         return 0.8
@@ -190,7 +222,7 @@ def exposure_gain(config: SimulationConfig, light: Image, time: float) -> float:
     return float(controlled * drift * step)
 
 
-def _own_gain(config: SimulationConfig, side: int, frame: int) -> float:
+def _own_gain(config: SensorConfig, side: int, frame: int) -> float:
     """Brightness of one camera's image relative to what both would show, which the exposure of each alone decides."""
     level = config.conditions
     jitter = level.exposure_jitter_percent / 100.0 * config.rng(17, frame, side).standard_normal()

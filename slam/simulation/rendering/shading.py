@@ -28,7 +28,7 @@ U_GRADIENT, U_OFFSET, V_GRADIENT, V_OFFSET, NORMAL, TINT = 0, 3, 4, 7, 8, 11
 ATTRIBUTES = 12
 # Columns of the texture table.
 _POWER, _HAS_GLOSS, _START = range(3)
-_SKY = -1  # triangle of a sample that hits nothing
+SKY = -1  # triangle of a sample that hits nothing
 _HAZE_LENGTH_M = 900.0  # distance after which 1/e of the contrast is left
 _SHADOW_BIAS_M = 0.12  # more than a cell of the shadow map, against surfaces that shadow themselves
 _MIN_COSINE = 0.02  # of the angle between view and normal: bounds the length of the footprint to 50 pixel widths
@@ -162,7 +162,7 @@ class RowSamples(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _sky(panorama: Buffer, dx: float, dy: float, dz: float) -> float:
+def sample_panorama(panorama: Buffer, dx: float, dy: float, dz: float) -> float:
     """Brightness of the panorama (rows from zenith to nadir, columns around) in a direction."""
     rows, columns = panorama.shape
     x = (np.arctan2(dy, dx) / (2.0 * np.pi) + 0.5) * columns
@@ -257,7 +257,7 @@ def _count_equal(ids: tuple[int, int, int, int], k: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(y: int, buffers: SampleBuffers, samples: RowSamples) -> int:
+def gather_samples(y: int, buffers: SampleBuffers, samples: RowSamples) -> int:
     """List what row y shows, one sample for each distinct triangle of a pixel; return their number."""
     ids, near = buffers.triangle, buffers.inverse_depth
     triangle, pixel, share, depth = samples.triangle, samples.pixel, samples.share, samples.depth
@@ -287,7 +287,7 @@ def _gather(y: int, buffers: SampleBuffers, samples: RowSamples) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _cast_rays(n: int, view: Viewpoint, samples: RowSamples) -> None:
+def cast_rays(n: int, view: Viewpoint, samples: RowSamples) -> None:
     """Fill in the rays of n samples and where they meet their triangles."""
     Q, center, position, depth = view.Q, view.center, samples.position, samples.depth
     direction, point = samples.direction, samples.point
@@ -345,7 +345,7 @@ def _footprint(direction: Vector, point: Vector, width: float, attributes: Buffe
 
 
 @njit(cache=True, error_model="numpy")
-def _paint(n: int, pixel_angle: float, surfaces: Surfaces, samples: RowSamples) -> None:
+def paint_samples(n: int, pixel_angle: float, surfaces: Surfaces, samples: RowSamples) -> None:
     """Fill in brightness and gloss of the surfaces that n samples show."""
     attributes, material, materials = surfaces.attributes, surfaces.material, surfaces.materials
     texels, gloss_texels, textures = surfaces.texels, surfaces.gloss, surfaces.textures
@@ -353,7 +353,7 @@ def _paint(n: int, pixel_angle: float, surfaces: Surfaces, samples: RowSamples) 
     values, glosses = samples.value, samples.gloss
     for i in range(n):
         t = triangle[i]
-        if t == _SKY:
+        if t == SKY:
             continue
         ray, at = (direction[0, i], direction[1, i], direction[2, i]), (point[0, i], point[1, i], point[2, i])
         footprint = _footprint(ray, at, depth[i] * pixel_angle, attributes, t)
@@ -428,8 +428,8 @@ def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: RowSamples) 
     for i in range(n):
         t = triangle[i]
         dx, dy, dz = direction[0, i], direction[1, i], direction[2, i]
-        if t == _SKY:
-            values[i] = _sky(panorama, dx, dy, dz)
+        if t == SKY:
+            values[i] = sample_panorama(panorama, dx, dy, dz)
             continue
         nx, ny, nz = attributes[t, NORMAL], attributes[t, NORMAL + 1], attributes[t, NORMAL + 2]
         facing = dx * nx + dy * ny + dz * nz
@@ -443,14 +443,15 @@ def _light(n: int, surfaces: Surfaces, lighting: Lighting, samples: RowSamples) 
             # Schlick's approximation of Fresnel's law, softened.
             cosine = 1.0 + facing / np.sqrt(dx * dx + dy * dy + dz * dz)
             mirror = glosses[i] * (0.12 + 0.88 * cosine * cosine * cosine * cosine)
-            sky = _sky(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz)
+            sky = sample_panorama(panorama, dx - 2 * facing * nx, dy - 2 * facing * ny, dz - 2 * facing * nz)
             value += mirror * (sky - value)
         fade = np.exp(-depth[i] / _HAZE_LENGTH_M)
         values[i] = value * fade + haze * (1.0 - fade)
 
 
 @njit(cache=True, error_model="numpy")
-def _allocate_samples(count: int) -> RowSamples:
+def allocate_samples(count: int) -> RowSamples:
+    """Make room for the samples of a row."""
     return RowSamples(
         np.empty(count, np.int32),
         np.empty(count, np.int32),
@@ -465,7 +466,7 @@ def _allocate_samples(count: int) -> RowSamples:
 
 
 @njit(cache=True, error_model="numpy")
-def _resolve(n: int, samples: RowSamples, image: Buffer, depth: Buffer) -> None:
+def resolve_samples(n: int, samples: RowSamples, image: Buffer, depth: Buffer) -> None:
     """Combine n samples to the pixels of an image row (W,): mean light, and depth of the nearest surface."""
     triangle, pixel, share, value, z = samples.triangle, samples.pixel, samples.share, samples.value, samples.depth
     image[:], depth[:] = 0.0, np.inf
@@ -473,7 +474,7 @@ def _resolve(n: int, samples: RowSamples, image: Buffer, depth: Buffer) -> None:
         x = pixel[i]
         image[x] += np.float32(share[i] * value[i])
         # The mean depth across an edge would lie on neither side of it.
-        if triangle[i] != _SKY:
+        if triangle[i] != SKY:
             depth[x] = min(depth[x], np.float32(z[i]))
 
 
@@ -483,10 +484,10 @@ def shade(
 ) -> None:
     """Write the light of every pixel into `image` and its depth, metres, into `depth`, (H, W) float32 each."""
     height, width = image.shape
-    samples = _allocate_samples(SAMPLES * width)
+    samples = allocate_samples(SAMPLES * width)
     for y in range(height):
-        n = _gather(y, buffers, samples)
-        _cast_rays(n, view, samples)
-        _paint(n, view.pixel_angle, surfaces, samples)
+        n = gather_samples(y, buffers, samples)
+        cast_rays(n, view, samples)
+        paint_samples(n, view.pixel_angle, surfaces, samples)
         _light(n, surfaces, lighting, samples)
-        _resolve(n, samples, image[y], depth[y])
+        resolve_samples(n, samples, image[y], depth[y])

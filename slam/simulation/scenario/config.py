@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -117,6 +118,8 @@ class SimulationConfig:
     lens_error_px: float | None = None
     max_frames: int = 0
     depth: bool = False
+
+    shutter_s: ClassVar[float] = 0.005  # time that the shutter is open
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES and not Path(self.shape).is_file():

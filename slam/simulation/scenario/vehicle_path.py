@@ -242,7 +242,9 @@ def plan_trajectory(config: SimulationConfig) -> SimulatedTrajectory:
     distance_m = np.interp(timestamps, schedule_s, np.arange(len(schedule_s)) * STEP)
     lap = np.minimum(np.searchsorted(ends, distance_m, side="right"), len(ends) - 1)
     positions, headings = path.interpolate(distance_m)
-    poses = _camera_poses(positions, headings, _sway(config, count))
+    sway = _sway(config, count)
+    angles = sway[:, :3] + headings[:, None] * [1.0, 0.0, 0.0]
+    poses = camera_poses(np.column_stack([positions, CAMERA_HEIGHT + sway[:, 3]]), angles)
     return SimulatedTrajectory(path, schedule_s, distance_m, lap, poses, timestamps)
 
 
@@ -291,9 +293,9 @@ def _sway(config: SimulationConfig, count: int) -> Array:
     return sway
 
 
-def _camera_poses(positions: Array, headings: Array, sway: Array) -> Array:
-    """Cameras (N, 4, 4) that look along the headings, in the town frame."""
-    yaw, pitch, roll = headings + sway[:, 0], sway[:, 1], sway[:, 2]
+def camera_poses(positions: Array, angles: Array) -> Array:
+    """Poses (N, 4, 4), z up, of cameras at positions (N, 3), metres, by yaw, pitch upwards and roll (N, 3), radians."""
+    yaw, pitch, roll = angles.T
     zeros = np.zeros_like(yaw)
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1)
     level = np.stack([np.sin(yaw), -np.cos(yaw), zeros], axis=1)  # to the right
@@ -301,5 +303,5 @@ def _camera_poses(positions: Array, headings: Array, sway: Array) -> Array:
     right = level * np.cos(roll)[:, None] + below * np.sin(roll)[:, None]
     poses = np.tile(np.eye(4), (len(yaw), 1, 1))
     poses[:, :3, 0], poses[:, :3, 1], poses[:, :3, 2] = right, np.cross(forward, right), forward
-    poses[:, :2, 3], poses[:, 2, 3] = positions, CAMERA_HEIGHT + sway[:, 3]
+    poses[:, :3, 3] = positions
     return poses

@@ -14,7 +14,7 @@ import slam.benchmark.sweep
 import slam.pipeline.pipeline
 import slam.simulation
 from slam.cli import app
-from slam.simulation import SimulationConfig
+from slam.simulation import RoomConfig, SimulationConfig
 
 Call = tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -72,6 +72,58 @@ def test_every_option_of_simulate_is_a_field_of_the_drive(calls: Callable[..., l
         (name,) = (field.name for field in fields(spec) if getattr(spec, field.name) != getattr(plain, field.name))
         changed.append(name)
     assert sorted(changed) == sorted(field.name for field in fields(plain) if field.name != "shape")
+
+
+def test_every_option_of_a_room_is_a_field_of_it(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
+    made = calls(slam.simulation, "simulate_room", tmp_path)
+    given = {
+        "--motion": "robot", "--sensor": "stereo", "--duration": 33.0, "--pure-rotation": 7.0, "--seed": 9,
+        "--frame-rate": 12.0, "--width": 320, "--height": 200, "--rectification-error": 0.25, "--lens-error": 3.5,
+        "--max-frames": 77, "--difficulty": "clean",
+    }  # fmt: skip
+    run("simulate", "room", "--out", tmp_path)
+    plain = made[0][0][0]
+    assert plain == RoomConfig()
+    changed = []
+    for name, value in given.items():
+        run("simulate", "room", "--out", tmp_path, name, value)
+        config = made[-1][0][0]
+        (field,) = (field.name for field in fields(plain) if getattr(config, field.name) != getattr(plain, field.name))
+        assert getattr(config, field) == value
+        changed.append(field)
+    assert sorted(changed) == sorted(field.name for field in fields(plain))
+    run("simulate", "room", "--out", tmp_path, "--ideal-sensor")
+    assert made[-1][0][0] == RoomConfig(difficulty="clean")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("room", "--laps", 0), "--laps: it is an option of a drive, not of a room; leave it out"),
+        (("room", "--length", 300), "--length: it is an option of a drive"),
+        (("room", "--speed", 3), "--speed: it is an option of a drive"),
+        (("room", "--lateral-offset", 0.0), "--lateral-offset: it is an option of a drive"),
+        (("room", "--reverse"), "--reverse: it is an option of a drive"),
+        (("room", "--change-illumination"), "--change-illumination: it is an option of a drive"),
+        (("room", "--perceptual-aliasing"), "--perceptual-aliasing: it is an option of a drive"),
+        (("room", "--cars-per-360m", 2), "--cars-per-360m: it is an option of a drive"),
+        (("room", "--save-depth"), "--save-depth: it is an option of a drive"),
+        (("blocks", "--motion", "hand"), "--motion: it is an option of a room, not of a drive; leave it out"),
+        (("blocks", "--sensor", "mono"), "--sensor: it is an option of a room"),
+        (("blocks", "--duration", 10), "--duration: it is an option of a room"),
+        (("blocks", "--pure-rotation", 0), "--pure-rotation: it is an option of a room"),
+        (("room", "--difficulty", "street"), "difficulty of a simulated room: expected clean, standard, got 'street'"),
+    ],
+)
+def test_an_option_that_means_nothing_is_refused_in_one_line(
+    words: tuple[object, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = app._exit_code(lambda: app.app(["simulate", *map(str, words), "--out", str(tmp_path / "a")]))
+    said = capsys.readouterr().err
+    assert code == app.EXIT_USAGE
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "a").exists()
 
 
 def test_options_of_dense_are_not_exchanged(calls: Callable[..., list[Call]], tmp_path: Path) -> None:

@@ -141,15 +141,13 @@ def test_the_right_camera_wanders_slowly_and_the_left_one_stays(errors):
     slope = 0.9 / (config.width - 1)
     depth = np.full_like(ramp, 9.0)
     left, right = (build_sensor_model(config, side) for side in (0, 1))
-    still = [left._displace(ramp, frame) for frame in (0, 400)]
+    still = [left.displace(ramp, frame) for frame in (0, 400)]
     np.testing.assert_array_equal(*still)
     np.testing.assert_allclose(still[0], ramp, atol=1e-6)
     centre = (slice(180, 196), slice(600, 640))
-    moved = np.array([(right._displace(ramp, k) - ramp)[centre].mean() / slope for k in range(0, 3000, 10)])
+    moved = np.array([(right.displace(ramp, k) - ramp)[centre].mean() / slope for k in range(0, 3000, 10)])
     assert np.sqrt(np.mean(moved**2)) == pytest.approx(0.5, rel=0.3)
-    steps = [
-        (right._displace(ramp, k + 1) - right._displace(ramp, k))[centre].mean() / slope for k in range(0, 300, 10)
-    ]
+    steps = [(right.displace(ramp, k + 1) - right.displace(ramp, k))[centre].mean() / slope for k in range(0, 300, 10)]
     assert np.sqrt(np.mean(np.square(steps))) < 0.5 * 0.5
     shots = [right.expose(ramp, depth, np.eye(4), 1.0, 7) for _ in range(2)]
     np.testing.assert_array_equal(*shots)
