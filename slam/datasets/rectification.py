@@ -23,6 +23,10 @@ Size = tuple[int, int]  # width, height
 # Baseline of the virtual pair of a dataset with one camera: depths from motion are reported as its disparities.
 NOMINAL_BASELINE_M = 0.5
 
+# Baseline of a depth camera: of projector and camera in structured light, whose depth has a noise that grows with the
+# square of the distance as that of a disparity (Khoshelham and Elberink, Sensors 2012: 7.5 cm in a Kinect).
+DEPTH_CAMERA_BASELINE_M = 0.075
+
 # Images are used as they are if intrinsics and rotations differ by less: remapping would only blur them.
 _MAX_INTRINSICS_DIFFERENCE_PX, _MAX_ROTATION_ENTRY = 1e-3, 1e-6
 # Between the rows and the baseline, and between the two optical axes: a pair beyond it was described wrongly.

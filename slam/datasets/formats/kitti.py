@@ -66,6 +66,11 @@ class KittiDataset:
         """Whether there is a right image for each left image."""
         return self.files.right is not None
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image for each left image: never in this layout."""
+        return False
+
     def __len__(self) -> int:
         return len(self.files.left)
 

@@ -191,6 +191,11 @@ class RectifiedDataset:
         """Whether there is a right image for each left image."""
         return self.right is not None
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image for each left image."""
+        return False
+
     def without_right(self) -> "RectifiedDataset":
         """Return the same dataset with the left camera alone."""
         return replace(self, right=None)
