@@ -325,10 +325,15 @@ def median_depth(depth: Depth) -> float:
     return float(np.median(some)) if len(some) else float("nan")
 
 
+def is_possible_median(median_m: float) -> bool:
+    """Whether the median depth of a recording, metres, can be one of a depth camera."""
+    return _POSSIBLE_MEDIAN_M[0] <= median_m <= _POSSIBLE_MEDIAN_M[1]
+
+
 def describe_scale(median_m: float, units_per_m: float) -> str:
     """What is wrong with a scale, by the median depth in metres, and the likely remedy; empty if it is possible."""
     low, high = _POSSIBLE_MEDIAN_M
-    if low <= median_m <= high:
+    if is_possible_median(median_m):
         return ""
     found = f"above {high:g}" if median_m > high else f"below {low:g}"
     usual = (s for s in _KNOWN_SCALES if _USUAL_MEDIAN_M[0] <= median_m * units_per_m / s <= _USUAL_MEDIAN_M[1])
