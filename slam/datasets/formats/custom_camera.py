@@ -111,8 +111,8 @@ def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
 
 
 def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
-    left, right = _cameras(spec.path, settings)
     depth = None if spec.left_only or settings.depth is None else _find_depth(settings, settings.depth)
+    left, right = _cameras(spec.path, settings)
     remarks = settings.remarks
     if spec.left_only:
         right = None
