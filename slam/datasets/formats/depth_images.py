@@ -156,7 +156,9 @@ def _read_values(path: Path) -> NDArray[Any]:
         raise ValueError("expected a depth image, found none; was the recording moved, or its disk taken out?")
     try:
         values = _load_array(path) if path.suffix.lower() == ".npy" else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except (cv2.error, OSError, EOFError, MemoryError, SyntaxError, TypeError, ValueError, OverflowError):
+    except (
+        Exception
+    ):  # whatever a damaged byte provokes in a header: cv2.error, ValueError, TokenError, MemoryError, ...
         values = None
     if values is None:
         raise ValueError("expected a depth image, found a file that cannot be read; copy it again")
@@ -164,8 +166,8 @@ def _read_values(path: Path) -> NDArray[Any]:
 
 
 def _load_array(path: Path) -> NDArray[Any]:
-    values = np.load(path, allow_pickle=False)
-    return np.asarray(values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values)
+    values = np.array(np.lib.format.open_memmap(path, mode="r"))  # the header's size must be that of the file
+    return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
 def usual_scale(values: NDArray[Any] | None) -> float:
