@@ -2,9 +2,9 @@
 
 `[NAME/]{rgb.txt, rgb/<seconds>.png, depth.txt, depth/<seconds>.png, groundtruth.txt}`; OpenLORIS-Scene (Shi et al.,
 ICRA 2020) calls the lists `color.txt` and `aligned_depth.txt`. Recordings for ORB-SLAM and ICL-NUIM have one list of
-both, `associations.txt`. The layout does not include a calibration: it is read from a `camera.toml` beside the list, or
-taken from the benchmark's cameras by the name of the sequence. TUM's depth is corrected already: its scale is 5000 with
-all its cameras.
+both, `associations.txt`. The layout does not include a calibration: it is read from a `camera.toml` beside the list,
+taken from the benchmark's cameras by the name of the sequence, or read from a YAML file of another tool. TUM's depth is
+corrected already: its scale is 5000 with all its cameras.
 
 ICL-NUIM (Handa et al., ICRA 2014) is rendered with y up: its page of codes gives fy = -480. The images are upright, so
 with y down fy is 480, and the poses are mirrored: T becomes S T S with S = diag(1, -1, 1, 1). Reports of users agree:
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
 from slam.datasets.dataset import DatasetSpec, find_dataset
 from slam.datasets.distortion_models import CameraModel
@@ -136,11 +137,10 @@ def _folder(spec: DatasetSpec) -> Path:
 
 
 def _camera(folder: Path) -> CameraToml | None:
-    path = folder / CAMERA_TOML
-    known = _known_camera(folder)
-    if path.is_file():
-        return read_camera_toml(path, lambda: None if known is None else CameraToml(path, known))
-    return None if known is None else CameraToml(path, known)
+    known, path = _known_camera(folder), folder / CAMERA_TOML
+    if known is None:
+        return find_calibration(folder)
+    return read_camera_toml(path, lambda: CameraToml(path, known)) if path.is_file() else CameraToml(path, known)
 
 
 def _known_camera(folder: Path) -> CameraModel | None:

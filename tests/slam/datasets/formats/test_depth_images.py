@@ -380,6 +380,19 @@ def test_a_scale_in_camera_toml_is_that_of_a_benchmark_too(tmp_path: Path, ideal
     assert np.nanmedian(depth_of(drive, 0)) == pytest.approx(np.median(raw_depths(ideal)[0]), rel=0.01)
 
 
+def test_settings_of_orb_slam_give_camera_and_scale(tmp_path: Path, ideal: Taken) -> None:
+    folder = write_rgbd(tmp_path / "office", ideal, scale=1000.0)
+    (folder / CAMERA_TOML).unlink()
+    settings = '%YAML:1.0\nCamera.type: "PinHole"\nCamera.fx: 260.0\nCamera.fy: 260.0\nCamera.cx: 160.0\n'
+    (folder / "office.yaml").write_text(f"{settings}Camera.cy: 118.0\nCamera.bf: 40.0\nDepthMapFactor: 1000.0\n")
+    drive = open_dataset(folder)
+    assert (drive.has_depth, drive.camera.baseline, drive.camera.fx) == (True, DEPTH_CAMERA_BASELINE_M, 260.0)
+    assert_true(depth_of(drive), drive.camera, ideal.poses[3])
+    (folder / "office.yaml").write_text(f"{settings}Camera.cy: 118.0\nDepthMapFactor: 0\n")
+    with pytest.raises(DataError, match="expected DepthMapFactor above 0, found 0"):
+        open_dataset(folder)
+
+
 def test_values_become_metres_and_holes() -> None:
     whole = np.array([[0, 500, 65535, 1000]], np.uint16)
     np.testing.assert_array_equal(to_metres(whole, 1000.0), np.float32([[np.nan, 0.5, np.nan, 1.0]]))
