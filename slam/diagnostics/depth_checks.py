@@ -2,7 +2,7 @@
 
 Registration is judged by edges: where the depth jumps, the colour usually changes too. The mean strength of the image
 edges under the depth edges is compared with that of depth edges which are moved by up to 24 pixels. Figures and
-controls: docs/decisions/depth_cameras.md.
+controls: docs/decisions/depth_images.md.
 """
 
 from collections.abc import Sequence
@@ -84,7 +84,7 @@ def _check_scale(depths: Sequence[DepthStatistics]) -> Finding:
 
 def _check_registration(pairs: Sequence[tuple[Image, Depth]]) -> Finding:
     """Check that depth edges lie on image edges."""
-    topic, wide = "depth place", max((image.shape[1] for image, _ in pairs), default=0)
+    topic, wide = "depth registration", max((image.shape[1] for image, _ in pairs), default=0)
     step = max(round(wide / _MAX_WIDTH_PX), 1)
     scores = [score for image, depth in pairs if (score := edge_strengths(image, depth, step)) is not None]
     if len(scores) < _MIN_IMAGES:

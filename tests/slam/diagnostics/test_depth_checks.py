@@ -124,10 +124,10 @@ def checked(path: Path) -> Inspection:
 def test_a_depth_camera_serves_for_everything(tmp_path: Path) -> None:
     inspection = checked(write_room(tmp_path / "room"))
     assert inspection.possible_uses == tuple(Use)
-    assert {f.topic for f in inspection.findings} >= {"depth", "depth scale", "depth place"}
+    assert {f.topic for f in inspection.findings} >= {"depth", "depth scale", "depth registration"}
     assert all(finding.status is Status.OK for finding in inspection.findings)
     beside = {f.topic: f.status for f in checked(write_room(tmp_path / "beside", (10, 0))).findings}
-    assert beside["depth place"] is Status.WARNING
+    assert beside["depth registration"] is Status.WARNING
 
 
 def test_a_damaged_depth_image_leaves_one_camera(tmp_path: Path) -> None:
