@@ -393,6 +393,26 @@ def test_settings_of_orb_slam_give_camera_and_scale(tmp_path: Path, ideal: Taken
         open_dataset(folder)
 
 
+def test_colour_is_read_where_it_is_asked_for(tmp_path: Path, bent: Taken) -> None:
+    folder = write_rgbd(tmp_path / "room", bent, 4000.0, depth_scale=4000)
+    grey = open_dataset(folder)
+    shown = grey.read_colour(2)
+    assert shown is not None
+    np.testing.assert_array_equal(shown, np.dstack([grey[2].left] * 3))  # colour files of grey values
+    for file in (folder / "rgb").iterdir():
+        image = cv2.imread(str(file))
+        image[..., 1:] //= 2  # blue is the strongest
+        cv2.imwrite(str(file), image)
+    colour = open_dataset(folder).read_colour(2)
+    assert colour is not None
+    assert (colour.shape, colour.dtype) == ((240, 320, 3), np.uint8)
+    np.testing.assert_array_equal(colour[..., 2], grey[2].left)  # RGB, in the pixels of the rectified image
+    assert (colour[..., 0] < colour[..., 2]).mean() > 0.99
+    for file in (folder / "rgb").iterdir():
+        cv2.imwrite(str(file), cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
+    assert open_dataset(folder).read_colour(2) is None
+
+
 def test_values_become_metres_and_holes() -> None:
     whole = np.array([[0, 500, 65535, 1000]], np.uint16)
     np.testing.assert_array_equal(to_metres(whole, 1000.0), np.float32([[np.nan, 0.5, np.nan, 1.0]]))
