@@ -99,6 +99,7 @@ class Video:
     timestamps: Array
     has_times: bool
     _reader: SequentialReader[Image]
+    _colour_reader: SequentialReader[Image]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -119,6 +120,16 @@ class Video:
             DataError: the image cannot be decoded any more.
         """
         return self._reader.read(index, len(self), self.where, "video")
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey.
+
+        Raises:
+            IndexError: there is no such image.
+            DataError: the image cannot be decoded any more.
+        """
+        image = self._colour_reader.read(index, len(self), self.where, "video")
+        return None if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
     def where(self, index: int) -> str:
         """File and index of an image, for error messages."""
@@ -148,8 +159,14 @@ def open_video(path: Path) -> Video:
     stamps = np.array(times_s)
     can_seek = bool((np.diff(stamps) > 0).all())  # some containers store no frame times
     times = stamps if can_seek else np.arange(len(stamps)) / (fps if 0 < fps < np.inf else _DEFAULT_FPS)
-    reader = SequentialReader(lambda index: _decode_from(path, stamps if can_seek else None, index))
-    return Video(path, times, can_seek and path.suffix.lower() not in _STREAM_SUFFIXES, reader)
+    seekable = stamps if can_seek else None
+    colour = SequentialReader(lambda index: _decode_from(path, seekable, index))
+    grey = SequentialReader(lambda index: map(_to_grey, _decode_from(path, seekable, index)))
+    return Video(path, times, can_seek and path.suffix.lower() not in _STREAM_SUFFIXES, grey, colour)
+
+
+def _to_grey(image: Image) -> Image:
+    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _open_capture(path: Path) -> cv2.VideoCapture:
@@ -171,7 +188,7 @@ def _decode_from(path: Path, stamps: Array | None, start: int) -> Iterator[Image
             is_open = all(capture.grab() for _ in range(start + 1))
         while is_open:
             _, image = capture.retrieve()
-            yield np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            yield np.asarray(image, np.uint8)
             is_open = capture.grab()
     finally:
         capture.release()

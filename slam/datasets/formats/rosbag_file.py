@@ -19,6 +19,7 @@ from slam.datasets.formats.rosbag_depth import check_depth, decode_depth, depth_
 from slam.datasets.formats.rosbag_messages import (
     CameraInfo,
     check_image,
+    decode_colour,
     decode_image,
     read_camera_info,
     read_timestamp,
@@ -135,6 +136,7 @@ class BagImages(Generic[Pixels]):
     remarks: tuple[str, ...]
     _reader: SequentialReader[Pixels]
     units_per_m: float = 1.0
+    _colour_reader: SequentialReader[Image] | None = None
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -147,6 +149,18 @@ class BagImages(Generic[Pixels]):
             DataError: the image cannot be read.
         """
         return self._reader.read(index, len(self), self.where, "bag")
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey.
+
+        Raises:
+            IndexError: there is no such image.
+            DataError: the image cannot be read.
+        """
+        if self._colour_reader is None:
+            return None
+        image = self._colour_reader.read(index, len(self), self.where, "bag")
+        return image if image.size else None
 
     def where(self, index: int) -> str:
         """Bag, topic and number of a message, for error messages."""
@@ -265,7 +279,15 @@ def open_topics(
 def _grey_images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange | None) -> BagImages[Image]:
     images = _images_of(path, topic, listing, lambda message: decode_image(message, grey_range or FULL_RANGE))
     scale = [f"{topic}: {grey_range.remark}"] if grey_range is not None and grey_range.remark else []
-    return replace(images, remarks=(*images.remarks, *scale))
+    arrived = np.array(listing.arrived, np.int64)
+    colour = _Messages(path, topic, arrived, images.numbers, _decode_colour_or_nothing)
+    return replace(images, remarks=(*images.remarks, *scale), _colour_reader=SequentialReader(colour.decode_from))
+
+
+def _decode_colour_or_nothing(message: Any) -> Image:
+    """RGB image of a message; of a grey one an image without pixels, as None would be the end of the bag."""
+    colour = decode_colour(message)
+    return np.empty((0, 0, 3), np.uint8) if colour is None else colour
 
 
 def open_depth_topic(path: Path, topic: str, units_per_m: float | None) -> BagImages[Depth]:

@@ -45,6 +45,19 @@ ENCODINGS = {
     **dict.fromkeys(("yuv422", "uyvy"), (np.uint8, 2, cv2.COLOR_YUV2GRAY_UYVY)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2)),
 }
+# Conversions to RGB in the place of those to grey; None where the values are RGB.
+_TO_RGB = {
+    cv2.COLOR_BGR2GRAY: cv2.COLOR_BGR2RGB,
+    cv2.COLOR_BGRA2GRAY: cv2.COLOR_BGRA2RGB,
+    cv2.COLOR_RGB2GRAY: None,
+    cv2.COLOR_RGBA2GRAY: cv2.COLOR_RGBA2RGB,
+    cv2.COLOR_BayerRGGB2GRAY: cv2.COLOR_BayerRGGB2RGB,
+    cv2.COLOR_BayerBGGR2GRAY: cv2.COLOR_BayerBGGR2RGB,
+    cv2.COLOR_BayerGBRG2GRAY: cv2.COLOR_BayerGBRG2RGB,
+    cv2.COLOR_BayerGRBG2GRAY: cv2.COLOR_BayerGRBG2RGB,
+    cv2.COLOR_YUV2GRAY_UYVY: cv2.COLOR_YUV2RGB_UYVY,
+    cv2.COLOR_YUV2GRAY_YUY2: cv2.COLOR_YUV2RGB_YUY2,
+}
 _JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 PNG, _PNG_DEPTH_AT = b"\x89PNG\r\n\x1a\n", 24  # signature, and where the header holds the bits of a value
 _MAX_SIZE_DIFFERENCE_PX = 1  # of a binned image from the divided size: drivers round up or down
@@ -177,6 +190,41 @@ def decode_image(message: Any, grey_range: GreyRange = FULL_RANGE) -> Image:
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else grey_range.to_8_bits(grey))
 
 
+def decode_colour(message: Any) -> Image | None:
+    """Decode an Image or a CompressedImage message to RGB (H, W, 3) uint8; None if it is grey or has planes of colour.
+
+    Raises:
+        ValueError: the encoding is not supported, or the data do not fit the encoding.
+    """
+    if not hasattr(message, "encoding"):
+        values, conversion = _decode_compressed_colour(message)
+    else:
+        kind, channels, conversion = _encoding_of(message)
+        values = read_values(message, np.dtype(kind), channels).astype(kind, copy=False)
+    if conversion is None:
+        return None
+    try:
+        to_rgb = _TO_RGB[conversion]
+        colour = values if to_rgb is None else cv2.cvtColor(values, to_rgb)
+    except cv2.error as error:
+        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
+    return np.ascontiguousarray(colour if colour.dtype == np.uint8 else colour >> 8, np.uint8)
+
+
+def _decode_compressed_colour(message: Any) -> tuple[NDArray[Any], int | None]:
+    """Values of a CompressedImage and their conversion to grey; None if they are grey."""
+    values = decode_compressed_data(bytes(message.data), cv2.IMREAD_ANYCOLOR)
+    if values is None:
+        raise compressed_error(message)
+    return (values, cv2.COLOR_BGR2GRAY) if values.ndim == 3 else (values, _bayer_conversion(message))
+
+
+def _bayer_conversion(message: Any) -> int | None:
+    """Conversion to grey of a CompressedImage that holds the colour pattern itself: bayer_rggb8; png compressed ..."""
+    pattern = re.search(r"compressed\s+(bayer_\w+)", str(message.format))
+    return ENCODINGS.get(pattern[1], (None, 0, None))[2] if pattern else None
+
+
 def check_image(message: Any) -> GreyRange | None:
     """Check an image as far as that takes little time, and return its values; None if it has 8 bits.
 
@@ -237,9 +285,7 @@ def _decode_compressed(message: Any) -> NDArray[Any]:
     image = decode_compressed_data(bytes(message.data), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise compressed_error(message)
-    # "bayer_rggb8; png compressed bayer_rggb8": the colour pattern itself was compressed.
-    pattern = re.search(r"compressed\s+(bayer_\w+)", str(message.format))
-    conversion = ENCODINGS.get(pattern[1], (None, 0, None))[2] if pattern else None
+    conversion = _bayer_conversion(message)
     return image if conversion is None else cv2.cvtColor(image, conversion)
 
 

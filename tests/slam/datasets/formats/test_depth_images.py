@@ -19,7 +19,7 @@ from slam.datasets.time_sync import associate_with_nearest
 from slam.errors import DataError
 from slam.io.trajectory_files import write_tum
 
-from ..layouts import RATE, Taken, camera_toml, taken, write_folders, write_tum_rgbd
+from ..layouts import RATE, Taken, camera_toml, taken, write_folders, write_tum_rgbd, write_video
 from ..rig import SIZE, all_rays, wall_depth
 
 HOLE = (slice(100, 110), slice(200, 210))  # pixels of the raw depth without a measurement
@@ -398,7 +398,8 @@ def test_colour_is_read_where_it_is_asked_for(tmp_path: Path, bent: Taken) -> No
     grey = open_dataset(folder)
     shown = grey.read_colour(2)
     assert shown is not None
-    np.testing.assert_array_equal(shown, np.dstack([grey[2].left] * 3))  # colour files of grey values
+    left = grey[2].left
+    np.testing.assert_array_equal(shown, np.dstack([left] * 3))  # colour files of grey values
     for file in (folder / "rgb").iterdir():
         image = cv2.imread(str(file))
         image[..., 1:] //= 2  # blue is the strongest
@@ -406,11 +407,21 @@ def test_colour_is_read_where_it_is_asked_for(tmp_path: Path, bent: Taken) -> No
     colour = open_dataset(folder).read_colour(2)
     assert colour is not None
     assert (colour.shape, colour.dtype) == ((240, 320, 3), np.uint8)
-    np.testing.assert_array_equal(colour[..., 2], grey[2].left)  # RGB, in the pixels of the rectified image
+    np.testing.assert_array_equal(colour[..., 2], left)  # RGB, in the pixels of the rectified image
     assert (colour[..., 0] < colour[..., 2]).mean() > 0.99
     for file in (folder / "rgb").iterdir():
         cv2.imwrite(str(file), cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
     assert open_dataset(folder).read_colour(2) is None
+
+
+def test_colour_of_a_video(tmp_path: Path, ideal: Taken) -> None:
+    write_video(tmp_path / "left.avi", [left for left, _ in ideal.pairs])
+    (tmp_path / CAMERA_TOML).write_text(camera_toml(ideal.rig, pair=False))
+    drive = open_dataset(tmp_path)
+    for index in (1, 2, 0):
+        colour = drive.read_colour(index)
+        assert colour is not None
+        assert np.abs(colour.mean(axis=2) - drive[index].left).mean() < 2
 
 
 def test_values_become_metres_and_holes() -> None:

@@ -221,3 +221,17 @@ def test_a_depth_image_serves_two_colour_images_and_is_decoded_once(
         assert frame.depth is not None
         np.testing.assert_allclose(frame.depth, true_depth(number), atol=1e-6)
     assert len(decoded) == 2
+
+
+def test_colour_of_a_bag_is_read_beside_its_grey_images(tmp_path: Path) -> None:
+    colours = [np.random.default_rng(k).integers(0, 255, (*SIZE[::-1], 3), dtype=np.uint8) for k in range(3)]
+    messages = Messages().add("/camera/color/camera_info", Info().message())
+    for k, colour in enumerate(colours):
+        messages.add(COLOUR, raw_image(colour, START + 0.1 * k, "rgb8"))
+    drive = open_dataset(messages.write(tmp_path / "drive.bag"))
+    for k in (0, 2, 1):
+        np.testing.assert_array_equal(drive.read_colour(k), colours[k])
+        assert drive[k].left.ndim == 2
+    grey = open_dataset(write(tmp_path / "grey.bag", {}))
+    assert grey.read_colour(1) is None
+    assert grey.read_colour(2) is None
