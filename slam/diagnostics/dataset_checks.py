@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.static_regions import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
-from slam.datasets.formats.depth_images import Depth
+from slam.datasets.depth_units import Depth
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format, open_images
 from slam.diagnostics.depth_checks import DepthStatistics, check_depth, measure_depth

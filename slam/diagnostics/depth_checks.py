@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.formats.depth_images import Depth, is_possible_median, median_depth
+from slam.datasets.depth_units import Depth, is_possible_median, median_depth
 from slam.diagnostics.findings import Finding, Use, report_fault, report_ok, report_warning
 
 Image = NDArray[np.uint8]

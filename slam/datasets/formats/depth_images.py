@@ -1,8 +1,7 @@
-"""Depth images of RGB-D recordings: files and lists, their units, and their association with the colour images.
+"""Depth images of RGB-D recordings: files and lists, and their association with the colour images.
 
-Depth is registered: pixel by pixel it belongs to the colour image. What a depth camera writes is metres times a scale:
-5000 in TUM RGB-D (Sturm et al., IROS 2012), 1000 in ROS (REP 118) and almost everywhere else, 1 in floats. Depth is
-optional: a recording whose depth cannot be used is one of a single camera, and a remark gives the reason.
+Depth is registered: pixel by pixel it belongs to the colour image. It is optional: a recording whose depth cannot be
+used is one of a single camera, and a remark gives the reason.
 """
 
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.camera_toml import CAMERA_TOML
+from slam.datasets.depth_units import MILLIMETRES, Depth, describe_scale, median_depth, to_metres, usual_scale
 from slam.datasets.formats.image_sequence import (
     IMAGE_SUFFIXES,
     check_name,
@@ -29,22 +28,14 @@ from slam.errors import DataError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Depth = NDArray[np.float32]
 
 DEPTH_UNUSED = "the depth is not used"  # end of the remark that says why depth is not used
-
-MILLIMETRES, TUM_UNITS = 1000.0, 5000.0  # units per metre
-# What else is found: metres, centimetres, tenths of a millimetre, KITTI's depth, Intel's L515.
-_KNOWN_SCALES = (MILLIMETRES, TUM_UNITS, 1.0, 100.0, 10000.0, 256.0, 4000.0)
-_POSSIBLE_MEDIAN_M = (0.01, 100.0)  # of all depths of an image: no depth camera measures nearer or farther
-_USUAL_MEDIAN_M = (0.3, 10.0)
 
 DEPTH_SUFFIXES = (IMAGE_SUFFIXES - {".jpg", ".jpeg", ".jpe", ".webp", ".jp2"}) | {".npy", ".pfm"}
 # Between a colour image and its depth: half a frame and its jitter. In freiburg1_rpy of TUM all 723 images have a depth
 # image so near; with pairs of which each is nearest to the other, as for two cameras, there are 671 and 51 gaps.
 _MAX_OFFSET_FRAMES = 0.65
 _MAX_OFFSET_S = 0.05  # of slow cameras: at 1 rad/s an image moves by 25 pixels in this time
-_SATURATED = 65535  # value of 16 bits beyond the range: no measurement
 
 
 class DepthImages(Protocol):
@@ -170,36 +161,6 @@ def _load_array(path: Path) -> NDArray[Any]:
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
-def usual_scale(values: NDArray[Any] | None) -> float:
-    """Units per metre that values of a type usually have: whole numbers are millimetres, floats metres."""
-    return 1.0 if values is not None and values.dtype.kind == "f" else MILLIMETRES
-
-
-def to_metres(values: NDArray[Any], units_per_m: float) -> Depth:
-    """Convert stored values (H, W) to depth (H, W), metres; NaN where there is no measurement.
-
-    Args:
-        values: whole numbers of at least 16 bits, or floats; 0 and the largest of 16 bits stand for no measurement.
-        units_per_m: scale of the values.
-
-    Raises:
-        ValueError: the values are those of another kind of image.
-    """
-    if values.ndim != 2:
-        raise ValueError("expected one depth in each pixel, found a colour image; are colour and depth swapped?")
-    if values.dtype.kind not in "uif" or (values.dtype.kind != "f" and values.dtype.itemsize < 2):
-        raise ValueError(
-            f"expected depth of 16 bits or floats, found {values.dtype}; give the depth itself, not a picture of it"
-        )
-    with np.errstate(over="ignore", invalid="ignore"):  # of values that are no measurements
-        depth = values.astype(np.float32) / np.float32(units_per_m)
-        is_measured = (depth > 0) & np.isfinite(depth)
-    if values.dtype == np.uint16:
-        is_measured &= values != _SATURATED
-    depth[~is_measured] = np.nan
-    return depth
-
-
 def read_depth_list(
     path: Path, folder: Path, list_format: ListFormat, columns: tuple[int, int], units_per_m: float
 ) -> DepthStream:
@@ -318,29 +279,3 @@ def _inspect(images: DepthImages, size: tuple[int, int]) -> tuple[str, tuple[str
     median_m = float(np.nanmedian(medians)) if np.isfinite(medians).any() else 1.0
     trouble = describe_scale(median_m, images.units_per_m)
     return "", (f"{short_name(Path(images.where(0)))}: {trouble}",) if trouble else ()
-
-
-def median_depth(depth: Depth) -> float:
-    """Median of a depth image (H, W), metres; NaN without a measurement. Every fourth pixel and row is enough."""
-    some = depth[::4, ::4]
-    some = some[np.isfinite(some)]
-    return float(np.median(some)) if len(some) else float("nan")
-
-
-def is_possible_median(median_m: float) -> bool:
-    """Whether the median depth of a recording, metres, can be one of a depth camera."""
-    return _POSSIBLE_MEDIAN_M[0] <= median_m <= _POSSIBLE_MEDIAN_M[1]
-
-
-def describe_scale(median_m: float, units_per_m: float) -> str:
-    """What is wrong with a scale, by the median depth in metres, and the likely remedy; empty if it is possible."""
-    low, high = _POSSIBLE_MEDIAN_M
-    if is_possible_median(median_m):
-        return ""
-    found = f"above {high:g}" if median_m > high else f"below {low:g}"
-    usual = (s for s in _KNOWN_SCALES if _USUAL_MEDIAN_M[0] <= median_m * units_per_m / s <= _USUAL_MEDIAN_M[1])
-    likely = next(usual, None)
-    remedy = "depth_scale" if likely is None else f"depth_scale = {likely:g}"
-    return (
-        f"the median depth is {found} m ({median_m:.3g} m); give {remedy} in {CAMERA_TOML}, now it is {units_per_m:g}"
-    )

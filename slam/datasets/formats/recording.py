@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
-from slam.datasets.formats.depth_images import DEPTH_UNUSED, Depth, DepthImages, DepthStream, match_depth
+from slam.datasets.depth_units import Depth
+from slam.datasets.formats.depth_images import DEPTH_UNUSED, DepthImages, DepthStream, match_depth
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_pose_file
 from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.timestamped_lists import ListFormat, read_image_list

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.formats.depth_images import Depth, to_metres, usual_scale
+from slam.datasets.depth_units import Depth, to_metres, usual_scale
 from slam.datasets.formats.rosbag_messages import (
     PNG,
     compressed_error,

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.formats.depth_images import MILLIMETRES, Depth
+from slam.datasets.depth_units import MILLIMETRES, Depth
 from slam.datasets.formats.rosbag_depth import check_depth, decode_depth, depth_scale
 from slam.datasets.formats.rosbag_messages import (
     CameraInfo,

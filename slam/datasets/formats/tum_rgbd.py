@@ -21,15 +21,9 @@ import numpy as np
 from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml, read_camera_toml
 from slam.datasets.dataset import DatasetSpec, find_dataset
+from slam.datasets.depth_units import MILLIMETRES, TUM_UNITS
 from slam.datasets.distortion_models import CameraModel
-from slam.datasets.formats.depth_images import (
-    DEPTH_UNUSED,
-    MILLIMETRES,
-    TUM_UNITS,
-    DepthStream,
-    open_depth_folder,
-    read_depth_list,
-)
+from slam.datasets.formats.depth_images import DEPTH_UNUSED, DepthStream, open_depth_folder, read_depth_list
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_timed_poses
 from slam.datasets.formats.recording import (
     CameraStream,
@@ -198,16 +192,17 @@ def _read_depth(folder: Path, camera: CameraToml, colour: _Colour) -> tuple[Dept
     """Depth images of a sequence; None, with a remark, where they cannot be used."""
     lists = _OPENLORIS if colour.path.name == _OPENLORIS.colour else _TUM
     path = folder / (camera.depth or lists.depth)
+    images = path if camera.depth else path.with_suffix("")
     scale = camera.depth_scale or lists.units_per_m
     try:
-        if path.is_file():
-            return read_depth_list(path, folder, SPACE_SEPARATED_SECONDS, (0, 1), scale), ()
         if camera.depth is None and colour.columns[2] >= 0:
             columns = (colour.columns[0], colour.columns[2])
             stream = read_depth_list(colour.path, folder, SPACE_SEPARATED_SECONDS, columns, scale)
             return replace(stream, timestamps=stream.timestamps / colour.images_per_s, remarks=()), ()
-        if camera.depth is not None or path.with_suffix("").is_dir():
-            return open_depth_folder(path.with_suffix(""), colour.stream.timestamps, scale), ()
+        if path.is_file():
+            return read_depth_list(path, folder, SPACE_SEPARATED_SECONDS, (0, 1), scale), ()
+        if camera.depth is not None or images.is_dir():
+            return open_depth_folder(images, colour.stream.timestamps, scale), ()
     except DataError as error:
         return None, (f"{error}; {DEPTH_UNUSED}",)
     if lists == _OPENLORIS and (folder / _TUM.depth).is_file():

@@ -12,7 +12,7 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from slam.datasets.camera_toml import CAMERA_TOML, read_camera_toml
 from slam.datasets.dataset import Dataset, DatasetSpec
-from slam.datasets.formats.depth_images import describe_scale, to_metres
+from slam.datasets.depth_units import describe_scale, to_metres
 from slam.datasets.formats.registry import open_dataset, open_for_odometry, open_images
 from slam.datasets.rectification import DEPTH_CAMERA_BASELINE_M, NOMINAL_BASELINE_M, Rectification, rectify_parallel
 from slam.datasets.time_sync import associate_with_nearest
