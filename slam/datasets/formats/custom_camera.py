@@ -117,7 +117,8 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
     if spec.left_only:
         right = None
     elif right is not None and not settings.is_pair:
-        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: {LEFT_ALONE}")
+        alone = f"{settings.path.name} has no baseline: {LEFT_ALONE}"
+        right, remarks = None, remarks if depth is not None else (*remarks, alone)
     elif right is None and settings.is_pair:
         remarks = (
             *remarks,

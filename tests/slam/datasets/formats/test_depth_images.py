@@ -1,5 +1,6 @@
 """The depth of a frame is that of its colour image, pixel by pixel, in metres; what cannot be used costs a remark."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -361,6 +362,15 @@ def test_a_pair_needs_no_depth(tmp_path: Path, ideal: Taken) -> None:
     drive = open_dataset(folder)
     assert (drive.has_right, drive.has_depth) == (True, False)
     assert drive.remarks == ("there is a pair of cameras and depth: the depth is not used",)
+
+
+def test_a_pair_without_a_baseline_has_its_depth(tmp_path: Path, ideal: Taken) -> None:
+    """As a simulated drive in KITTI's layout with its true depth."""
+    folder = write_custom(tmp_path / "mine", ideal)
+    (folder / "rgb").rename(folder / "image_0")
+    shutil.copytree(folder / "image_0", folder / "image_1")
+    drive = open_dataset(folder)
+    assert (drive.has_right, drive.has_depth, drive.remarks) == (False, True, ())
 
 
 @pytest.mark.parametrize(("scale", "likely"), [(5.0, "depth_scale = 1000"), (3_000_000.0, "depth_scale = 1000")])
