@@ -5,7 +5,8 @@ A file is recognised by what is in it, so its name does not matter:
 * Kalibr's `camchain.yaml`: `cam0`, `cam1` with `intrinsics`, `distortion_coeffs`, `T_cn_cnm1`, `rostopic`;
 * OpenCV's stereo calibration: `M1 D1 M2 D2 R T`, in one file or two, or the same matrices under similar names;
 * one camera of OpenCV or ROS: `camera_matrix`, `distortion_coefficients`; ROS's `left.yaml`, `right.yaml` are a pair;
-* ORB-SLAM's settings: `Camera.fx` or `Camera1.fx`, with `Camera.bf`, `Stereo.T_c1_c2`, or `LEFT.K` and `LEFT.P`.
+* ORB-SLAM's settings: `Camera.fx` or `Camera1.fx`, with `Camera.bf`, `Stereo.T_c1_c2`, or `LEFT.K` and `LEFT.P`;
+  of a depth camera `DepthMapFactor` or `RGBD.DepthMapFactor`.
 """
 
 import re
@@ -160,7 +161,12 @@ def _from_orb_slam(path: Path, table: Table) -> CameraToml | None:
     left, *others = (_orb_slam_model(table, name) for name in names)
     width, height = (int(parse_numbers(table, f"Camera.{n}", 1)[0]) if f"Camera.{n}" in table else 0 for n in _SIZE)
     fps = parse_numbers(table, "Camera.fps", 1)[0] if "Camera.fps" in table else None
-    camera = CameraToml(path, left, fps=fps, size=(width, height) if width and height else (0, 0))
+    factors = [name for name in ("RGBD.DepthMapFactor", "DepthMapFactor") if name in table]
+    depth_scale = parse_numbers(table, factors[0], 1)[0] if factors else None
+    if depth_scale is not None and depth_scale <= 0:
+        raise ValueError(f"expected {factors[0]} above 0, found {depth_scale:g}")
+    size = (width, height) if width and height else (0, 0)
+    camera = CameraToml(path, left, fps=fps, size=size, depth_scale=depth_scale)
     pose = next((table[name] for name in ("Stereo.T_c1_c2", "Tlr") if name in table), None)
     if pose is not None:
         numbers = _numbers_of(pose, "Stereo.T_c1_c2")
@@ -181,11 +187,12 @@ def _orb_slam_model(table: Table, name: str) -> CameraModel:
     kind = str(table.get("Camera.type", "PinHole"))
     keys = ("k1", "k2", "k3", "k4") if kind in _ORB_SLAM_MODELS else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     found = [parse_numbers(table, f"{name}.{key}", 1)[0] if f"{name}.{key}" in table else None for key in keys]
+    if not any(value is not None for value in found):
+        return CameraModel(fx, fy, cx, cy)
     coefficients = tuple(value or 0.0 for value in found)
     while len(coefficients) > _MIN_COEFFICIENTS and found[len(coefficients) - 1] is None:
         coefficients = coefficients[:-1]
-    model = _ORB_SLAM_MODELS.get(kind, "radtan")
-    return CameraModel(fx, fy, cx, cy, model if any(v is not None for v in found) else "none", coefficients)
+    return CameraModel(fx, fy, cx, cy, _ORB_SLAM_MODELS.get(kind, "radtan"), coefficients)
 
 
 def _from_opencv(path: Path, table: Table) -> CameraToml | None:

@@ -11,6 +11,8 @@
     fps = 20                        # images per second, if there is no times.txt and no video
     left = "cam0"                   # folder, video file or topic of a bag; usual names are found without it
     right = "cam1"
+    depth = "depth"                 # folder or topic of depth images that are registered to the left ones
+    depth_scale = 1000              # their units per metre; without it 1000, or 1 if they are floats
     ground_truth = "poses.tum"      # T_world_camera of the left camera, TUM or KITTI
 
 For an unrectified pair, a table with the right camera replaces the baseline:
@@ -43,8 +45,8 @@ CAMERA_TOML = "camera.toml"  # name of the file
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _CAMERA_KEYS = (*_INTRINSICS, "model", "distortion")
-_TEXT_KEYS = ("left", "right", "ground_truth")
-_KEYS = (*_CAMERA_KEYS, "baseline", "fps", *_TEXT_KEYS, "right_camera")
+_TEXT_KEYS = ("left", "right", "depth", "ground_truth")
+_KEYS = (*_CAMERA_KEYS, "baseline", "fps", *_TEXT_KEYS, "depth_scale", "right_camera")
 # What users write instead, where the known key is spelt quite differently.
 _SYNONYMS = {
     **dict.fromkeys(("images", "image", "images_left", "folder", "video", "topic"), "left"),
@@ -53,6 +55,8 @@ _SYNONYMS = {
     **dict.fromkeys(("coefficients", "d", "distortion_coefficients"), "distortion"),
     **dict.fromkeys(("poses", "truth", "trajectory"), "ground_truth"),
     **dict.fromkeys(("extrinsics", "pose", "t_c1_c2"), "T_left_right"),
+    **dict.fromkeys(("depth_images", "images_depth", "depth_folder", "depth_topic"), "depth"),
+    **dict.fromkeys(("depthmapfactor", "depth_factor", "depth_units", "scale", "png_depth_scale"), "depth_scale"),
     "images_right": "right",
     "b": "baseline",
     "distortion_model": "model",
@@ -86,6 +90,8 @@ class CameraToml:
         right_camera: right camera of an unrectified pair, or None.
         fps: images per second, or None.
         left, right: names of folders, video files or topics; None to find them.
+        depth: name of the folder or topic of depth images, or None.
+        depth_scale: units of depth per metre; None for the usual ones.
         ground_truth: file of poses, or None.
         size: width and height of the images that were calibrated, pixels; zeros if unknown.
         topics: image topics of the cameras in a bag, if the file names them.
@@ -99,6 +105,8 @@ class CameraToml:
     fps: float | None = None
     left: str | None = None
     right: str | None = None
+    depth: str | None = None
+    depth_scale: float | None = None
     ground_truth: Path | None = None
     size: Size = (0, 0)
     topics: tuple[str, ...] = ()
@@ -154,26 +162,23 @@ def read_camera_toml(path: Path, find_other: Callable[[], CameraToml | None] = l
 
 def _camera_file(path: Path, table: dict[str, Any], other: CameraToml | None) -> CameraToml:
     _reject_unknown_keys(table, _KEYS)
-    texts = {key: _text(table[key], key) for key in _TEXT_KEYS if key in table}
-    left, right_name, truth = (texts.get(key) for key in _TEXT_KEYS)
+    given: dict[str, Any] = {key: _text(table[key], key) for key in _TEXT_KEYS if key in table}
+    given |= {key: _positive(table, key) for key in ("fps", "depth_scale") if key in table}
+    if "ground_truth" in given:
+        given["ground_truth"] = path.parent / given["ground_truth"]
     right = table.get("right_camera")
     if right is not None and "baseline" in table:
         raise ValueError("expected baseline or [right_camera], found both")
-    fps = _positive(table, "fps")
-    if fps is not None and not is_valid_fps(fps):
-        raise ValueError(f"expected fps in images per second, found {fps:g}")
-    ground_truth = None if truth is None else path.parent / truth
+    if not is_valid_fps(given.get("fps", 1.0)):
+        raise ValueError(f"expected fps in images per second, found {given['fps']:g}")
     if other is not None:
-        return replace(other, fps=fps or other.fps, left=left, right=right_name, ground_truth=ground_truth)
+        return replace(other, **given)
     return CameraToml(
         path,
         _camera_model(table),
         baseline_m=_positive(table, "baseline"),
         right_camera=None if right is None else _right_camera(right),
-        fps=fps,
-        left=left,
-        right=right_name,
-        ground_truth=ground_truth,
+        **given,
     )
 
 

@@ -35,6 +35,8 @@ class Frame:
         right: (H, W) uint8, or None in a dataset with one camera.
         features: local features of the left image; None until they are extracted.
         mask: which pixels of the left image were left out of them; None until they are extracted.
+        depth: (H, W) float32, metres along the optical axis, registered to the left image; NaN where there is no
+            measurement. None in a dataset without a depth camera.
     """
 
     index: int
@@ -43,6 +45,7 @@ class Frame:
     right: NDArray[np.uint8] | None
     features: LocalFeatures | None = None
     mask: ImageMask | None = None
+    depth: NDArray[np.float32] | None = None
 
     @property
     def usable_pixels(self) -> NDArray[np.uint8] | None:
@@ -72,7 +75,7 @@ class Dataset(Protocol):
 
     @property
     def camera(self) -> StereoCamera:
-        """Intrinsics and baseline of the rectified pair."""
+        """Intrinsics and baseline of the rectified pair; with a depth camera, of the pair that it stands for."""
         ...
 
     @property
@@ -91,6 +94,11 @@ class Dataset(Protocol):
         ...
 
     @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image for each left image."""
+        ...
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Notes for the user about images that were left out and assumptions that were made on opening."""
         ...
@@ -100,6 +108,10 @@ class Dataset(Protocol):
     def __getitem__(self, index: int) -> Frame: ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
+        ...
 
 
 def is_valid_fps(fps: float) -> bool:

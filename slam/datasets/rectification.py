@@ -5,7 +5,8 @@ compact algorithm for rectification of stereo pairs, 2000). The rectified image 
 Why not OpenCV's `stereoRectify`: docs/decisions/rectification.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import cv2
@@ -18,10 +19,15 @@ from slam.datasets.distortion_models import CameraModel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Values = NDArray[np.float32]
 Size = tuple[int, int]  # width, height
 
 # Baseline of the virtual pair of a dataset with one camera: depths from motion are reported as its disparities.
 NOMINAL_BASELINE_M = 0.5
+
+# Baseline of a depth camera: of projector and camera in structured light, whose depth has a noise that grows with the
+# square of the distance as that of a disparity (Khoshelham and Elberink, Sensors 2012: 7.5 cm in a Kinect).
+DEPTH_CAMERA_BASELINE_M = 0.075
 
 # Images are used as they are if intrinsics and rotations differ by less: remapping would only blur them.
 _MAX_INTRINSICS_DIFFERENCE_PX, _MAX_ROTATION_ENTRY = 1e-3, 1e-6
@@ -36,7 +42,11 @@ class ImageMap(Protocol):
     """Turns a raw image into a rectified image."""
 
     def __call__(self, image: Image, /) -> Image:
-        """Return the rectified image (H, W) uint8 of a raw image (H, W) uint8."""
+        """Return the rectified image (H, W) or (H, W, 3) uint8 of a raw image of that form."""
+        ...
+
+    def map_nearest(self, values: Values, /) -> Values:
+        """Return floats (H, W) at the pixels of the rectified image, each from the nearest raw pixel; NaN beyond."""
         ...
 
 
@@ -47,6 +57,10 @@ class IdentityMap:
     def __call__(self, image: Image) -> Image:
         """Return the image itself."""
         return image
+
+    def map_nearest(self, values: Values) -> Values:
+        """Return the values themselves."""
+        return values
 
 
 @dataclass(frozen=True)
@@ -60,8 +74,18 @@ class UndistortMap:
     maps: tuple[Array, Array]
 
     def __call__(self, image: Image) -> Image:
-        """Return the rectified image (H, W) uint8 of a raw image (H, W) uint8."""
+        """Return the rectified image (H, W) or (H, W, 3) uint8 of a raw image of that form."""
         return np.asarray(cv2.remap(image, *self.maps, cv2.INTER_LINEAR), np.uint8)
+
+    def map_nearest(self, values: Values) -> Values:
+        """Return floats (H, W) at the pixels of the rectified image, each from the nearest raw pixel; NaN beyond."""
+        moved = cv2.remap(values, *self._plain_maps, cv2.INTER_NEAREST, borderValue=(np.nan,) * 4)
+        return np.asarray(moved, values.dtype)
+
+    @cached_property
+    def _plain_maps(self) -> tuple[Array, Array]:
+        """The maps as floats: of packed ones, OpenCV's nearest pixel is that to the upper left."""
+        return cv2.convertMaps(*self.maps, cv2.CV_32FC1)
 
 
 @dataclass(frozen=True)
@@ -78,6 +102,29 @@ class Rectification:
     left: ImageMap
     right: ImageMap
     T_camera_view: Array
+
+    def rectify_depth(self, depth: Values) -> Values:
+        """Return the depth of the rectified left image for that (H, W) of the raw one, metres along either's axis.
+
+        Each pixel is that of the nearest raw pixel: across an edge, a mean would be the depth of nothing.
+        """
+        moved = self.left.map_nearest(depth)
+        return moved if self._depth_ratio is None else moved * self._depth_ratio
+
+    @cached_property
+    def _depth_ratio(self) -> Values | None:
+        """Ratio (H, W) of the depths along the rectified and the raw axis; None where the two are the same."""
+        x_axis, y_axis, z_axis = self.T_camera_view[2, :3]
+        if z_axis > 1 - _MAX_ROTATION_ENTRY:
+            return None
+        camera = self.camera
+        x = (np.arange(camera.width) - camera.cx) / camera.fx
+        y = (np.arange(camera.height)[:, None] - camera.cy) / camera.fy
+        return (1 / (x_axis * x + y_axis * y + z_axis)).astype(np.float32)
+
+    def of_depth_camera(self) -> "Rectification":
+        """Return the rectification of the same camera with the baseline of a depth camera."""
+        return replace(self, camera=replace(self.camera, baseline=DEPTH_CAMERA_BASELINE_M))
 
 
 def identity_rectification(camera: StereoCamera) -> Rectification:

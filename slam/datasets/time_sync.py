@@ -155,6 +155,24 @@ def associate_timestamps(left: Array, right: Array, max_offset_s: float = MAX_PA
     return np.stack([np.flatnonzero(together), nearest[together]], axis=1)
 
 
+def associate_with_nearest(times: Array, queries: Array, max_offset_s: float) -> Indices:
+    """Give each query the nearest of some times: indices (K, 2) of query and time, both columns without a decrease.
+
+    Unlike in `associate_timestamps`, one time may be that of several queries: two free-running cameras of one rate have
+    a stretch, again and again, where each image lies between two of the other camera.
+
+    Args:
+        times: (N,) seconds, increasing.
+        queries: (M,) seconds, increasing.
+        max_offset_s: largest difference; queries without a time as near as that are left out.
+    """
+    if not len(times) or not len(queries):
+        return np.empty((0, 2), np.int64)
+    nearest = _nearest(times, queries)
+    is_near = np.abs(times[nearest] - queries) <= max_offset_s
+    return np.stack([np.flatnonzero(is_near), nearest[is_near]], axis=1)
+
+
 def _nearest(times: Array, queries: Array) -> Indices:
     """Index of the time nearest to each query; of two equally near ones, the earlier."""
     after = np.clip(np.searchsorted(times, queries), 1, max(len(times) - 1, 1))

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from slam.errors import DataError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Pixels = TypeVar("Pixels", bound=NDArray[Any])
 
 # Bare streams of images: FFmpeg invents their times.
 _STREAM_SUFFIXES = frozenset((".h264", ".264", ".h265", ".265", ".hevc", ".mjpeg", ".mjpg", ".m1v", ".m2v"))
@@ -29,27 +31,27 @@ _DEFAULT_FPS = 30.0  # of a video without frame times and without a frame rate
 
 
 @dataclass
-class _Cursor:
+class _Cursor(Generic[Pixels]):
     """An open decoder and the index of the image that it gives next."""
 
-    images: Iterator[Image]
+    images: Iterator[Pixels]
     next_index: int
 
 
 @dataclass
-class SequentialReader:
+class SequentialReader(Generic[Pixels]):
     """Reads images by index; successive indices continue an open decoder, others open a new one. Thread-safe.
 
     Attributes:
         open_at: starts decoding at an image index.
     """
 
-    open_at: Callable[[int], Iterator[Image]]
-    _cursors: list[_Cursor] = field(default_factory=list)  # least recently used first
+    open_at: Callable[[int], Iterator[Pixels]]
+    _cursors: list[_Cursor[Pixels]] = field(default_factory=list)  # least recently used first
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def __getitem__(self, index: int) -> Image | None:
-        """Read image (H, W) uint8, or return None past the last image that can be decoded."""
+    def __getitem__(self, index: int) -> Pixels | None:
+        """Read image (H, W), or return None past the last image that can be decoded."""
         with self._lock:
             cursor = next((c for c in self._cursors if c.next_index == index), None) or self._open_cursor(index)
             self._cursors = [*(c for c in self._cursors if c is not cursor), cursor]
@@ -57,8 +59,8 @@ class SequentialReader:
             cursor.next_index = index + 1 if image is not None else -1
             return image
 
-    def read(self, index: int, count: int, where: Callable[[int], str], container: str) -> Image:
-        """Read image (H, W) uint8 of a container with `count` images.
+    def read(self, index: int, count: int, where: Callable[[int], str], container: str) -> Pixels:
+        """Read image (H, W) of a container with `count` images.
 
         Args:
             index: of the image, from 0.
@@ -77,7 +79,7 @@ class SequentialReader:
             raise DataError(f"{where(index)}: expected an image, found none; copy the {container} again")
         return image
 
-    def _open_cursor(self, index: int) -> _Cursor:
+    def _open_cursor(self, index: int) -> _Cursor[Pixels]:
         if len(self._cursors) == _MAX_CURSORS:
             self._cursors.pop(0)  # dropping its generator closes the file
         return _Cursor(self.open_at(index), index)
@@ -96,7 +98,8 @@ class Video:
     path: Path
     timestamps: Array
     has_times: bool
-    _reader: SequentialReader
+    _reader: SequentialReader[Image]
+    _colour_reader: SequentialReader[Image]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -117,6 +120,16 @@ class Video:
             DataError: the image cannot be decoded any more.
         """
         return self._reader.read(index, len(self), self.where, "video")
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey.
+
+        Raises:
+            IndexError: there is no such image.
+            DataError: the image cannot be decoded any more.
+        """
+        image = self._colour_reader.read(index, len(self), self.where, "video")
+        return None if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
     def where(self, index: int) -> str:
         """File and index of an image, for error messages."""
@@ -146,8 +159,14 @@ def open_video(path: Path) -> Video:
     stamps = np.array(times_s)
     can_seek = bool((np.diff(stamps) > 0).all())  # some containers store no frame times
     times = stamps if can_seek else np.arange(len(stamps)) / (fps if 0 < fps < np.inf else _DEFAULT_FPS)
-    reader = SequentialReader(lambda index: _decode_from(path, stamps if can_seek else None, index))
-    return Video(path, times, can_seek and path.suffix.lower() not in _STREAM_SUFFIXES, reader)
+    seekable = stamps if can_seek else None
+    colour = SequentialReader(lambda index: _decode_from(path, seekable, index))
+    grey = SequentialReader(lambda index: map(_to_grey, _decode_from(path, seekable, index)))
+    return Video(path, times, can_seek and path.suffix.lower() not in _STREAM_SUFFIXES, grey, colour)
+
+
+def _to_grey(image: Image) -> Image:
+    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _open_capture(path: Path) -> cv2.VideoCapture:
@@ -169,7 +188,7 @@ def _decode_from(path: Path, stamps: Array | None, start: int) -> Iterator[Image
             is_open = all(capture.grab() for _ in range(start + 1))
         while is_open:
             _, image = capture.retrieve()
-            yield np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            yield np.asarray(image, np.uint8)
             is_open = capture.grab()
     finally:
         capture.release()

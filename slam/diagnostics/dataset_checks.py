@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.static_regions import ImageMasks
 from slam.datasets.dataset import Dataset, DatasetSpec
+from slam.datasets.depth_units import Depth
 from slam.datasets.formats.recording import ImageDataset
 from slam.datasets.formats.registry import FORMATS, detect_format, open_images
+from slam.diagnostics.depth_checks import DepthStatistics, check_depth, measure_depth
 from slam.diagnostics.findings import (
     ALL_USES,
     SLAM_USES,
@@ -41,6 +43,7 @@ Progress = Callable[[int, int], None]
 # Samples of a long dataset: runs of successive images, evenly spread. Three in a run show images that are stored twice.
 _RUNS, _RUN_LENGTH = 40, 3
 _STEREO_PAIRS = 8  # pairs of left and right images in which rows are compared
+_DEPTH_PAIRS = 16  # images in which edges are compared with those of their depth
 
 
 @dataclass
@@ -52,6 +55,8 @@ class _Samples:
         successors: those of them whose predecessor was sampled too.
         right_frozen: for each of these in a pair whether its right image equals the one before, and it does not.
         pairs: some pairs of left and right images.
+        depths: measurements of the depth of all sampled images that have one.
+        depth_pairs: some left images and their depth.
         masks: masks of the sampled images, which know what is static in them.
         static_ratio: static share of the last of them.
         fault: message of the first image that cannot be read; empty if there is none.
@@ -61,6 +66,8 @@ class _Samples:
     successors: list[ImageStatistics] = field(default_factory=list)
     right_frozen: list[bool] = field(default_factory=list)
     pairs: list[tuple[Image, Image]] = field(default_factory=list)
+    depths: list[DepthStatistics] = field(default_factory=list)
+    depth_pairs: list[tuple[Image, Depth]] = field(default_factory=list)
     masks: ImageMasks = field(default_factory=ImageMasks)
     static_ratio: float = 0.0
     fault: str = ""
@@ -114,7 +121,7 @@ def _check_images_alone(spec: DatasetSpec, name: str, trouble: str, progress: Pr
 
 def inspect_images(images: ImageDataset, progress: Progress) -> list[Finding]:
     """Inspect the images of one camera, for which there may be no calibration."""
-    seen = _sample(len(images), lambda index: (images[index], None), progress)
+    seen = _sample(len(images), lambda index: _Sample(images[index]), progress)
     times = [] if images.timestamps is None else check_timestamps(images.timestamps)
     return [
         _check_count(len(images), "images"),
@@ -133,19 +140,19 @@ def inspect_opened(dataset: Dataset, progress: Progress, use: Use = Use.STEREO) 
         progress: called with the number of images read, and of all images to read.
         use: the use that is intended; with one camera the pair is not looked at.
     """
-    is_pair = dataset.has_right and use is Use.STEREO
-    return _check_seen(dataset, _sample(len(dataset), _reader(dataset, is_pair), progress), use)
+    return _check_seen(dataset, _sample(len(dataset), _reader(dataset, use is not Use.STEREO), progress), use)
 
 
 def _check_dataset(dataset: Dataset, open_left: Callable[[], Dataset], progress: Progress) -> list[Finding]:
-    """Check a dataset for every use; a damaged right image rules out stereo alone."""
-    seen = _sample(len(dataset), _reader(dataset, dataset.has_right), progress)
-    if not seen.fault or not dataset.has_right:
+    """Check a dataset for every use; a damaged right or depth image rules out the use of both cameras alone."""
+    seen = _sample(len(dataset), _reader(dataset), progress)
+    if not seen.fault or not (dataset.has_right or dataset.has_depth):
         return _check_seen(dataset, seen, Use.STEREO)
-    left, pairs, trouble = open_left(), seen.pairs, seen.fault
-    seen = _sample(len(left), _reader(left, False), progress)
-    seen.pairs = pairs
-    findings = [] if seen.fault else [report_fault("right images", trouble, (Use.STEREO,))]
+    left, before = open_left(), seen
+    seen = _sample(len(left), _reader(left, left_only=True), progress)
+    seen.pairs, seen.depths, seen.depth_pairs = before.pairs, before.depths, before.depth_pairs
+    others = "right images" if dataset.has_right else "depth images"
+    findings = [] if seen.fault else [report_fault(others, before.fault, (Use.STEREO,))]
     return [*findings, *_check_seen(dataset, seen, Use.STEREO)]
 
 
@@ -159,8 +166,10 @@ def _check_seen(dataset: Dataset, seen: _Samples, use: Use) -> list[Finding]:
             check_rectification(seen.pairs),
             check_pair_brightness(seen.pairs),
         ]
+    elif dataset.has_depth and use is Use.STEREO:
+        findings += check_depth(seen.depths, seen.depth_pairs)
     elif use is Use.STEREO:
-        findings.append(report_fault("second camera", "there are images of one camera", (Use.STEREO,)))
+        findings.append(report_fault("second camera", "there are images of one camera, and no depth", (Use.STEREO,)))
     return [*findings, _check_ground_truth(dataset), *_report_remarks(dataset)]
 
 
@@ -168,27 +177,39 @@ def _report_remarks(dataset: Dataset | ImageDataset) -> list[Finding]:
     return [report_warning("reading", remark) for remark in dataset.remarks]
 
 
-def _reader(dataset: Dataset, is_pair: bool) -> Callable[[int], tuple[Image, Image | None]]:
-    def read(index: int) -> tuple[Image, Image | None]:
+@dataclass(frozen=True)
+class _Sample:
+    """An image, and the right and the depth image that belong to it, if there are any."""
+
+    left: Image
+    right: Image | None = None
+    depth: Depth | None = None
+
+
+def _reader(dataset: Dataset, left_only: bool = False) -> Callable[[int], _Sample]:
+    def read(index: int) -> _Sample:
         frame = dataset[index]
-        return frame.left, frame.right if is_pair else None
+        return _Sample(frame.left) if left_only else _Sample(frame.left, frame.right, frame.depth)
 
     return read
 
 
-def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progress: Progress) -> _Samples:
+def _sample(count: int, read: Callable[[int], _Sample], progress: Progress) -> _Samples:
     """Read images from all parts of a dataset, up to the first that cannot be read."""
     seen, indices = _Samples(), _sample_indices(count)
-    compared = set(np.linspace(0, len(indices) - 1, _STEREO_PAIRS).astype(int).tolist())
+    compared, depth_compared = (
+        set(np.linspace(0, len(indices) - 1, count).astype(int).tolist()) for count in (_STEREO_PAIRS, _DEPTH_PAIRS)
+    )
     last = -1
     before: Image | None = None
     right_before: Image | None = None
     for done, index in enumerate(indices):
         try:
-            left, right = read(index)
+            sample = read(index)
         except DataError as error:
             seen.fault = str(error)
             return seen
+        left, right = sample.left, sample.right
         follows = before is not None and index == last + 1
         seen.static_ratio = seen.masks.observe(left).static_ratio
         seen.images.append(measure_image(left, before if follows else None))
@@ -199,6 +220,10 @@ def _sample(count: int, read: Callable[[int], tuple[Image, Image | None]], progr
                 seen.right_frozen.append(is_frozen)
         if right is not None and done in compared:
             seen.pairs.append((left, right))
+        if sample.depth is not None:
+            seen.depths.append(measure_depth(sample.depth))
+            if done in depth_compared:
+                seen.depth_pairs.append((left, sample.depth))
         last, before, right_before = index, left, right
         progress(done + 1, len(indices))
     return seen

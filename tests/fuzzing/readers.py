@@ -82,7 +82,12 @@ def _check_drive(drive: Dataset) -> None:
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)
     assert np.isfinite(numbers).all(), f"accepted a camera of {numbers}"
     assert min(camera.fx, camera.fy, camera.baseline) > 0, f"accepted a camera of {numbers}"
-    assert drive[0].left.shape == (camera.height, camera.width), "gave an image of another size"
+    frame = drive[0]
+    assert frame.left.shape == (camera.height, camera.width), "gave an image of another size"
+    assert (frame.depth is not None) == drive.has_depth, "depth is not what was promised"
+    assert frame.depth is None or frame.depth.shape == frame.left.shape, "gave depth of another size"
+    assert frame.depth is None or not (frame.depth <= 0).any(), "gave a depth that is none"
+    assert frame.depth is None or not np.isinf(frame.depth).any(), "gave an infinite depth"
 
 
 def _image(root: Path) -> None:
@@ -199,6 +204,18 @@ READERS: dict[str, Reader] = {
         made.tables("# t tx ty tz qx qy qz qw", " ", 8), share=4),
     "TUM rgb.txt": Reader("rgb.txt", _drive, lambda: [valid.RGB], made.tables("# t file", " ", 2, ("rgb/0.png",)),
         valid.tum_rgbd),
+    "TUM depth.txt": Reader("depth.txt", _drive, lambda: [valid.DEPTH],
+        made.tables("# t file", " ", 2, ("depth/0.png",)), valid.depth_camera),
+    "associations.txt": Reader("associations.txt", _drive, lambda: [valid.ASSOCIATIONS],
+        made.tables("#", " ", 4, ("depth/0.png", "rgb/0.png")), valid.icl_nuim),
+    "ICL-NUIM poses": Reader("traj0.gt.freiburg", _drive, lambda: [valid.poses_tum()], made.tables("#", " ", 8),
+        valid.icl_nuim_with_list),
+    "depth images": Reader("depth/0.png", _drive, media.depth_files, made.files_of(*made.IMAGE_MARKS),
+        valid.depth_camera, share=2),
+    "depth as .npy": Reader("depth/0.npy", _drive, lambda: valid.array_files(valid.METRES), made.array_files(),
+        valid.depth_arrays),
+    "bag, depth": Reader("d.bag", _at("d.bag", lambda p: _check_drive(open_dataset(p))), lambda: [media.depth_bag()],
+        _MESSAGES, share=0.3),
     "TUM groundtruth.txt": Reader("groundtruth.txt", _drive, lambda: [valid.poses_tum()], made.tables("#", " ", 8),
         valid.tum_rgbd),
     "EuRoC data.csv": Reader("mav0/cam0/data.csv", _drive, lambda: [valid.EUROC_LIST],

@@ -64,6 +64,39 @@ def tum_rgbd(root: Path) -> None:
     write_tum(root / "groundtruth.txt", TIMES, POSES)
 
 
+def depth_camera(root: Path) -> None:
+    """A sequence of TUM RGB-D whose depth images have no list."""
+    tum_rgbd(root)
+    (root / "depth").mkdir(exist_ok=True)
+    for k in range(3):
+        cv2.imwrite(str(root / f"depth/{k}.png"), IMAGE.astype(np.uint16) * 40)
+
+
+def icl_nuim(root: Path) -> None:
+    """A sequence of ICL-NUIM; the list is left to be written."""
+    depth_camera(root)
+    for name in ("rgb.txt", "camera.toml", "groundtruth.txt"):
+        (root / name).unlink()
+    write_tum(root / "traj0.gt.freiburg", np.arange(3.0), POSES)
+
+
+def icl_nuim_with_list(root: Path) -> None:
+    icl_nuim(root)
+    (root / "associations.txt").write_bytes(ASSOCIATIONS)
+
+
+def depth_arrays(root: Path) -> None:
+    """A camera.toml that names a folder of arrays."""
+    images(root / "rgb", ("0.png", "1.png", "2.png"))
+    (root / "depth").mkdir(exist_ok=True)
+    for k, data in enumerate(array_files(*[METRES] * 3)):
+        (root / f"depth/{k}.npy").write_bytes(data)
+    (root / "camera.toml").write_text(f'{CAMERA}fps = 10\nleft = "rgb"\ndepth = "depth"\n')
+
+
+METRES = IMAGE.astype(np.float32) / 100
+DEPTH = b"# timestamp filename\n0.0 depth/0.png\n0.1 depth/1.png\n0.2 depth/2.png\n"
+ASSOCIATIONS = b"".join(b"%d depth/%d.png %d rgb/%d.png\n" % (k, k, k, k) for k in range(3))
 RGB = b"# timestamp filename\n0.0 rgb/0.png\n0.1 rgb/1.png\n0.2 rgb/2.png\n"
 EUROC_LIST = b"#timestamp [ns],filename\n100000000,0.png\r\n200000000,1.png\r\n300000000,2.png\r\n"
 
@@ -137,6 +170,7 @@ def camera_files() -> list[bytes]:
         f"{CAMERA}baseline = 0.5\nfps = 10\n{lens}{rest}",
         f"{CAMERA}fps = 10\n{fisheye}",
         f"{CAMERA}fps = 10\n{lens}{right}{lens}",
+        f'{CAMERA}fps = 10\nleft = "left"\ndepth = "right"\ndepth_scale = 1000\n',
     )
     return [text.encode() for text in texts]
 

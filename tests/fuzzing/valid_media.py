@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..slam.datasets import bags as small
 from ..slam.datasets.layouts import BagStyle, taken, write_bag
 
 SIZE = (16, 12)
@@ -36,6 +37,27 @@ def image_files() -> list[bytes]:
         (".tiff", deep),
     ]
     return [cv2.imencode(suffix, image)[1].tobytes() for suffix, image in encoded]
+
+
+def depth_files() -> list[bytes]:
+    """Depth of 16 bits as PNG and TIFF, and of floats."""
+    depth = IMAGE.astype(np.uint16) * 40
+    metres = depth.astype(np.float32) / 1000
+    encoded = ((".png", depth), (".tiff", depth), (".tiff", metres), (".pfm", metres))
+    return [cv2.imencode(suffix, values)[1].tobytes() for suffix, values in encoded]
+
+
+@cache
+def depth_bag() -> bytes:
+    """A bag of one colour camera and of depth that is registered to it."""
+    messages = small.Messages().images("/camera/color/image_raw", [0.0, 0.1, 0.2])
+    messages.add("/camera/color/camera_info", small.Info().message())
+    for k in range(3):
+        depth = np.full(small.SIZE[::-1], 1000 + k, np.uint16)
+        message = small.raw_image(depth, small.START + 0.1 * k, "16UC1")
+        messages.add("/camera/aligned_depth_to_color/image_raw", message)
+    with tempfile.TemporaryDirectory() as name:
+        return messages.write(Path(name) / "drive.bag").read_bytes()
 
 
 def video_files() -> list[bytes]:

@@ -1,8 +1,9 @@
 """Datasets of a custom camera: folders of images or video files, with a calibration in `camera.toml`.
 
-`{camera.toml, *.png}` or `{camera.toml, left/*.png, right/*.png}`; video files may replace the folders. `times.txt`
-beside the images holds their times, seconds, if their rate is not constant; names that are dates in seconds or
-nanoseconds are times too. The `camera.toml` of a single video is in its folder.
+`{camera.toml, *.png}` or `{camera.toml, left/*.png, right/*.png}`; video files may replace the folders. A depth camera
+has a folder of depth images beside that of its colour images: `camera.toml` names it. `times.txt` beside the images
+holds their times, seconds, if their rate is not constant; names that are dates in seconds or nanoseconds are times too.
+The `camera.toml` of a single video is in its folder.
 
 Some layouts of public recordings become readable by a `camera.toml`: they are recognised, and a message says what to
 write.
@@ -19,6 +20,7 @@ from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec, subfolders
 from slam.datasets.formats.camera_streams import find_times, open_camera_images, open_pair, open_stream
+from slam.datasets.formats.depth_images import open_depth_folder
 from slam.datasets.formats.image_sequence import (
     IMAGE_SUFFIXES,
     list_images,
@@ -109,12 +111,14 @@ def open_custom_camera_images(spec: DatasetSpec) -> ImageDataset:
 
 
 def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
+    depth = None if spec.left_only or settings.depth is None else _find_depth(settings, settings.depth)
     left, right = _cameras(spec.path, settings)
     remarks = settings.remarks
     if spec.left_only:
         right = None
     elif right is not None and not settings.is_pair:
-        right, remarks = None, (*remarks, f"{settings.path.name} has no baseline: {LEFT_ALONE}")
+        alone = f"{settings.path.name} has no baseline: {LEFT_ALONE}"
+        right, remarks = None, remarks if depth is not None else (*remarks, alone)
     elif right is None and settings.is_pair:
         remarks = (
             *remarks,
@@ -122,10 +126,12 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
         )
     fps = spec.fps or settings.fps
     left_stream, right_stream = (open_stream(left, fps), None) if right is None else open_pair(left, right, fps)
+    times, scale = left_stream.timestamps, settings.depth_scale
     return RawRecording(
         name=spec.path.absolute().name,
         left=left_stream,
         right=right_stream,
+        depth=None if depth is None else open_depth_folder(depth, times, scale),
         ground_truth=None if settings.ground_truth is None else read_ground_truth(settings.ground_truth, left_stream),
         remarks=remarks,
     )
@@ -133,7 +139,7 @@ def _raw_recording(spec: DatasetSpec, settings: CameraToml) -> RawRecording:
 
 def _cameras(path: Path, settings: CameraToml) -> tuple[Path, Path | None]:
     """Folders or video files of the left and the right camera: those that the settings name, else the usual ones."""
-    found = _find_cameras(path)
+    found = _find_cameras(path, settings.depth)
     left = _find_by_name(settings, settings.left) if settings.left else found[0]
     if left is None:
         raise _no_camera_error(path)
@@ -144,6 +150,13 @@ def _find_by_name(settings: CameraToml, name: str) -> Path:
     path = settings.path.parent / name
     if not (is_video(path) or list_images(path)):
         raise DataError(f"{settings.path}: expected images or a video called {name}, found none; check the name")
+    return path
+
+
+def _find_depth(settings: CameraToml, name: str) -> Path:
+    path = settings.path.parent / name
+    if not path.is_dir():
+        raise DataError(f"{settings.path}: expected a folder of depth images called {name}, found none; check depth")
     return path
 
 
@@ -170,12 +183,15 @@ def describe_contents(folder: Path) -> str:
     return ", ".join(names[:_MAX_SHOWN]) + (", ..." if len(names) > _MAX_SHOWN else "") or "nothing"
 
 
-def _find_cameras(path: Path) -> tuple[Path | None, Path | None]:
-    """Left and right camera by the usual names, else the only camera; a few pictures beside them are not a camera."""
+def _find_cameras(path: Path, depth: str | None = None) -> tuple[Path | None, Path | None]:
+    """Left and right camera by the usual names, else the only camera beside the depth images of a name.
+
+    A few pictures beside folders of images are not a camera.
+    """
     own = list_images(path)
     if path.is_file():
         return path, None
-    others = [item for item in sorted(path.iterdir()) if is_video(item) or list_images(item)]
+    others = [item for item in _list_media_in(path) if item.name != depth]
     named = {item.stem if is_video(item) else item.name: item for item in others}
     for left, right in PAIR_NAMES:
         if left in named and (is_video(named[left]) or len(list_images(named[left])) >= len(own)):
@@ -189,6 +205,10 @@ def _list_media(folder: Path) -> list[Path]:
     """List the video files and the folders of images in a folder; the folder itself if it contains images."""
     if list_images(folder):
         return [folder]
+    return _list_media_in(folder)
+
+
+def _list_media_in(folder: Path) -> list[Path]:
     return [item for item in sorted(folder.iterdir()) if is_video(item) or list_images(item)]
 
 
@@ -211,15 +231,6 @@ def _has(*names: str) -> Callable[[Path], bool]:
     return lambda folder: all((folder / name).exists() for name in names)
 
 
-def _is_icl_nuim(folder: Path) -> bool:
-    return (folder / "rgb").is_dir() and any(folder.glob("*.gt.freiburg"))
-
-
-def _has_associations(folder: Path) -> bool:
-    names = ("associations.txt", "associate.txt", "associated.txt", "association.txt")
-    return (folder / "rgb").is_dir() and any((folder / name).is_file() for name in names)
-
-
 LAYOUTS = (
     KnownLayout(
         "TartanAir",
@@ -234,12 +245,6 @@ LAYOUTS = (
         ' left = "image_lcam_front", right = "image_rcam_front"; the poses have other axes and are not read',
     ),
     KnownLayout(
-        "ICL-NUIM",
-        _is_icl_nuim,
-        'write {folder}/camera.toml with fx = 481.2, fy = 480, cx = 319.5, cy = 239.5, fps = 30, left = "rgb", and use'
-        " --mono; the poses are numbered, not timed, and are not read",
-    ),
-    KnownLayout(
         "4Seasons",
         _has("undistorted_images"),
         "write {folder}/undistorted_images/camera.toml with fx, fy, cx, cy and baseline from the undistorted_calib"
@@ -249,11 +254,6 @@ LAYOUTS = (
         "4Seasons",
         _has("distorted_images", "times.txt"),
         "unpack undistorted_images too, and name that folder with a camera.toml in it",
-    ),
-    KnownLayout(
-        "RGB-D with associations",
-        _has_associations,
-        "write {folder}/rgb.txt with a time in seconds and the file of its image, such as rgb/1.png, in each line",
     ),
 )
 

@@ -65,6 +65,15 @@ class ImageSequence:
             raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
         return read_grey(self.files[index], lambda: self._grey_range)
 
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read image (H, W, 3), RGB, 8 bits; None if the file holds grey values, or cannot be read."""
+        try:
+            check_name(self.files[index])
+            image = cv2.imread(str(self.files[index]), cv2.IMREAD_ANYCOLOR)
+        except (cv2.error, DataError):  # which reading the grey image reports
+            return None
+        return None if image is None or image.ndim == 2 else np.asarray(image[..., ::-1], np.uint8)
+
     @cached_property
     def _grey_range(self) -> GreyRange:
         """Range of 16-bit images, by some from all parts of the sequence and of its partner's."""
@@ -123,7 +132,7 @@ def read_grey(path: Path, find_range: Callable[[], GreyRange] = lambda: FULL_RAN
     Raises:
         DataError: the file is missing or damaged, or its name is not valid Unicode.
     """
-    _check_name(path)
+    check_name(path)
     image = _read(path)
     if image is None and not path.exists():
         raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
@@ -146,7 +155,8 @@ def _read(path: Path) -> NDArray[Any] | None:
         return None
 
 
-def _check_name(path: Path) -> None:
+def check_name(path: Path) -> None:
+    """Raise DataError if OpenCV cannot open a file of this name."""
     try:
         str(path).encode()
     except UnicodeEncodeError:  # OpenCV would abort the process on such a name

@@ -66,6 +66,11 @@ class KittiDataset:
         """Whether there is a right image for each left image."""
         return self.files.right is not None
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image for each left image: never in this layout."""
+        return False
+
     def __len__(self) -> int:
         return len(self.files.left)
 
@@ -85,6 +90,10 @@ class KittiDataset:
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB; None where there is only grey."""
+        return self._images[0].read_colour(index)
 
     @cached_property
     def _images(self) -> tuple[ImageSequence, ImageSequence | None]:

@@ -8,13 +8,15 @@ calibrated (`LeftImages`) or not (`UncalibratedImages`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
+from slam.datasets.depth_units import Depth
+from slam.datasets.formats.depth_images import DEPTH_UNUSED, DepthImages, DepthStream, match_depth
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_pose_file
 from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.timestamped_lists import ListFormat, read_image_list
@@ -41,6 +43,15 @@ class Images(Protocol):
 
     def where(self, index: int) -> str:
         """File of an image and its position in the file, for error messages."""
+        ...
+
+
+@runtime_checkable
+class ColourImages(Protocol):
+    """Raw images that can be read in colour too; a reader without it has grey images alone."""
+
+    def read_colour(self, index: int, /) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey."""
         ...
 
 
@@ -90,6 +101,11 @@ class ImageSubset:
     def __getitem__(self, index: int) -> Image:
         """Read a selected image (H, W) uint8, grey."""
         return self.images[int(self.indices[index])]
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read a selected image (H, W, 3), RGB; None if it is grey."""
+        number = int(self.indices[index])
+        return self.images.read_colour(number) if isinstance(self.images, ColourImages) else None
 
     def where(self, index: int) -> str:
         """File of a selected image, for error messages."""
@@ -147,6 +163,7 @@ class RawRecording:
         name: short name for titles.
         left: stream of the left camera, or of the only camera.
         right: stream of the right camera, or None.
+        depth: stream of depth images that are registered to the left ones, or None.
         ground_truth: measured poses, or None.
         remarks: notes for the user.
     """
@@ -154,6 +171,7 @@ class RawRecording:
     name: str
     left: CameraStream
     right: CameraStream | None = None
+    depth: DepthStream | None = None
     ground_truth: GroundTruthTrajectory | None = None
     remarks: tuple[str, ...] = ()
 
@@ -170,6 +188,7 @@ class RectifiedDataset:
         left: N raw images.
         right: N raw images, or None in a dataset with one camera.
         rectification: map from the raw to the rectified images.
+        depth: N raw depth images, or None in a dataset without depth.
         remarks: notes about images that were left out and assumptions that were made on opening.
     """
 
@@ -179,6 +198,7 @@ class RectifiedDataset:
     left: Images
     right: Images | None
     rectification: Rectification
+    depth: DepthImages | None = None
     remarks: tuple[str, ...] = ()
 
     @property
@@ -191,9 +211,14 @@ class RectifiedDataset:
         """Whether there is a right image for each left image."""
         return self.right is not None
 
-    def without_right(self) -> "RectifiedDataset":
-        """Return the same dataset with the left camera alone."""
-        return replace(self, right=None)
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a depth image for each left image."""
+        return self.depth is not None
+
+    def left_alone(self) -> "RectifiedDataset":
+        """Return the same dataset with the left images alone."""
+        return replace(self, right=None, depth=None)
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -209,20 +234,36 @@ class RectifiedDataset:
             raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
         left = self._read(self.left, index, self.rectification.left)
         right = None if self.right is None else self._read(self.right, index, self.rectification.right)
-        return Frame(index, float(self.timestamps[index]), left, right)
+        depth = None if self.depth is None else self._read_depth(self.depth, index)
+        return Frame(index, float(self.timestamps[index]), left, right, depth=depth)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
+    def read_colour(self, index: int) -> Image | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
+        colour = self.left.read_colour(index) if isinstance(self.left, ColourImages) else None
+        if colour is None or colour.shape[:2] != (self.camera.height, self.camera.width):
+            return None
+        return self.rectification.left(colour)
+
     def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
         image = images[index]
-        expected = (self.camera.height, self.camera.width)
-        if image.shape != expected:
-            raise DataError(
-                f"{images.where(index)}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
-                f" found {image.shape[1]} x {image.shape[0]}; copy it again"
-            )
+        self._check_shape(image.shape, images.where(index))
         return rectify(image)
+
+    def _read_depth(self, images: DepthImages, index: int) -> Depth:
+        depth = images[index]
+        self._check_shape(depth.shape, images.where(index))
+        return self.rectification.rectify_depth(depth)
+
+    def _check_shape(self, shape: tuple[int, ...], where: str) -> None:
+        expected = (self.camera.height, self.camera.width)
+        if shape != expected:
+            raise DataError(
+                f"{where}: expected {expected[1]} x {expected[0]} pixels as in {self.left.where(0)},"
+                f" found {shape[1]} x {shape[0]}; copy it again"
+            )
 
 
 @dataclass(frozen=True)
@@ -230,7 +271,7 @@ class LeftImages:
     """The rectified images of the left camera of a dataset (an ImageDataset).
 
     Attributes:
-        dataset: a dataset without right images: decoding them would only take time.
+        dataset: a dataset without right and depth images: decoding them would only take time.
     """
 
     dataset: RectifiedDataset
@@ -238,7 +279,7 @@ class LeftImages:
     @classmethod
     def of(cls, dataset: RectifiedDataset) -> "LeftImages":
         """Return the left images of a dataset with one camera or two."""
-        return cls(dataset.without_right())
+        return cls(dataset.left_alone())
 
     @property
     def name(self) -> str:
@@ -305,7 +346,10 @@ def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectificati
         DataError: no two images were taken at the same time, or the first image cannot be read or is too small.
     """
     recording = _synchronize(recording)
-    rectification = rectify(read_size(recording.left.images))
+    size = read_size(recording.left.images)
+    recording, rectification = _match_depth(recording, size), rectify(size)
+    if recording.depth is not None:
+        rectification = rectification.of_depth_camera()
     recording, poses = _interpolate_ground_truth(recording, rectification)
     return RectifiedDataset(
         name=recording.name,
@@ -314,6 +358,7 @@ def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectificati
         left=recording.left.images,
         right=None if recording.right is None else recording.right.images,
         rectification=rectification,
+        depth=None if recording.depth is None else recording.depth.images,
         remarks=recording.remarks,
     )
 
@@ -379,6 +424,22 @@ def _synchronize(recording: RawRecording) -> RawRecording:
     )
 
 
+def _match_depth(recording: RawRecording, size: Size) -> RawRecording:
+    """Keep the images that have a depth image, unless the depth cannot be used; beside a pair it is not needed."""
+    if recording.depth is None:
+        return recording
+    if recording.right is not None:
+        remark = f"there is a pair of cameras and depth: {DEPTH_UNUSED}"
+        return replace(recording, depth=None, remarks=(*recording.remarks, remark))
+    matched = match_depth(recording.depth, recording.left.timestamps, size)
+    return replace(
+        recording,
+        left=recording.left.subset(matched.colour_indices),
+        depth=matched.depth,
+        remarks=(*recording.remarks, *matched.remarks),
+    )
+
+
 def _with_scale_of_both(stream: CameraStream, partner: CameraStream) -> CameraStream:
     """Return a stream of a pair whose images of 16 bits have the same scale in both cameras."""
     all_of = partner.images.images if isinstance(partner.images, ImageSubset) else partner.images
@@ -394,7 +455,7 @@ def _interpolate_ground_truth(
     recording: RawRecording, rectification: Rectification
 ) -> tuple[RawRecording, Array | None]:
     """Keep the images that have ground truth, and return their poses (N, 4, 4) of the rectified left camera."""
-    truth, left, right = recording.ground_truth, recording.left, recording.right
+    truth, left, right, depth = recording.ground_truth, recording.left, recording.right, recording.depth
     if truth is None:
         return recording, None
     if not len(truth.poses):
@@ -403,4 +464,5 @@ def _interpolate_ground_truth(
     kept = np.arange(len(left.timestamps))[trajectory.frames]
     remarks = (*recording.remarks, *truth.remarks, *([trajectory.remark] if trajectory.remark else []))
     right = None if right is None else right.subset(kept)
-    return replace(recording, left=left.subset(kept), right=right, remarks=remarks), trajectory.poses
+    depth = None if depth is None else depth.subset(kept)
+    return replace(recording, left=left.subset(kept), right=right, depth=depth, remarks=remarks), trajectory.poses

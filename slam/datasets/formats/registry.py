@@ -19,6 +19,7 @@ from slam.datasets.formats.custom_camera import (
     open_custom_camera,
     open_custom_camera_images,
 )
+from slam.datasets.formats.depth_images import DEPTH_UNUSED
 from slam.datasets.formats.euroc import is_euroc, open_euroc, open_euroc_images
 from slam.datasets.formats.image_sequence import ImageSequence
 from slam.datasets.formats.kitti import open_image_sequence, open_kitti
@@ -139,15 +140,17 @@ def open_dataset(source: DatasetSpec | Path | str, sequence: str | None = None) 
 
 
 def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
-    """Open a calibrated dataset for odometry with two cameras or one.
+    """Open a calibrated dataset for odometry with two cameras, a depth camera or one camera.
 
     Raises:
-        DataError: as `open_dataset`, or there are no right images and two cameras are needed.
+        DataError: as `open_dataset`, or there are neither right images nor depth and one of them is needed.
         ConfigError: the format does not exist.
     """
     dataset = open_dataset(replace(spec, left_only=mono))
-    if not dataset.has_right and not mono:
-        reasons = "".join(f" ({remark})" for remark in dataset.remarks if LEFT_ALONE in remark)
+    if not dataset.has_right and not dataset.has_depth and not mono:
+        reasons = "".join(
+            f" ({remark})" for remark in dataset.remarks if LEFT_ALONE in remark or DEPTH_UNUSED in remark
+        )
         found = f"found left ones only{reasons}"
         raise DataError(f"{spec.path}: expected left and right images, {found}; use one camera with --mono")
     return dataset

@@ -14,6 +14,7 @@ from slam.datasets.calibration_yaml import find_calibration
 from slam.datasets.camera_toml import CAMERA_TOML, CameraToml
 from slam.datasets.dataset import DatasetSpec
 from slam.datasets.formats.custom_camera import rectification_of
+from slam.datasets.formats.depth_images import DEPTH_UNUSED, DepthStream
 from slam.datasets.formats.recording import (
     LEFT_ALONE,
     CameraStream,
@@ -25,15 +26,19 @@ from slam.datasets.formats.recording import (
     build_dataset,
     read_ground_truth,
 )
-from slam.datasets.formats.rosbag_file import Bag, open_topics, read_bag
+from slam.datasets.formats.rosbag_file import Bag, open_depth_topic, open_topics, read_bag, read_frame_id
 from slam.datasets.formats.rosbag_messages import CameraInfo
 from slam.datasets.formats.rosbag_topics import (
     CameraTopics,
+    choose_depth,
     choose_topics,
+    depth_topics,
     find_camera_info,
     find_info_topic,
     image_topic,
     is_rectified,
+    is_registered,
+    registered_topic,
 )
 from slam.datasets.rectification import (
     NOMINAL_BASELINE_M,
@@ -68,15 +73,18 @@ def open_bag(spec: DatasetSpec) -> RectifiedDataset:
     is_pair = topics.right is not None and _is_pair(bag, topics, settings)
     used = topics if is_pair else CameraTopics(topics.left)
     left, *others = open_topics(bag.path, used.names, _used_infos(bag, used) if settings is None else {})
+    depth, trouble = (None, ()) if spec.left_only or others else _open_depth(bag, used.left, settings)
     recording = RawRecording(
         spec.path.stem,
         CameraStream(left, left.timestamps),
         CameraStream(others[0], others[0].timestamps) if others else None,
+        depth=depth,
         remarks=(
             *_remarks_of_choice(bag, topics, used),
             *(_remarks_of_infos(bag, used) if settings is None else settings.remarks),
             *left.remarks,
             *(others[0].remarks if others else ()),
+            *trouble,
         ),
     )
     if settings is None:
@@ -95,9 +103,41 @@ def open_bag_images(spec: DatasetSpec) -> ImageDataset:
     settings = _find_settings(bag)
     topics = choose_topics(bag, _requested_topics(spec, bag, settings))
     if settings is not None or find_camera_info(bag, topics.left) is not None:
-        return LeftImages.of(open_bag(replace(spec, topics=(topics.left,))))
+        return LeftImages.of(open_bag(replace(spec, topics=(topics.left,), left_only=True)))
     (images,) = open_topics(bag.path, (topics.left,))
     return UncalibratedImages(spec.path.stem, images, images.timestamps, remarks=images.remarks)
+
+
+def _open_depth(bag: Bag, colour: str, settings: CameraToml | None) -> tuple[DepthStream | None, tuple[str, ...]]:
+    """Depth images of the camera of a topic; None where there are none, with a remark where they cannot be used.
+
+    Raises:
+        DataError: the calibration names a topic that is not in the bag, or the bag is damaged.
+    """
+    topics = depth_topics(bag.image_counts)
+    if settings is not None and settings.depth is not None:
+        registered = [topic for topic in topics if image_topic(topic) == image_topic(settings.depth)]
+        if not registered:
+            found = ", ".join(topics) or "none"
+            raise DataError(f"{settings.path}: expected a depth topic {settings.depth}, found {found}; check depth")
+    else:
+        registered = [topic for topic in topics if is_registered(topic, colour)] or _of_one_frame(bag, topics, colour)
+    if not registered:
+        remedy = f"record {registered_topic(topics[0], colour)}" if topics else ""
+        trouble = [f"{topic} is not registered to {colour}: {DEPTH_UNUSED}; {remedy}" for topic in topics[:1]]
+        return None, tuple(trouble)
+    topic = choose_depth(registered, colour)
+    try:
+        images = open_depth_topic(bag.path, topic, None if settings is None else settings.depth_scale)
+    except DataError as error:
+        return None, (f"{error}; {DEPTH_UNUSED}",)
+    return DepthStream(images, images.timestamps, images.remarks), ()
+
+
+def _of_one_frame(bag: Bag, topics: list[str], colour: str) -> list[str]:
+    """Depth topics whose messages are in the frame of the colour images: OpenNI registered them when it recorded."""
+    frame = read_frame_id(bag.path, colour) if topics else ""
+    return [topic for topic in topics if frame and read_frame_id(bag.path, topic) == frame]
 
 
 def _find_settings(bag: Bag) -> CameraToml | None:

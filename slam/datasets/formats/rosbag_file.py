@@ -3,20 +3,23 @@
 Finds camera topics and reads their messages by index, in the order of their time stamps.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.depth_units import MILLIMETRES, Depth
+from slam.datasets.formats.rosbag_depth import check_depth, decode_depth, depth_scale
 from slam.datasets.formats.rosbag_messages import (
     CameraInfo,
     check_image,
+    decode_colour,
     decode_image,
     read_camera_info,
     read_timestamp,
@@ -29,6 +32,7 @@ from slam.errors import DataError, RevisitError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
+Pixels = TypeVar("Pixels", bound=NDArray[Any])
 
 BAG_SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 UNFINISHED_SUFFIX = ".active"  # of a ROS 1 bag that is being recorded, or whose recorder was killed
@@ -113,7 +117,7 @@ def _find_usable_info(reader: Any, topic: str, bag: Bag) -> None:
 
 
 @dataclass(frozen=True)
-class BagImages:
+class BagImages(Generic[Pixels]):
     """The images of one topic in the order of their time stamps; each is read on demand.
 
     Attributes:
@@ -122,6 +126,7 @@ class BagImages:
         timestamps: (N,) seconds, increasing: from the message headers, or times of arrival if the headers have none.
         numbers: (N,) of the messages in the order of their arrival.
         remarks: which messages were left out and what was assumed.
+        units_per_m: scale of the values of depth images.
     """
 
     path: Path
@@ -129,19 +134,33 @@ class BagImages:
     timestamps: Array
     numbers: Indices
     remarks: tuple[str, ...]
-    _reader: SequentialReader
+    _reader: SequentialReader[Pixels]
+    units_per_m: float = 1.0
+    _colour_reader: SequentialReader[Image] | None = None
 
     def __len__(self) -> int:
         return len(self.timestamps)
 
-    def __getitem__(self, index: int) -> Image:
-        """Read image (H, W) uint8, grey.
+    def __getitem__(self, index: int) -> Pixels:
+        """Read image (H, W): uint8, grey, or float32, depth in metres, NaN where there is none.
 
         Raises:
             IndexError: there is no such image.
             DataError: the image cannot be read.
         """
         return self._reader.read(index, len(self), self.where, "bag")
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey.
+
+        Raises:
+            IndexError: there is no such image.
+            DataError: the image cannot be read.
+        """
+        if self._colour_reader is None:
+            return None
+        image = self._colour_reader.read(index, len(self), self.where, "bag")
+        return image if image.size else None
 
     def where(self, index: int) -> str:
         """Bag, topic and number of a message, for error messages."""
@@ -157,8 +176,10 @@ class _Listing:
         stamps: times in the headers, seconds.
         faults: by message number, why an image cannot be decoded.
         grey_range: values of all images; None if they have 8 bits.
+        check: checks the image of a message and returns its values, if they have a range.
     """
 
+    check: Callable[[Any], GreyRange | None] = check_image
     arrived: list[int] = field(default_factory=list)
     stamps: list[float] = field(default_factory=list)
     faults: dict[int, str] = field(default_factory=dict)
@@ -170,7 +191,7 @@ class _Listing:
         self.arrived.append(arrived)
         self.stamps.append(read_timestamp(message))
         try:
-            found = check_image(message)
+            found = self.check(message)
         except ValueError as error:
             self.faults[number] = str(error)
         else:
@@ -230,7 +251,7 @@ class _InfoListing:
 
 def open_topics(
     path: Path, topics: tuple[str, ...], infos: Mapping[str, CameraInfo] = MappingProxyType({})
-) -> list[BagImages]:
+) -> list[BagImages[Image]]:
     """Read the times of all images of some topics; images of 16 bits get the same scale in all of them.
 
     Args:
@@ -250,12 +271,60 @@ def open_topics(
             listing = listings.get(connection.topic) or info_listings[connection.topic]
             listing.add(time, reader.deserialize(data, connection.msgtype))
     grey_range = reduce(join_ranges, [listing.grey_range for listing in listings.values()], None)
-    first, *others = [_images_of(path, topic, listings[topic], grey_range) for topic in topics]
+    first, *others = [_grey_images_of(path, topic, listings[topic], grey_range) for topic in topics]
     changes = [remark for topic, infos_of in info_listings.items() for remark in infos_of.describe(topic)]
     return [replace(first, remarks=(*changes, *first.remarks)), *others]
 
 
-def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange | None) -> BagImages:
+def _grey_images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange | None) -> BagImages[Image]:
+    images = _images_of(path, topic, listing, lambda message: decode_image(message, grey_range or FULL_RANGE))
+    scale = [f"{topic}: {grey_range.remark}"] if grey_range is not None and grey_range.remark else []
+    arrived = np.array(listing.arrived, np.int64)
+    colour = _Messages(path, topic, arrived, images.numbers, _decode_colour_or_nothing)
+    return replace(images, remarks=(*images.remarks, *scale), _colour_reader=SequentialReader(colour.decode_from))
+
+
+def _decode_colour_or_nothing(message: Any) -> Image:
+    """RGB image of a message; of a grey one an image without pixels, as None would be the end of the bag."""
+    colour = decode_colour(message)
+    return np.empty((0, 0, 3), np.uint8) if colour is None else colour
+
+
+def open_depth_topic(path: Path, topic: str, units_per_m: float | None) -> BagImages[Depth]:
+    """Read the times of the depth images of a topic.
+
+    Args:
+        path: file or folder of the bag.
+        topic: topic of depth images.
+        units_per_m: scale of their values; None for that of ROS, millimetres in whole numbers and metres in floats.
+
+    Raises:
+        DataError: the bag has no such images, none can be decoded, or the bag is damaged.
+    """
+    listing, scale = _Listing(check=check_depth), units_per_m or MILLIMETRES
+    with _open_reader(path) as reader:
+        for connection, time, data in reader.messages(connections=_connections_of(reader, path, topic)):
+            message = reader.deserialize(data, connection.msgtype)
+            if not listing.arrived and units_per_m is None:
+                scale = depth_scale(message)
+            listing.add(time, message)
+    return replace(_images_of(path, topic, listing, lambda m: decode_depth(m, scale)), units_per_m=scale)
+
+
+def read_frame_id(path: Path, topic: str) -> str:
+    """Name of the frame in which the images of a topic are, by its first message.
+
+    Raises:
+        DataError: the bag has no such images, or is damaged.
+    """
+    with (
+        _open_reader(path) as reader,
+        closing(reader.messages(connections=_connections_of(reader, path, topic))) as all,
+    ):
+        return next((str(reader.deserialize(data, c.msgtype).header.frame_id) for c, _, data in all), "")
+
+
+def _images_of(path: Path, topic: str, listing: _Listing, decode: Callable[[Any], Pixels]) -> BagImages[Pixels]:
     if not listing.arrived:
         raise DataError(f"{path}, {topic}: expected images, found no message; choose another with --image-topic")
     arrived = np.array(listing.arrived, np.int64)
@@ -265,30 +334,29 @@ def _images_of(path: Path, topic: str, listing: _Listing, grey_range: GreyRange 
     numbers, times = order.rows[is_usable], order.seconds[is_usable]
     if not len(numbers):
         raise DataError(f"{path}, {topic}: expected images with usable time stamps, found none; record it again")
-    scale = [grey_range.remark] if grey_range is not None and grey_range.remark else []
-    remarks = (*damaged, *(f"{topic}: {remark}" for remark in (*order.remarks, *scale)))
-    messages = _Messages(path, topic, arrived, numbers, grey_range or FULL_RANGE)
+    remarks = (*damaged, *(f"{topic}: {remark}" for remark in order.remarks))
+    messages = _Messages(path, topic, arrived, numbers, decode)
     return BagImages(path, topic, times, numbers, remarks, SequentialReader(messages.decode_from))
 
 
 @dataclass(frozen=True)
-class _Messages:
+class _Messages(Generic[Pixels]):
     """The messages of one topic, to be decoded.
 
     Attributes:
         path, topic: bag and topic.
         arrived: (M,) times of arrival of all messages, nanoseconds, in the bag's order.
         numbers: (N,) of the messages in the order of their images.
-        grey_range: values of all images, if they have 16 bits.
+        decode: decodes a message.
     """
 
     path: Path
     topic: str
     arrived: NDArray[np.int64]
     numbers: Indices
-    grey_range: GreyRange
+    decode: Callable[[Any], Pixels]
 
-    def decode_from(self, start: int) -> Iterator[Image]:
+    def decode_from(self, start: int) -> Iterator[Pixels]:
         """Decode the images from an index on. Messages that come before their turn wait until then."""
         wanted, index, waiting = set(self.numbers[start:].tolist()), start, dict[int, Any]()
         for number, message in self._read_from(int(self.numbers[start:].min())):
@@ -309,9 +377,9 @@ class _Messages:
                     if number >= first:
                         yield number, reader.deserialize(data, connection.msgtype)
 
-    def _decode(self, index: int, message: Any) -> Image:
+    def _decode(self, index: int, message: Any) -> Pixels:
         try:
-            return decode_image(message, self.grey_range)
+            return self.decode(message)
         except ValueError as error:
             where = f"{self.path}, {self.topic}, message {self.numbers[index]}"
             raise DataError(f"{where}: {error}; record it again, or in another encoding") from None

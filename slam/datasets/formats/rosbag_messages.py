@@ -45,8 +45,21 @@ ENCODINGS = {
     **dict.fromkeys(("yuv422", "uyvy"), (np.uint8, 2, cv2.COLOR_YUV2GRAY_UYVY)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), (np.uint8, 2, cv2.COLOR_YUV2GRAY_YUY2)),
 }
+# Conversions to RGB in the place of those to grey; None where the values are RGB.
+_TO_RGB = {
+    cv2.COLOR_BGR2GRAY: cv2.COLOR_BGR2RGB,
+    cv2.COLOR_BGRA2GRAY: cv2.COLOR_BGRA2RGB,
+    cv2.COLOR_RGB2GRAY: None,
+    cv2.COLOR_RGBA2GRAY: cv2.COLOR_RGBA2RGB,
+    cv2.COLOR_BayerRGGB2GRAY: cv2.COLOR_BayerRGGB2RGB,
+    cv2.COLOR_BayerBGGR2GRAY: cv2.COLOR_BayerBGGR2RGB,
+    cv2.COLOR_BayerGBRG2GRAY: cv2.COLOR_BayerGBRG2RGB,
+    cv2.COLOR_BayerGRBG2GRAY: cv2.COLOR_BayerGRBG2RGB,
+    cv2.COLOR_YUV2GRAY_UYVY: cv2.COLOR_YUV2RGB_UYVY,
+    cv2.COLOR_YUV2GRAY_YUY2: cv2.COLOR_YUV2RGB_YUY2,
+}
 _JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
-_PNG, _PNG_DEPTH_AT = b"\x89PNG\r\n\x1a\n", 24  # signature, and where the header holds the bits of a value
+PNG, _PNG_DEPTH_AT = b"\x89PNG\r\n\x1a\n", 24  # signature, and where the header holds the bits of a value
 _MAX_SIZE_DIFFERENCE_PX = 1  # of a binned image from the divided size: drivers round up or down
 
 
@@ -177,6 +190,41 @@ def decode_image(message: Any, grey_range: GreyRange = FULL_RANGE) -> Image:
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else grey_range.to_8_bits(grey))
 
 
+def decode_colour(message: Any) -> Image | None:
+    """Decode an Image or a CompressedImage message to RGB (H, W, 3) uint8; None if it is grey or has planes of colour.
+
+    Raises:
+        ValueError: the encoding is not supported, or the data do not fit the encoding.
+    """
+    if not hasattr(message, "encoding"):
+        values, conversion = _decode_compressed_colour(message)
+    else:
+        kind, channels, conversion = _encoding_of(message)
+        values = read_values(message, np.dtype(kind), channels).astype(kind, copy=False)
+    if conversion is None:
+        return None
+    try:
+        to_rgb = _TO_RGB[conversion]
+        colour = values if to_rgb is None else cv2.cvtColor(values, to_rgb)
+    except cv2.error as error:
+        raise ValueError(f"expected an image that can be converted, found {error.err}") from None
+    return np.ascontiguousarray(colour if colour.dtype == np.uint8 else colour >> 8, np.uint8)
+
+
+def _decode_compressed_colour(message: Any) -> tuple[NDArray[Any], int | None]:
+    """Values of a CompressedImage and their conversion to grey; None if they are grey."""
+    values = decode_compressed_data(bytes(message.data), cv2.IMREAD_ANYCOLOR)
+    if values is None:
+        raise compressed_error(message)
+    return (values, cv2.COLOR_BGR2GRAY) if values.ndim == 3 else (values, _bayer_conversion(message))
+
+
+def _bayer_conversion(message: Any) -> int | None:
+    """Conversion to grey of a CompressedImage that holds the colour pattern itself: bayer_rggb8; png compressed ..."""
+    pattern = re.search(r"compressed\s+(bayer_\w+)", str(message.format))
+    return ENCODINGS.get(pattern[1], (None, 0, None))[2] if pattern else None
+
+
 def check_image(message: Any) -> GreyRange | None:
     """Check an image as far as that takes little time, and return its values; None if it has 8 bits.
 
@@ -186,7 +234,7 @@ def check_image(message: Any) -> GreyRange | None:
     if not hasattr(message, "encoding"):
         return _check_compressed(message)
     kind, channels, _ = _encoding_of(message)
-    values = _read_values(message, np.dtype(kind), channels)
+    values = read_values(message, np.dtype(kind), channels)
     return measure_grey_range(values) if kind is np.uint16 else None
 
 
@@ -194,20 +242,20 @@ def _check_compressed(message: Any) -> GreyRange | None:
     data = bytes(message.data)
     if data.startswith(_JPEG):
         # Decoders fill what a cut file lacks with grey and say nothing. An eighth of the size is decoded fast.
-        is_whole = _JPEG_END in data and _imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
-    elif data.startswith(_PNG):
-        is_whole = _is_whole_png(data)
+        is_whole = _JPEG_END in data and decode_compressed_data(data, cv2.IMREAD_REDUCED_GRAYSCALE_8) is not None
+    elif data.startswith(PNG):
+        is_whole = is_whole_png(data)
     else:
-        is_whole = _imdecode(data, cv2.IMREAD_GRAYSCALE) is not None
+        is_whole = decode_compressed_data(data, cv2.IMREAD_GRAYSCALE) is not None
     if not is_whole:
-        raise _compressed_error(message)
-    is_deep = data.startswith(_PNG) and data[_PNG_DEPTH_AT] == 16
+        raise compressed_error(message)
+    is_deep = data.startswith(PNG) and data[_PNG_DEPTH_AT] == 16
     return measure_grey_range(_decode_compressed(message)) if is_deep else None
 
 
-def _is_whole_png(data: bytes) -> bool:
+def is_whole_png(data: bytes) -> bool:
     """Whether all chunks of a PNG file are there with the right checksums."""
-    at = len(_PNG)
+    at = len(PNG)
     while at + 12 <= len(data):
         end = at + 8 + int.from_bytes(data[at : at + 4])
         kind = data[at + 4 : at + 8]
@@ -219,32 +267,32 @@ def _is_whole_png(data: bytes) -> bool:
     return False
 
 
-def _imdecode(data: bytes, flags: int) -> NDArray[Any] | None:
+def decode_compressed_data(data: bytes, flags: int) -> NDArray[Any] | None:
+    """Decode the bytes of an image file with flags of OpenCV; None if they are damaged."""
     try:
         return cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
     except cv2.error:  # raised for a header with a size that OpenCV refuses to allocate
         return None
 
 
-def _compressed_error(message: Any) -> ValueError:
+def compressed_error(message: Any) -> ValueError:
+    """Return the error of a CompressedImage message whose data cannot be decoded."""
     return ValueError(f"expected a compressed image, found {len(message.data)} damaged bytes of {message.format!r}")
 
 
 def _decode_compressed(message: Any) -> NDArray[Any]:
     """Grey values (H, W), uint8 or uint16."""
-    image = _imdecode(bytes(message.data), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    image = decode_compressed_data(bytes(message.data), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise _compressed_error(message)
-    # "bayer_rggb8; png compressed bayer_rggb8": the colour pattern itself was compressed.
-    pattern = re.search(r"compressed\s+(bayer_\w+)", str(message.format))
-    conversion = ENCODINGS.get(pattern[1], (None, 0, None))[2] if pattern else None
+        raise compressed_error(message)
+    conversion = _bayer_conversion(message)
     return image if conversion is None else cv2.cvtColor(image, conversion)
 
 
 def _decode_raw(message: Any) -> NDArray[Any]:
     """Grey values (H, W), uint8 or uint16."""
     kind, channels, conversion = _encoding_of(message)
-    values = _read_values(message, np.dtype(kind), channels)
+    values = read_values(message, np.dtype(kind), channels)
     if conversion is None:
         return values[..., 0]
     return cv2.cvtColor(values.astype(kind, copy=False), conversion)
@@ -258,7 +306,7 @@ def _encoding_of(message: Any) -> tuple[Any, int, int | None]:
     return encoding
 
 
-def _read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
+def read_values(message: Any, kind: "np.dtype[Any]", channels: int) -> NDArray[Any]:
     """Values (H, W, channels) of an Image message, without the padding that its rows may have."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * kind.itemsize

@@ -1,7 +1,13 @@
-"""Which topics of a bag are the left and the right camera, and which CameraInfo belongs to an image topic."""
+"""Which topics of a bag are the left and the right camera, and which CameraInfo and depth belong to an image topic.
+
+Drivers of depth cameras move the depth into the colour image on demand and publish that as a topic of its own. Depth of
+another topic is in the image of the depth camera, many pixels beside the colour.
+"""
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 from slam.datasets.formats.rosbag_file import Bag
 from slam.datasets.formats.rosbag_messages import CameraInfo
@@ -13,6 +19,16 @@ _TRANSPORTS = ("compressed", "compressedDepth", "theora", "ffmpeg", "zstd")
 _PLAIN_WORDS = frozenset(("image", "images", "img", "raw", "compressed", "camera", "cam", "info", "calibration"))
 _PROCESSING_WORDS = frozenset(
     ("rect", "rectified", "mono", "color", "colour", "gray", "grey", "rgb", "bgr", "bayer", "undistorted")
+)
+# Words of topics with registered depth, and of the topics of the images that it is registered to: of RealSense (whose
+# depth is in the left infrared image from the start), of Azure Kinect and Orbbec, and of OpenNI.
+_REGISTERED = (
+    ("aligned_depth_to_color", ("color",)),
+    ("aligned_depth_to_infra1", ("infra1",)),
+    ("depth/image_rect_raw", ("infra1",)),
+    ("depth_to_rgb", ("rgb",)),
+    ("depth_to_color", ("color", "rgb")),
+    ("depth_registered", ("rgb", "color")),
 )
 
 
@@ -139,6 +155,35 @@ def _is_one_camera(bag: Bag, namespace: str) -> bool:
     """Whether all images of a namespace are of one camera, by the words of their names."""
     images = {image_topic(topic).rpartition("/") for topic in bag.image_counts}
     return len({_words(name) - _PROCESSING_WORDS for folder, _, name in images if folder == namespace}) == 1
+
+
+def depth_topics(topics: Iterable[str]) -> list[str]:
+    """Topics with depth images, by their names; of several copies of one topic, that without compression."""
+    depth = {topic for topic in topics if "depth" in topic.lower()}
+    return sorted(topic for topic in depth if image_topic(topic) == topic or image_topic(topic) not in depth)
+
+
+def is_registered(topic: str, colour: str) -> bool:
+    """Whether the name of a depth topic says that it is registered to the images of another topic."""
+    return any(word in topic and any(other in colour for other in of) for word, of in _REGISTERED)
+
+
+def choose_depth(registered: Sequence[str], colour: str) -> str:
+    """Choose among several topics of registered depth: rectified or not as the colour, of its camera, the plainest."""
+
+    def distance(topic: str) -> tuple[bool, int, int, str]:
+        common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(topic, colour, strict=False)))
+        return is_rectified(topic) != is_rectified(colour), -common, len(topic), topic
+
+    return min(registered, key=distance)
+
+
+def registered_topic(topic: str, colour: str) -> str:
+    """Topic in which the driver of an unregistered depth topic publishes the depth that is registered to the colour."""
+    namespace = re.split(r"/(?:depth|color|rgb)(?=/|_|$)", topic)[0]
+    if "color/" in colour:
+        return f"{namespace}/aligned_depth_to_color/image_raw"
+    return f"{namespace}/depth_registered/image_raw" if namespace else "/depth_to_rgb/image_raw"
 
 
 def _info_words(topic: str) -> frozenset[str]:

@@ -35,7 +35,9 @@ CSV_NANOSECONDS = ListFormat(r"\s*,\s*", 1e9)
 SPACE_SEPARATED_SECONDS = ListFormat(r"\s+", 1.0)
 
 
-def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageSequence:
+def read_image_list(
+    path: Path, folder: Path, list_format: ListFormat, columns: tuple[int, int] = (0, 1)
+) -> ImageSequence:
     """Read a list of images: time and file name in each line. They are sorted by time, with a remark.
 
     A few listed images that do not exist are left out, with a remark.
@@ -44,19 +46,21 @@ def read_image_list(path: Path, folder: Path, list_format: ListFormat) -> ImageS
         path: list to read.
         folder: folder that the file names are relative to.
         list_format: syntax of the list.
+        columns: those of the time and of the file name, from 0.
 
     Raises:
         DataError: the list is missing, empty or damaged, or more than a tenth of the images are missing.
     """
-    lines, cells = _cells(path, list_format, 2)
-    ticks = np.array([_number(path, line, row[0]) for line, row in zip(lines, cells, strict=True)])
+    time, name = columns
+    lines, cells = read_cells(path, list_format, max(columns) + 1)
+    ticks = np.array([_number(path, line, row[time]) for line, row in zip(lines, cells, strict=True)])
     ordered = order_by_time(path, ticks, list_format.ticks_per_second, lines)
-    files = tuple(folder / cells[row][1] for row in ordered.rows)
+    files = tuple(folder / cells[row][name] for row in ordered.rows)
     is_there = np.array([_is_file(file) for file in files], bool)
     missing = _describe_missing(path, files, is_there)
     if not files:
         raise DataError(f"{path}: expected a time in each line, found none; export it again")
-    listed = {folder / row[1] for row in cells}
+    listed = {folder / row[name] for row in cells}
     return ImageSequence(
         path.parent.name,
         tuple(compress(files, is_there)),
@@ -112,7 +116,7 @@ def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> 
     Raises:
         DataError: the list is missing, or no line can be used.
     """
-    lines, cells = _cells(path, list_format)
+    lines, cells = read_cells(path, list_format)
     values = np.array([_row(row[:columns], columns) for row in cells]).reshape(-1, columns)
     good = np.isfinite(values).all(axis=1)
     if not good.any():
@@ -124,8 +128,12 @@ def read_timestamped_rows(path: Path, list_format: ListFormat, columns: int) -> 
     return TimedRows(values, (*describe_lines(path, np.array(lines)[~good], trouble), *ordered.remarks))
 
 
-def _cells(path: Path, list_format: ListFormat, min_columns: int = 1) -> tuple[list[int], list[list[str]]]:
-    """Split all lines but a header, comments and empty ones into cells; return line numbers and cells."""
+def read_cells(path: Path, list_format: ListFormat, min_columns: int = 1) -> tuple[list[int], list[list[str]]]:
+    """Split all lines but a header, comments and empty ones into cells; return line numbers and cells.
+
+    Raises:
+        DataError: the list is missing, has no such line, or one with fewer cells.
+    """
     lines: list[int] = []
     rows: list[list[str]] = []
     for number, line in enumerate(read_lines(path), start=1):

@@ -125,3 +125,16 @@ def rig_poses(count: int = 6) -> Array:
     for _ in range(count - 1):
         poses.append(poses[-1] @ step)
     return np.array(poses)
+
+
+def wall_depth(rays: Array, T_world_camera: Array) -> Array:
+    """Depth (H, W) of the walls along the optical axis of a camera, in directions (H, W, 3) with z = 1, metres."""
+    world = rays @ T_world_camera[:3, :3].T
+    depth = np.full(rays.shape[:2], np.nan)
+    for z, right_of in ((12.0, -1e9), (6.0, 0.0)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (z - T_world_camera[2, 3]) / world[..., 2]
+        x = T_world_camera[0, 3] + distance * world[..., 0]
+        seen = (x > right_of) & (distance > 0)
+        depth[seen] = distance[seen]
+    return depth

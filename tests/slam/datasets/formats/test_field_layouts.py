@@ -470,12 +470,10 @@ LAYOUTS: dict[str, tuple[tuple[str, ...], str]] = {
         "fx = 320, fy = 320",
     ),
     "TartanAir V2": (("image_lcam_front/000000_lcam_front.png", "image_rcam_front/0_rcam_front.png"), "cy = 320"),
-    "ICL-NUIM": (("rgb/0.png", "depth/0.png", "associations.txt", "livingRoom0.gt.freiburg"), "fx = 481.2, fy = 480"),
     "4Seasons": (
         ("undistorted_images/cam0/1617.png", "undistorted_images/cam1/1617.png", "times.txt"),
         "name the folder",
     ),
-    "RGB-D with associations": (("rgb/0.png", "depth/0.png", "associations.txt"), "rgb.txt with a time in seconds"),
 }
 
 

@@ -6,7 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from slam.datasets.formats.rosbag_messages import ENCODINGS, decode_image, read_camera_info, read_timestamp
+from slam.datasets.formats.rosbag_messages import (
+    ENCODINGS,
+    decode_colour,
+    decode_image,
+    read_camera_info,
+    read_timestamp,
+)
 
 
 def message(values: np.ndarray, encoding: str, padding: int = 0, is_bigendian: int = 0) -> SimpleNamespace:
@@ -33,6 +39,37 @@ def test_colours_are_weighted_in_the_order_of_their_channels(encoding: str, orde
     values = np.ascontiguousarray(red_green_blue[..., list(order)])
     expected = red_green_blue @ np.array([0.299, 0.587, 0.114])
     assert np.abs(decode_image(message(values, encoding)) - expected).max() <= 1.0
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_grey_values_of_the_colours_are_the_grey_image(encoding: str) -> None:
+    kind, channels, conversion = ENCODINGS[encoding]
+    smooth = cv2.resize(np.random.default_rng(2).integers(40, 200, (3, 4, channels)).astype(np.uint8), (64, 48))
+    values = smooth.reshape(48, 64, channels).astype(kind) * (257 if kind is np.uint16 else 1)
+    colour = decode_colour(message(values, encoding))
+    if conversion is None:
+        assert colour is None
+        return
+    assert colour is not None
+    assert colour.shape == (48, 64, 3)
+    grey = decode_image(message(values, encoding)).astype(float)
+    if kind is np.uint8 and channels == 2:  # of YUV, whose black is 16 and whose white is 235
+        grey = (grey - 16) * 255 / 219
+    is_clipped = (colour == 0).any(axis=2) | (colour == 255).any(axis=2)
+    assert not is_clipped.all()
+    off = np.abs(colour @ np.array([0.299, 0.587, 0.114]) - grey)[2:-2, 2:-2]
+    assert off[~is_clipped[2:-2, 2:-2]].max() <= 3
+
+
+def test_red_green_and_blue_are_in_this_order() -> None:
+    red = np.zeros((6, 8, 3), np.uint8)
+    red[..., 0] = 200
+    for values, encoding in ((red, "rgb8"), (red[..., ::-1], "bgr8")):
+        np.testing.assert_array_equal(decode_colour(message(np.ascontiguousarray(values), encoding)), red)
+    data = cv2.imencode(".png", red[..., ::-1])[1]
+    np.testing.assert_array_equal(decode_colour(SimpleNamespace(data=data, format="rgb8; png compressed bgr8")), red)
+    grey = SimpleNamespace(data=cv2.imencode(".png", red[..., 0])[1], format="mono8; png compressed ")
+    assert decode_colour(grey) is None
 
 
 def test_sixteen_bits_keep_the_high_byte_in_either_byte_order() -> None:
