@@ -115,7 +115,7 @@ def _render_room(config: RoomConfig, out: Path) -> None:
 
     with progress_bar(Console(stderr=True), "Rendering") as progress:
         folder = simulate_room(config, out, progress)
-    layout, mono = ("KITTI", "") if config.sensor == "stereo" else ("TUM RGB-D", " --mono")
+    layout, mono = "KITTI" if config.sensor == "stereo" else "TUM RGB-D", " --mono" if config.sensor == "mono" else ""
     _say(f"{folder}: a room in {layout} layout; run it with: revisit run {folder}{mono} --out DIR")
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from odometry import se3
-from slam.simulation.rendering.depth_camera import encode_depth, measure_depth
+from slam.simulation.rendering.depth_camera import DEPTH_SCALE, encode_depth, measure_depth
 from slam.simulation.rendering.indoor_renderer import IndoorView, LitRoom, render_indoors
 from slam.simulation.rendering.light_volume import LightSource, bake_light
 from slam.simulation.rendering.renderer import build_scene
@@ -178,7 +178,9 @@ class _TumLayout:
         formats = ["%.6f", *["%.7f"] * 3, *["%.9f"] * 4]
         np.savetxt(self.folder / "groundtruth.txt", rows, formats, header="timestamp tx ty tz qx qy qz qw")
         camera = self.config.camera
-        values = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        values: dict[str, float] = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        if self.config.sensor == "depth":
+            values["depth_scale"] = DEPTH_SCALE
         (self.folder / "camera.toml").write_text("".join(f"{key} = {value}\n" for key, value in values.items()))
         return np.eye(4)
 
