@@ -9,7 +9,7 @@ There is one finite motion for every pair. Where the images do not allow a measu
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.klt_tracking import TrackingConfig, level_pair
+from odometry.klt_tracking import TrackingConfig
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.reference_frame import Reference
+from odometry.stereo.second_view import Pair, RightImage, SecondView
 from odometry.stereo.sliding_window import SlidingWindow, StereoFrameObservations, WindowConfig
-from odometry.stereo.stereo_frontend import Pair, StereoFrontEnd, StereoObservation
-from odometry.stereo.stereo_matching import StereoMatchingConfig, match_disparity
+from odometry.stereo.stereo_frontend import StereoFrontEnd, StereoObservation
+from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, TrackingResult
 from odometry.stereo.two_view_adjustment import AdjustmentConfig, TwoViewEstimate
@@ -69,18 +70,33 @@ class StereoOdometryConfig:
 
 
 class StereoOdometry:
-    """Measures the motion of a rectified stereo pair, frame by frame.
+    """Measures the motion of a rectified stereo pair, or of a depth camera, frame by frame.
 
     Attributes:
         calibration: the pair's calibration error as learned so far; corrects disparities of any match.
     """
 
-    def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: StereoOdometryConfig | None = None,
+        second_view: SecondView | None = None,
+        calibration: Calibration | None = None,
+    ) -> None:
+        """Begin without images.
+
+        Args:
+            camera: rectified pair.
+            config: the settings.
+            second_view: what the second image of each pair is; None for a right image.
+            calibration: calibration error before the first pair; None for the prior of the settings.
+        """
         self._camera, self._config = camera, config or StereoOdometryConfig()
-        self.calibration = Calibration.unknown(camera, self._config.calibration)
-        self._front_end = StereoFrontEnd(self._config.tracking, self._config.matching)
+        self.calibration = calibration or Calibration.unknown(camera, self._config.calibration)
+        self._second_view = second_view or RightImage(self._config.matching)
+        self._front_end = StereoFrontEnd(self._config.tracking, self._second_view)
         self._tracker = StereoTracker(self._front_end, self._config.adjustment, self._config.motion_checks)
-        self._window = SlidingWindow(self._config.window)
+        self._window = SlidingWindow(self._config.window, self._second_view.noise)
         self._frame_counter = FrameCounter()
         self._reference: Reference[StereoObservation] | None = None
         # An earlier reference frame, from which its successor could not be measured.
@@ -89,12 +105,15 @@ class StereoOdometry:
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
 
-    def track(self, left: Image, right: Image, timestamp: float | None = None, mask: Image | None = None) -> Motion:
+    def track(
+        self, left: Image, right: NDArray[Any], timestamp: float | None = None, mask: Image | None = None
+    ) -> Motion:
         """Measure the motion since the previous pair.
 
         Args:
             left: (H, W) uint8 of the camera's size.
-            right: of the same size, taken at the same time; its exposure may be another one.
+            right: of the same size, taken at the same time; its exposure may be another one. With a depth camera its
+                depth image, (H, W) float32, metres, NaN where there is no measurement.
             timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
             mask: (H, W) uint8, 0 where the left image does not show the scene; None if it shows it everywhere.
 
@@ -102,7 +121,7 @@ class StereoOdometry:
             ValueError: images of another size or type.
         """
         self._check(left, right)
-        pair = left, level_pair(left, right)
+        pair = left, self._second_view.prepare(left, right)
         self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         self._unmeasured += steps
@@ -114,22 +133,16 @@ class StereoOdometry:
         self._lost = self._lost.age(steps) if self._lost and is_lost_recent else None
         return self._measure(pair, motion)
 
-    def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
+    def disparity(self, left: Image, right: NDArray[Any], pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
 
         NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
         """
-        matched = match_disparity(left, level_pair(left, right), pixels, self._config.matching)
-        return self.calibration.correct_disparity(pixels, matched)
+        places = self._second_view.find((left, self._second_view.prepare(left, right)), pixels)
+        return self.calibration.correct_disparity(pixels, pixels[:, 0] - places[:, 0])
 
-    def _check(self, left: Image, right: Image) -> None:
-        expected = (self._camera.height, self._camera.width)
-        for side, image in (("left", left), ("right", right)):
-            if image.shape != expected or image.dtype != np.uint8:
-                raise ValueError(
-                    f"expected the {side} image to be {expected} uint8 as the camera says, "
-                    f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
-                )
+    def _check(self, left: Image, right: NDArray[Any]) -> None:
+        self._second_view.check(left, right, (self._camera.height, self._camera.width))
 
     def _begin(self, pair: Pair) -> Motion:
         """Take the first pair as the reference, unless its images are swapped."""
@@ -174,7 +187,7 @@ class StereoOdometry:
         self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
         if reference is not self._reference:  # the lost one was found again, and the frames since then are dropped
             self._restart(self._front_end.observe(pair))
-        elif self._is_far_from_reference(estimate):
+        elif self._is_far_from_reference(estimate) and self._shows_depth(located, estimate):
             self._learn(estimate)
             T_reference_current = self._renew(pair, located, estimate)
         else:
@@ -199,6 +212,11 @@ class StereoOdometry:
             or se3.angle(T) > self._config.reference_rotation_rad
         )
         return bool(far or estimate.inliers.sum() < self._config.min_reference_ratio * seen)
+
+    def _shows_depth(self, located: TrackingResult, estimate: TwoViewEstimate) -> bool:
+        """Whether a pair shows the depth of enough points to be the next reference: a depth image may be empty."""
+        known = np.isfinite(located.tracks.second_right[estimate.inliers, 0])
+        return int(known.sum()) >= self._config.motion_checks.min_tracks
 
     def _learn(self, estimate: TwoViewEstimate) -> None:
         """Update the calibration error by what a measured motion says about it."""
@@ -233,7 +251,7 @@ class StereoOdometry:
         bridged = self._reference.extend(T_previous_current, covariance)
         self._lost = self._lost and self._lost.extend(T_previous_current, covariance)
         view = None if reason == SWAPPED else self._front_end.observe(pair)
-        if view is None or len(view.points.ids) < self._config.motion_checks.min_tracks:
+        if view is None or np.isfinite(view.points.right[:, 0]).sum() < self._config.motion_checks.min_tracks:
             self._reference = bridged  # a pair that shows nothing is left out
         else:
             lost = self._lost or bridged
@@ -268,7 +286,7 @@ class StereoOdometry:
             KeyError, TypeError, ValueError: the state is of another odometry.
         """
         coefficients, covariance = state["calibration_coefficients"], state["calibration_covariance"]
-        self.calibration = Calibration(self._camera, coefficients, covariance)
+        self.calibration = replace(self.calibration, coefficients=coefficients, covariance=covariance)
         self._front_end.restore(state["front_end"])
         self._window.restore(state["window"])
         self._frame_counter.restore(state["frame_counter"])
