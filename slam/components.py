@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
+from odometry.stereo.rgbd_odometry import RgbdOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.local_features import FeatureCache
@@ -35,7 +36,7 @@ from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
 from slam.system import Components, VisualOdometry
-from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
+from slam.visual_odometry import MonocularVisualOdometry, RgbdVisualOdometry, StereoVisualOdometry
 
 Image = NDArray[np.uint8]
 
@@ -181,7 +182,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         recognizer=build_recognizer(config.paradigm, features, places, rows),
         loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
         graph=PoseGraph(config.pose_graph_for_camera()),
-        key_frames=KeyFrameSelector(config.key_frames),
+        key_frames=KeyFrameSelector(config.key_frames_for_camera()),
         landmarks=LandmarkMap(config.landmarks, camera),
     )
 
@@ -206,7 +207,9 @@ def read_mask(path: Path, shape: tuple[int, int]) -> Image:
 
 
 def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
-    """Odometry of the pair, or of the left camera alone."""
+    """Odometry of the pair, of the depth camera, or of the left camera alone."""
     if config.mono:
         return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
+    if config.depth:
+        return RgbdVisualOdometry(RgbdOdometry(camera, config.rgbd.odometry))
     return StereoVisualOdometry(StereoOdometry(camera, config.odometry))
