@@ -171,7 +171,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
     Raises:
         DataError: the mask, the vocabulary or the descriptor cannot be used.
     """
-    places = with_preset(config.paradigm, replace(config.place_recognition, seed=config.seed))
+    places = with_preset(config.paradigm, replace(config.places_for_camera(), seed=config.seed))
     features = FeatureCache(make_feature_extractor(places))
     mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)

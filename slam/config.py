@@ -55,12 +55,14 @@ class RgbdConfig:
         key_frames: when a frame becomes a key frame of the map.
         nodes: selection of the frames that are optimised online.
         loop_sigma_m: noise floor of the translation of every loop.
+        min_revisit_path_m: length of the path before the newest image that is no past, beside what it still shows.
     """
 
     odometry: RgbdOdometryConfig = field(default_factory=RgbdOdometryConfig)
     key_frames: KeyFrameConfig = field(default_factory=lambda: KeyFrameConfig(min_distance_m=0.15))
     nodes: NodeSpacing = field(default_factory=lambda: NodeSpacing(min_distance_m=0.3))
     loop_sigma_m: float = 0.01
+    min_revisit_path_m: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,13 @@ class RunConfig:
     def key_frames_for_camera(self) -> KeyFrameConfig:
         """When a frame becomes a key frame."""
         return self.rgbd.key_frames if self.depth else self.key_frames
+
+    def places_for_camera(self) -> ParadigmsConfig:
+        """Settings of place recognition, with the length of path that separates images of one place."""
+        places = self.place_recognition
+        if not self.depth:
+            return places
+        return replace(places, view=replace(places.view, min_distance_m=self.rgbd.min_revisit_path_m))
 
     def with_depth_of(self, has_depth: bool) -> "RunConfig":
         """Settings for a recording with depth images or without; one camera alone does not use them."""
