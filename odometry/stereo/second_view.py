@@ -40,7 +40,7 @@ class SecondViewNoise:
         """Places (N, 2) without gaps, and their weights (N,), of pixels (N, 2) left and right with NaN where unknown.
 
         An unknown disparity has weight 0; with `fill` it is expected to be the median of the others, give or take as
-        much, so that the depth of the point is never without any bound.
+        much at least, so that the depth of the point is never without any bound.
         """
         known = np.isfinite(right[:, 0])
         if known.all():
@@ -51,7 +51,7 @@ class SecondViewNoise:
         return places, np.where(known, self.weight, _TRACK_NOISE_PX / median if fill else 0.0)
 
 
-_TRACK_NOISE_PX = 0.2  # of a tracked point in the left image, about
+_TRACK_NOISE_PX = 0.05  # of a point tracked in the left image, at least
 RIGHT_IMAGE_NOISE = SecondViewNoise()
 
 

@@ -55,8 +55,8 @@ def test_the_depth_gives_the_scale(camera, depth_drive, motion_true, factor):
 
 
 def test_depths_that_are_too_far_off_the_image_are_worse(camera, depth_drive, motion_true):
-    """Control: a depth image shifted by ten pixels costs accuracy."""
-    shifted = [(image, np.roll(depth, 10, axis=1)) for image, depth in depth_drive]
+    """Control: a depth image shifted by thirty pixels costs accuracy."""
+    shifted = [(image, np.roll(depth, 30, axis=1)) for image, depth in depth_drive]
     good, bad = (end_error(tracked(camera, frames), motion_true) for frames in (depth_drive, shifted))
     assert bad > 2 * good
 
@@ -82,7 +82,7 @@ def test_points_without_depth_measure_rotation(world, camera, motion_true):
     frames = []
     for k in range(8):
         image, depth = world.frame(np.linalg.matrix_power(turn, k), seed=k)
-        depth[:, 150:] = np.nan
+        depth[:, 80:] = np.nan
         frames.append((image, depth))
     errors = []
     for view in (DepthView(camera), PointsWithDepth(camera)):
@@ -92,7 +92,7 @@ def test_points_without_depth_measure_rotation(world, camera, motion_true):
         assert not any(m.predicted for m in motions)
         off = [se3.log(se3.inverse(turn) @ m.T_previous_current)[:3] for m in motions[1:]]
         errors.append(np.sqrt(np.mean(np.square(off))))
-    assert errors[0] < 0.7 * errors[1]
+    assert errors[0] < 0.8 * errors[1]
 
 
 def test_without_any_depth_the_motion_is_predicted_and_the_reason_says_so(camera, depth_drive):
