@@ -8,7 +8,7 @@ Depth cameras are carried in the hand and on robots that turn on the spot, in ro
 pair on a car: docs/decisions/depth_cameras.md.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from odometry.camera import StereoCamera
 from odometry.klt_tracking import TrackingConfig
@@ -33,6 +33,10 @@ class RgbdOdometryConfig:
         reference_spacing_m: distance from the reference frame at which a frame becomes the next one, metres.
         reference_rotation_rad: rotation from the reference frame at which a frame becomes the next one, radians.
         min_reference_ratio: share of the reference frame's points below which a frame becomes the next one.
+        min_followed_ratio: share of the reference frame's points that must agree with a motion; where fewer do, wider
+            searches are tried too: a hand turns in a few frames.
+        max_earlier_references: reference frames of the past that are kept, to measure from them where the camera comes
+            back.
     """
 
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
@@ -43,6 +47,8 @@ class RgbdOdometryConfig:
     reference_spacing_m: float = 0.1
     reference_rotation_rad: float = 0.1
     min_reference_ratio: float = 0.6
+    min_followed_ratio: float = 0.35
+    max_earlier_references: int = 16
 
     def as_stereo(self) -> StereoOdometryConfig:
         """The same settings, of a stereo odometry."""
@@ -50,10 +56,11 @@ class RgbdOdometryConfig:
             tracking=self.tracking,
             adjustment=self.adjustment,
             window=self.window,
-            motion_checks=self.motion_checks,
+            motion_checks=replace(self.motion_checks, min_followed_ratio=self.min_followed_ratio),
             reference_spacing_m=self.reference_spacing_m,
             reference_rotation_rad=self.reference_rotation_rad,
             min_reference_ratio=self.min_reference_ratio,
+            max_earlier_references=self.max_earlier_references,
         )
 
 

@@ -32,6 +32,11 @@ from odometry.stereo.two_view_adjustment import AdjustmentConfig, TwoViewEstimat
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+# Distance from an earlier reference frame, as a share of that at which one is replaced, within which the camera has
+# come back to it.
+_MAX_REACH_BACK = 0.7
+_MAX_BLURRED = 3  # images in a row that show few points of the reference frame because they are blurred
+
 
 @dataclass(frozen=True)
 class StereoOdometryConfig:
@@ -47,6 +52,8 @@ class StereoOdometryConfig:
         reference_spacing_m: distance from the reference frame at which a pair becomes the next one, metres.
         reference_rotation_rad: rotation from the reference frame at which a pair becomes the next one, radians.
         min_reference_ratio: share of the reference frame's points below which a pair becomes the next one.
+        max_earlier_references: reference frames of the past that are kept, to measure from them where the camera comes
+            back; 0 for a car, which does not within so short a time.
         max_lost_frames: images for which a lost reference frame is tried again when its successors fail.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
@@ -63,6 +70,7 @@ class StereoOdometryConfig:
     reference_spacing_m: float = 0.1
     reference_rotation_rad: float = 0.01
     min_reference_ratio: float = 0.6
+    max_earlier_references: int = 0
     max_lost_frames: int = 50
     covariance_scale: float = 9.0
     extrapolation_sigma_rad: float = 0.02
@@ -101,9 +109,12 @@ class StereoOdometry:
         self._reference: Reference[StereoObservation] | None = None
         # An earlier reference frame, from which its successor could not be measured.
         self._lost: Reference[StereoObservation] | None = None
+        # Reference frames before the present one, the latest last; the camera may come back to them.
+        self._earlier: list[Reference[StereoObservation]] = []
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
+        self._blurred = 0  # images in a row in which few points were found again
 
     def track(
         self, left: Image, right: NDArray[Any], timestamp: float | None = None, mask: Image | None = None
@@ -129,6 +140,7 @@ class StereoOdometry:
             return self._begin(pair)
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference.age(steps)
+        self._earlier = [earlier.age(steps) for earlier in self._earlier]
         is_lost_recent = self._lost is not None and self._lost.age_frames < self._config.max_lost_frames
         self._lost = self._lost.age(steps) if self._lost and is_lost_recent else None
         return self._measure(pair, motion)
@@ -155,6 +167,9 @@ class StereoOdometry:
 
     def _measure(self, pair: Pair, motion: Array) -> Motion:
         """Measure from the reference frame, else from the lost one, else extrapolate by the motion (4, 4)."""
+        back = self._come_back(pair, motion)
+        if back is not None:
+            return back
         reason = None
         for reference in filter(None, (self._reference, self._lost)):
             expected = self._expect(reference, pair, motion)
@@ -165,6 +180,47 @@ class StereoOdometry:
             if reason == SWAPPED:
                 break
         return self._extrapolate(pair, motion, reason or "")
+
+    def _come_back(self, pair: Pair, motion: Array) -> Motion | None:
+        """Measure from an earlier reference frame, if the camera is near it again and leaves the present one.
+
+        Drift between the two is taken back. None if there is no such frame, or it does not show the pair well.
+        """
+        assert self._reference is not None
+        if not self._earlier or self._reach(self._reference, motion) < 1.0:
+            return None
+        number = int(np.argmin([self._reach(earlier, motion) for earlier in self._earlier]))
+        earlier = self._earlier[number]
+        if self._reach(earlier, motion) > _MAX_REACH_BACK:
+            return None
+        # What was measured last is the same image, seen from this frame.
+        T_earlier_present = earlier.T_reference_previous @ se3.inverse(self._reference.T_reference_previous)
+        earlier = replace(
+            earlier,
+            T_reference_measured=T_earlier_present @ self._reference.T_reference_measured,
+            age_frames=self._reference.age_frames,
+        )
+        expected = self._expect(earlier, pair, motion)
+        located = self._tracker.follow(earlier.view, pair, expected, self.calibration)
+        estimate = located.estimate
+        if estimate is None or located.reason or self._is_far(earlier, estimate):
+            return None
+        del self._earlier[number]
+        self._keep(self._reference)
+        self._reference, self._lost = earlier, None
+        self._window.restart(earlier.view.points)
+        return self._accept(earlier, pair, located, estimate)
+
+    def _reach(self, reference: Reference[StereoObservation], motion: Array) -> float:
+        """Distance from a reference frame, after a motion (4, 4), as a share of that at which it is replaced."""
+        T = reference.T_reference_previous @ motion
+        distance = float(np.linalg.norm(T[:3, 3])) / self._config.reference_spacing_m
+        return max(distance, se3.angle(T) / self._config.reference_rotation_rad)
+
+    def _keep(self, reference: Reference[StereoObservation]) -> None:
+        """Keep a reference frame that is replaced."""
+        count = self._config.max_earlier_references
+        self._earlier = [*self._earlier, reference][-count:] if count else []
 
     def _expect(self, reference: Reference[StereoObservation], pair: Pair, motion: Array) -> MotionPrediction | None:
         """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
@@ -187,8 +243,9 @@ class StereoOdometry:
         self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
         if reference is not self._reference:  # the lost one was found again, and the frames since then are dropped
             self._restart(self._front_end.observe(pair))
-        elif self._is_far_from_reference(estimate) and self._shows_depth(located, estimate):
+        elif self._is_next_reference(reference, located, estimate):
             self._learn(estimate)
+            self._keep(reference)
             T_reference_current = self._renew(pair, located, estimate)
         else:
             self._reference = reference.update(T_reference_current)
@@ -197,26 +254,35 @@ class StereoOdometry:
         covariance = self._config.covariance_scale * estimate.covariance + Ad @ reference.covariance_previous @ Ad.T
         if self._lost:
             self._lost = self._lost.extend(T_previous_current, covariance)
+        self._earlier = [earlier.extend(T_previous_current, covariance) for earlier in self._earlier]
         tracks, good = located.tracks, estimate.inliers
         return Motion(
             T_previous_current, covariance, False, "",
             tracks.first_left, tracks.second_left, good, estimate.residual_px,
         )  # fmt: skip
 
-    def _is_far_from_reference(self, estimate: TwoViewEstimate) -> bool:
-        """Whether a pair is far from the reference frame. A near one would only add the error of another link."""
-        assert self._reference is not None
-        T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
+    def _is_far(self, reference: Reference[StereoObservation], estimate: TwoViewEstimate) -> bool:
+        """Whether a pair is far from a reference frame. A near one would only add the error of another link."""
+        T, seen = estimate.T_first_second, len(reference.view.points.ids)
         far = (
             np.linalg.norm(T[:3, 3]) > self._config.reference_spacing_m
             or se3.angle(T) > self._config.reference_rotation_rad
         )
         return bool(far or estimate.inliers.sum() < self._config.min_reference_ratio * seen)
 
-    def _shows_depth(self, located: TrackingResult, estimate: TwoViewEstimate) -> bool:
-        """Whether a pair shows the depth of enough points to be the next reference: a depth image may be empty."""
+    def _is_next_reference(
+        self, reference: Reference[StereoObservation], located: TrackingResult, estimate: TwoViewEstimate
+    ) -> bool:
+        """Whether a pair becomes the next reference frame: it is far from this one, and clear.
+
+        A depth image may be empty. An image in which few points are found again, as it is blurred, would pass its error
+        on to the images after it, which show more of the present reference than it does.
+        """
+        few = self._config.motion_checks.min_followed_ratio * len(reference.view.points.ids)
+        self._blurred = self._blurred + 1 if estimate.inliers.sum() < few else 0
         known = np.isfinite(located.tracks.second_right[estimate.inliers, 0])
-        return int(known.sum()) >= self._config.motion_checks.min_tracks
+        has_depth = int(known.sum()) >= self._config.motion_checks.min_tracks
+        return has_depth and not 0 < self._blurred <= _MAX_BLURRED and self._is_far(reference, estimate)
 
     def _learn(self, estimate: TwoViewEstimate) -> None:
         """Update the calibration error by what a measured motion says about it."""
@@ -250,6 +316,7 @@ class StereoOdometry:
         covariance = self._extrapolation_covariance(self._unmeasured)
         bridged = self._reference.extend(T_previous_current, covariance)
         self._lost = self._lost and self._lost.extend(T_previous_current, covariance)
+        self._earlier = [earlier.extend(T_previous_current, covariance) for earlier in self._earlier]
         view = None if reason == SWAPPED else self._front_end.observe(pair)
         if view is None or np.isfinite(view.points.right[:, 0]).sum() < self._config.motion_checks.min_tracks:
             self._reference = bridged  # a pair that shows nothing is left out
@@ -274,9 +341,11 @@ class StereoOdometry:
             "frame_counter": self._frame_counter.state(),
             "reference": None if self._reference is None else self._reference.state(self._reference.view.state()),
             "lost_reference": None if self._lost is None else self._lost.state(self._lost.view.state()),
+            "earlier_references": [earlier.state(earlier.view.state()) for earlier in self._earlier],
             "velocity": self._velocity,
             "speeds": list(self._speeds),
             "frames_unmeasured": self._unmeasured,
+            "frames_blurred": self._blurred,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -292,7 +361,10 @@ class StereoOdometry:
         self._frame_counter.restore(state["frame_counter"])
         self._reference = self._restored_reference(state["reference"])
         self._lost = self._restored_reference(state["lost_reference"])
+        earlier = [self._restored_reference(one) for one in state["earlier_references"]]
+        self._earlier = [reference for reference in earlier if reference is not None]
         self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._blurred = state["frames_blurred"]
         self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
 
     def _restored_reference(self, state: dict[str, Any] | None) -> Reference[StereoObservation] | None:

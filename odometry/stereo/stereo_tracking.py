@@ -61,6 +61,11 @@ class TrackingResult:
     followed: bool = True
 
 
+def _count_agreeing(result: TrackingResult) -> int:
+    """Count the tracks that agree with a motion that is accepted."""
+    return 0 if result.estimate is None or result.reason else int(result.estimate.inliers.sum())
+
+
 class StereoTracker:
     """Finds the reference frame's points in a new pair by the cheapest of three methods that gives a sound motion."""
 
@@ -78,10 +83,27 @@ class StereoTracker:
         few = len(result.tracks) < _MIN_TRACKED_RATIO * len(reference.points.ids)
         if (result.reason or few) and self._front_end.is_swapped(pair):
             return TrackingResult(result.tracks, None, SWAPPED)
-        if result.reason in (None, IMPLAUSIBLE_STOP):
+        if result.reason == IMPLAUSIBLE_STOP or not (result.reason or self._has_lost_most(search, result)):
             return result
-        result = self._follow(search, search.guess, wide=True)
-        return self._match_descriptors(search) or result if result.reason else result
+        wide = self._follow(search, search.guess, wide=True)
+        result = wide if result.reason else max(result, wide, key=_count_agreeing)
+        if not (result.reason or self._has_lost_most(search, result)):
+            return result
+        described = self._match_descriptors(search)
+        if described is None:
+            return result
+        return described if result.reason else max(result, described, key=_count_agreeing)
+
+    def _has_lost_most(self, search: "_Search", result: TrackingResult) -> bool:
+        """Whether so few points agree with a motion that a wider search may find more and another one."""
+        return _count_agreeing(result) < self._motion_checks.min_followed_ratio * len(search.reference.points.ids)
+
+    def follow(
+        self, reference: StereoObservation, pair: Pair, predicted: MotionPrediction | None, calibration: Calibration
+    ) -> TrackingResult:
+        """Return the same as `track`, by optical flow alone."""
+        search = _Search(reference, pair, predicted, calibration)
+        return self._follow(search, search.guess, wide=False)
 
     def _follow(self, search: "_Search", guess: Array, wide: bool) -> TrackingResult:
         """Follow the points from a guess (4, 4), and once more from what that gives if it is far from the guess."""
