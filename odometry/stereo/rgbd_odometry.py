@@ -35,6 +35,7 @@ class RgbdOdometryConfig:
         min_reference_ratio: share of the reference frame's points below which a frame becomes the next one.
         min_followed_ratio: share of the reference frame's points that must agree with a motion; where fewer do, wider
             searches are tried too: a hand turns in a few frames.
+        wide_blur_px: blur of both images in a wider search, pixels: a hand blurs single images.
         max_earlier_references: reference frames of the past that are kept, to measure from them where the camera comes
             back.
     """
@@ -48,12 +49,13 @@ class RgbdOdometryConfig:
     reference_rotation_rad: float = 0.1
     min_reference_ratio: float = 0.6
     min_followed_ratio: float = 0.35
+    wide_blur_px: float = 3.0
     max_earlier_references: int = 16
 
     def as_stereo(self) -> StereoOdometryConfig:
         """The same settings, of a stereo odometry."""
         return StereoOdometryConfig(
-            tracking=self.tracking,
+            tracking=replace(self.tracking, wide_blur_px=self.wide_blur_px),
             adjustment=self.adjustment,
             window=self.window,
             motion_checks=replace(self.motion_checks, min_followed_ratio=self.min_followed_ratio),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.klt_tracking import (
     TrackingConfig,
+    blur,
     detect_corners,
     is_inside,
     is_unmasked,
@@ -83,7 +84,10 @@ class StereoFrontEnd:
         ahead, shift = _predict(points, guess, calibration, pair[0])
         # A wider search also allows for another exposure, as at the end of a tunnel.
         left = match_brightness(view.pair[0], pair[0]) if wide else pair[0]
-        second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
+        images = view.pair[0], left
+        if wide and tracking.wide_blur_px:
+            images = blur(images[0], tracking.wide_blur_px), blur(images[1], tracking.wide_blur_px)
+        second_left = track_points(images, points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
         kept = np.flatnonzero(np.isfinite(start[:, 0]) & is_unmasked(second_left, self.mask))
