@@ -190,3 +190,28 @@ def test_the_weight_of_the_depth_follows_its_noise(world, camera, motion_true):
         end_error(tracked(camera, frames, RgbdOdometryConfig(depth=depth)), motion_true) for depth in (coarse, trusted)
     ]
     assert errors[0] < errors[1]
+
+
+def test_drift_is_taken_back_where_the_camera_comes_back(world, camera):
+    there_and_back = [*range(7), *range(6)[::-1]]
+    poses = [se3.exp(k * np.array([0.0, 0.06, 0.0, 0.05, 0.0, 0.0])) for k in there_and_back]
+    frames = [world.frame(T, 1.0, seed) for seed, T in enumerate(poses)]
+    errors = []
+    for count in (16, 0):
+        config = RgbdOdometryConfig(max_earlier_references=count, reference_rotation_rad=0.07)
+        motions = tracked(camera, frames, config)
+        assert_finite(motions)
+        assert not any(m.predicted for m in motions)
+        errors.append(np.linalg.norm(chained(motions)[-1][:3, 3]))
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_images_that_motion_has_blurred_are_measured(camera, depth_drive, motion_true):
+    frames = [
+        (cv2.blur(image, (15, 1)), depth) if k in (3, 4) else (image, depth)
+        for k, (image, depth) in enumerate(depth_drive)
+    ]
+    motions = tracked(camera, frames)
+    assert_finite(motions)
+    assert not any(m.predicted for m in motions)
+    assert end_error(motions, motion_true) < 0.02
