@@ -68,11 +68,11 @@ class DenseOptions:
         Raises:
             ConfigError: a number is not positive and finite.
         """
-        given = {"voxel_m": self.voxel_m, "max_depth_m": self.max_depth_m}
         sensor = DEPTH_CAMERA_FUSION if has_depth else FusionConfig()
+        voxel_m = sensor.voxel_m if self.voxel_m is None else self.voxel_m
+        max_depth_m = sensor.max_depth_m if self.max_depth_m is None else self.max_depth_m
         try:
-            fusion = replace(sensor, **{name: value for name, value in given.items() if value is not None})
-            return DenseMapConfig(fusion=fusion)
+            return DenseMapConfig(fusion=replace(sensor, voxel_m=voxel_m, max_depth_m=max_depth_m))
         except ValueError as error:
             raise ConfigError(f"--voxel-size, --max-depth: {error}") from None
 
