@@ -83,18 +83,18 @@ class StereoTracker:
         few = len(result.tracks) < _MIN_TRACKED_RATIO * len(reference.points.ids)
         if (result.reason or few) and self._front_end.is_swapped(pair):
             return TrackingResult(result.tracks, None, SWAPPED)
-        if result.reason == IMPLAUSIBLE_STOP or not (result.reason or self._has_lost_most(search, result)):
+        if result.reason == IMPLAUSIBLE_STOP or not (result.reason or self._has_lost_many(search, result)):
             return result
         wide = self._follow(search, search.guess, wide=True)
         result = wide if result.reason else max(result, wide, key=_count_agreeing)
-        if not (result.reason or self._has_lost_most(search, result)):
+        if not (result.reason or self._has_lost_many(search, result)):
             return result
         described = self._match_descriptors(search)
         if described is None:
             return result
         return described if result.reason else max(result, described, key=_count_agreeing)
 
-    def _has_lost_most(self, search: "_Search", result: TrackingResult) -> bool:
+    def _has_lost_many(self, search: "_Search", result: TrackingResult) -> bool:
         """Whether so few points agree with a motion that a wider search may find more and another one."""
         return _count_agreeing(result) < self._motion_checks.min_followed_ratio * len(search.reference.points.ids)
 

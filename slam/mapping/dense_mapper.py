@@ -67,7 +67,7 @@ def group_key_frames(odometry: OdometryTrajectory, key_frames: KeyFrameConfig, s
     return [piece.tolist() for pieces in cut for piece in pieces]
 
 
-class DepthSource(Protocol):
+class DenseDepth(Protocol):
     """Where the depth of a frame comes from."""
 
     def depth_of(self, frame: Frame) -> DepthImage:
@@ -88,7 +88,7 @@ class DenseMapper:
         """
         self._config = config or DenseMapConfig()
         max_depth_m = LandmarkMapConfig(max_depth_m=self._config.fusion.max_depth_m).depth_limit(calibration.camera)
-        self._source: DepthSource = DenseStereo(calibration, max_depth_m)
+        self._source: DenseDepth = DenseStereo(calibration, max_depth_m)
         if has_depth:
             self._source = MeasuredDepth(calibration.camera, max_depth_m)
 

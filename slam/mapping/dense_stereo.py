@@ -45,7 +45,7 @@ class DepthImage:
 
 
 class DenseStereo:
-    """Computes dense depth with one camera pair, whose calibration error is corrected (a DepthSource)."""
+    """Computes dense depth with one camera pair, whose calibration error is corrected (a DenseDepth)."""
 
     def __init__(self, calibration: Calibration, max_depth_m: float) -> None:
         self._max_depth = max_depth_m

@@ -22,7 +22,7 @@ _MAX_STEP_PX = 1.5
 
 
 class MeasuredDepth:
-    """Depth images of one depth camera (a DepthSource)."""
+    """Depth images of one depth camera (a DenseDepth)."""
 
     def __init__(self, camera: StereoCamera, max_depth_m: float) -> None:
         self._max_depth = max_depth_m
