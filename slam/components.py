@@ -183,8 +183,15 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         loop_closer=LoopCloser(camera, features, odometry, config.loop_closing),
         graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames_for_camera()),
-        landmarks=LandmarkMap(config.landmarks, camera),
+        landmarks=_build_landmarks(camera, config),
     )
+
+
+def _build_landmarks(camera: StereoCamera, config: RunConfig) -> LandmarkMap:
+    """Landmark map of a pair, or of a depth camera, whose accuracy does not depend on the resolution of its images."""
+    if config.depth:
+        return LandmarkMap(replace(config.landmarks, max_depth_m=config.rgbd.max_landmark_depth_m))
+    return LandmarkMap(config.landmarks, camera)
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> Image:

@@ -55,6 +55,7 @@ class RgbdConfig:
         key_frames: when a frame becomes a key frame of the map.
         nodes: selection of the frames that are optimised online.
         loop_sigma_m: noise floor of the translation of every loop.
+        max_landmark_depth_m: maximum depth of points of the landmark map.
         min_revisit_path_m: length of the path before the newest image that is no past, beside what it still shows.
     """
 
@@ -62,6 +63,7 @@ class RgbdConfig:
     key_frames: KeyFrameConfig = field(default_factory=lambda: KeyFrameConfig(min_distance_m=0.15))
     nodes: NodeSpacing = field(default_factory=lambda: NodeSpacing(min_distance_m=0.3))
     loop_sigma_m: float = 0.01
+    max_landmark_depth_m: float = 5.0
     min_revisit_path_m: float = 0.5
 
 

@@ -24,10 +24,15 @@ Image = NDArray[np.uint8]
 Depths = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+_FOCAL_LENGTH_PX = 525.0  # of the colour image of common depth cameras, 640 pixels wide
+
 
 @dataclass(frozen=True)
 class DepthViewConfig:
     """Reading of disparities in a depth image.
+
+    The noise of a depth is one in metres, so that of its disparity grows with the resolution of the image: both numbers
+    are those of a focal length of 525 pixels.
 
     Attributes:
         radius_px: of the square window, pixels.
@@ -48,7 +53,8 @@ class DepthView:
 
     def __init__(self, camera: StereoCamera, config: DepthViewConfig | None = None) -> None:
         self._camera, self._config = camera, config or DepthViewConfig()
-        self.noise = SecondViewNoise(1, self._config.disparity_weight)
+        self._resolution = camera.fx / _FOCAL_LENGTH_PX
+        self.noise = SecondViewNoise(1, self._config.disparity_weight / self._resolution)
 
     def check(self, left: Image, second: NDArray[Any], shape: tuple[int, int]) -> None:
         """Check that the left image is (H, W) uint8 and the depth image (H, W) float32."""
@@ -87,9 +93,9 @@ class DepthView:
         config = self._config
         count = int(np.ceil(config.min_known_share * (2 * config.radius_px + 1) ** 2))
         scale = self._camera.fx * self._camera.baseline
-        return np.asarray(
-            _read(depth, np.asarray(pixels, dtype=np.float64), scale, config.radius_px, count, config.max_residual_px)
-        )
+        max_residual_px = config.max_residual_px * self._resolution
+        pixels = np.asarray(pixels, dtype=np.float64)
+        return np.asarray(_read(depth, pixels, scale, config.radius_px, count, max_residual_px))
 
 
 @njit(cache=True)

@@ -87,10 +87,13 @@ class DenseMapper:
             has_depth: whether the frames have depth images, instead of right images.
         """
         self._config = config or DenseMapConfig()
-        max_depth_m = LandmarkMapConfig(max_depth_m=self._config.fusion.max_depth_m).depth_limit(calibration.camera)
-        self._source: DenseDepth = DenseStereo(calibration, max_depth_m)
+        max_depth_m = self._config.fusion.max_depth_m
+        self._source: DenseDepth
         if has_depth:
             self._source = MeasuredDepth(calibration.camera, max_depth_m)
+        else:
+            reach = LandmarkMapConfig(max_depth_m=max_depth_m)
+            self._source = DenseStereo(calibration, reach.depth_limit(calibration.camera))
 
     def fuse(
         self, dataset: Dataset, odometry: OdometryTrajectory, groups: Sequence[Sequence[int]], store: SubmapStore

@@ -16,9 +16,9 @@ Depths = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _FUSION_WIDTH_PX = 640  # about: more pixels than voxels gain nothing
-# Difference of disparity between neighbours, at the width above, that noise and slanted surfaces do not explain: 4 cm
-# at 1 m, 16 cm at 2 m.
-_MAX_STEP_PX = 1.5
+# Difference of disparity between neighbours, over the focal length, that noise and slanted surfaces do not explain: 4 cm
+# at 1 m, 16 cm at 2 m. It is 1.5 pixels in an image 640 pixels wide.
+_MAX_STEP = 1.5 / 525.0
 
 
 class MeasuredDepth:
@@ -51,4 +51,4 @@ class MeasuredDepth:
         square = np.ones((3, 3), np.uint8)
         nearest = cv2.dilate(disparity, square)
         farthest = cv2.erode(np.where(known, disparity, np.float32(np.inf)), square)
-        return np.asarray(nearest - farthest > _MAX_STEP_PX)
+        return np.asarray(nearest - farthest > _MAX_STEP * self.camera.fx)
