@@ -16,8 +16,8 @@ Depths = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _FUSION_WIDTH_PX = 640  # about: more pixels than voxels gain nothing
-# Difference of disparity between neighbours, over the focal length, that noise and slanted surfaces do not explain: 4 cm
-# at 1 m, 16 cm at 2 m. It is 1.5 pixels in an image 640 pixels wide.
+# Difference of disparity between neighbours, over the focal length, that noise and slanted surfaces do not explain:
+# 4 cm at 1 m, 16 cm at 2 m. It is 1.5 pixels in an image 640 pixels wide.
 _MAX_STEP = 1.5 / 525.0
 
 
