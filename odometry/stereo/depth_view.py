@@ -45,7 +45,7 @@ class DepthViewConfig:
     radius_px: int = 2
     min_known_share: float = 0.6
     max_residual_px: float = 0.7
-    disparity_weight: float = 5.0
+    disparity_weight: float = 10.0
 
 
 class DepthView:

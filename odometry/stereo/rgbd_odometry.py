@@ -35,6 +35,8 @@ class RgbdOdometryConfig:
         min_reference_ratio: share of the reference frame's points below which a frame becomes the next one.
         min_followed_ratio: share of the reference frame's points that must agree with a motion; where fewer do, wider
             searches are tried too: a hand turns in a few frames.
+        max_noise_px: largest noise of the measurements of a motion, pixels: depth that counts much shows as noise where
+            image and depth are not of one moment.
         wide_blur_px: blur of both images in a wider search, pixels: a hand blurs single images.
         max_earlier_references: reference frames of the past that are kept, to measure from them where the camera comes
             back.
@@ -49,6 +51,7 @@ class RgbdOdometryConfig:
     reference_rotation_rad: float = 0.1
     min_reference_ratio: float = 0.6
     min_followed_ratio: float = 0.35
+    max_noise_px: float = 6.0
     wide_blur_px: float = 3.0
     max_earlier_references: int = 16
 
@@ -58,7 +61,9 @@ class RgbdOdometryConfig:
             tracking=replace(self.tracking, wide_blur_px=self.wide_blur_px),
             adjustment=self.adjustment,
             window=self.window,
-            motion_checks=replace(self.motion_checks, min_followed_ratio=self.min_followed_ratio),
+            motion_checks=replace(
+                self.motion_checks, min_followed_ratio=self.min_followed_ratio, max_noise_px=self.max_noise_px
+            ),
             reference_spacing_m=self.reference_spacing_m,
             reference_rotation_rad=self.reference_rotation_rad,
             min_reference_ratio=self.min_reference_ratio,
