@@ -35,6 +35,8 @@ class TrackingConfig:
         window_px: side of the window that is compared, pixels, odd.
         pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
         max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
+        wide_blur_px: standard deviation by which a wider search blurs both images, pixels: one that motion has blurred
+            then looks like a clear one; 0 for none.
     """
 
     max_corners: int = 450
@@ -45,10 +47,17 @@ class TrackingConfig:
     window_px: int = 9
     pyramid_levels: int = 3
     max_return_error_px: float = 0.5
+    wide_blur_px: float = 0.0
 
     def widen(self) -> "TrackingConfig":
         """Return settings of about four times the reach, and time, for an unknown motion."""
-        return replace(self, window_px=2 * self.window_px - 1, pyramid_levels=self.pyramid_levels + 1)
+        tolerance = 2.0 if self.wide_blur_px else 1.0
+        return replace(
+            self,
+            window_px=2 * self.window_px - 1,
+            pyramid_levels=self.pyramid_levels + 1,
+            max_return_error_px=tolerance * self.max_return_error_px,
+        )
 
 
 def detect_corners(image: Image, tracked: Array, config: TrackingConfig, mask: Image | None = None) -> Array:
@@ -115,6 +124,11 @@ def is_unmasked(pixels: Array, mask: Image | None) -> NDArray[np.bool_]:
     height, width = mask.shape
     column, row = np.clip(np.rint(np.nan_to_num(pixels)), 0, [width - 1, height - 1]).astype(np.intp).T
     return np.asarray(mask[row, column] != 0)
+
+
+def blur(image: Image, sigma_px: float) -> Image:
+    """Blur an image (H, W) uint8 by a Gaussian of this standard deviation, pixels."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px))
 
 
 def match_brightness(reference: Image, image: Image) -> Image:

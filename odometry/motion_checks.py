@@ -50,6 +50,8 @@ class MotionCheckConfig:
         min_expected_inlier_ratio: smallest share that must agree with a motion that was predicted: most of the view
             may belong to another vehicle.
         certain_inlier_ratio: share from which on any motion is accepted, as after a gap in the recording.
+        min_followed_ratio: share of the reference frame's points that must agree with a motion; where fewer do, wider
+            searches are tried too. A car's motion can be predicted, so that 0 serves it.
         minority_search_ratio: deviation from the prediction, as a share of the largest jump, from which on the odometry
             looks for a minority of tracks that moves as predicted.
         max_jump_m: largest deviation of the translation from the predicted one, metres for each image.
@@ -63,6 +65,7 @@ class MotionCheckConfig:
     min_inlier_ratio: float = 0.35
     min_expected_inlier_ratio: float = 0.15
     certain_inlier_ratio: float = 0.6
+    min_followed_ratio: float = 0.0
     minority_search_ratio: float = 0.2
     max_jump_m: float = 0.5
     max_jump_rad: float = 0.05

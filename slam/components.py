@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
+from odometry.stereo.rgbd_odometry import RgbdOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
 from place_recognition.image_processing.extractors import EXTRACTORS
 from place_recognition.image_processing.local_features import FeatureCache
@@ -39,7 +40,7 @@ from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.pose_graph import PoseGraph
 from slam.pose_graph.robust.backends import back_end
 from slam.system import Components, LoopVerifier, VisualOdometry
-from slam.visual_odometry import MonocularVisualOdometry, StereoVisualOdometry
+from slam.visual_odometry import MonocularVisualOdometry, RgbdVisualOdometry, StereoVisualOdometry
 
 Image = NDArray[np.uint8]
 
@@ -203,7 +204,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
     Raises:
         DataError: the mask, the vocabulary or the descriptor cannot be used.
     """
-    places = with_preset(config.paradigm, replace(config.place_recognition, seed=config.seed))
+    places = with_preset(config.paradigm, replace(config.places_for_camera(), seed=config.seed))
     features = FeatureCache(make_feature_extractor(places))
     mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)
@@ -214,8 +215,8 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         recognizer=build_recognizer(config.paradigm, features, places, rows),
         loop_closer=build_loop_verifier(LoopCloser(camera, features, odometry, config.loop_closing), config),
         graph=PoseGraph(config.pose_graph_for_camera()),
-        key_frames=KeyFrameSelector(config.key_frames),
-        landmarks=LandmarkMap(config.landmarks, camera),
+        key_frames=KeyFrameSelector(config.key_frames_for_camera()),
+        landmarks=_build_landmarks(camera, config),
     )
 
 
@@ -225,6 +226,13 @@ def build_loop_verifier(loop_closer: LoopCloser, config: RunConfig) -> LoopVerif
     if matches is None or not config.trust_poses:
         return loop_closer
     return TrustedLoopVerifier(read_proposed_loops(matches).by_query, loop_closer)
+
+
+def _build_landmarks(camera: StereoCamera, config: RunConfig) -> LandmarkMap:
+    """Landmark map of a pair, or of a depth camera, whose accuracy does not depend on the resolution of its images."""
+    if config.depth:
+        return LandmarkMap(replace(config.landmarks, max_depth_m=config.rgbd.max_landmark_depth_m))
+    return LandmarkMap(config.landmarks, camera)
 
 
 def read_mask(path: Path, shape: tuple[int, int]) -> Image:
@@ -247,12 +255,17 @@ def read_mask(path: Path, shape: tuple[int, int]) -> Image:
 
 
 def build_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
-    """Odometry of the pair, or of the left camera alone; with motions of a file where one is named."""
-    if config.mono:
-        measured: VisualOdometry = MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
-    else:
-        measured = StereoVisualOdometry(StereoOdometry(camera, config.odometry))
+    """Odometry of the pair, the depth camera or the left camera alone; with motions of a file where one is named."""
+    measured = _build_measured_odometry(camera, config)
     if not config.odometry_file:
         return measured
     trajectory = FileTrajectory(Path(config.odometry_file))
     return FileOdometry(trajectory, measured, read_uncertainty(config.odometry_covariance))
+
+
+def _build_measured_odometry(camera: StereoCamera, config: RunConfig) -> VisualOdometry:
+    if config.mono:
+        return MonocularVisualOdometry(MonoOdometry(camera, config.mono_odometry.odometry), camera)
+    if config.depth:
+        return RgbdVisualOdometry(RgbdOdometry(camera, config.rgbd.odometry))
+    return StereoVisualOdometry(StereoOdometry(camera, config.odometry))

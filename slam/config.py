@@ -14,6 +14,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import tomli_w
 
 from odometry.mono.mono_odometry import MonoOdometryConfig
+from odometry.stereo.rgbd_odometry import RgbdOdometryConfig
 from odometry.stereo.stereo_odometry import StereoOdometryConfig
 from place_recognition.image_processing.static_regions import StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig
@@ -21,6 +22,7 @@ from slam.errors import ConfigError
 from slam.keyframes import KeyFrameConfig
 from slam.loop_closing.loop_closer import LoopCloserConfig
 from slam.mapping.landmark_map import LandmarkMapConfig
+from slam.pose_graph.node_chain import NodeSpacing
 from slam.pose_graph.odometry_chain import OdometryDriftModel
 from slam.pose_graph.pose_graph import PoseGraphConfig
 from slam.pose_graph.robust.backends import DEFAULT
@@ -45,6 +47,27 @@ class MonoConfig:
 
 
 @dataclass(frozen=True)
+class RgbdConfig:
+    """Settings of a run with a depth camera, which sees as far as a room is wide.
+
+    Attributes:
+        odometry: settings of the odometry.
+        key_frames: when a frame becomes a key frame of the map.
+        nodes: selection of the frames that are optimised online.
+        loop_sigma_m: noise floor of the translation of every loop.
+        max_landmark_depth_m: maximum depth of points of the landmark map.
+        min_revisit_path_m: length of the path before the newest image that is no past, beside what it still shows.
+    """
+
+    odometry: RgbdOdometryConfig = field(default_factory=RgbdOdometryConfig)
+    key_frames: KeyFrameConfig = field(default_factory=lambda: KeyFrameConfig(min_distance_m=0.15))
+    nodes: NodeSpacing = field(default_factory=lambda: NodeSpacing(min_distance_m=0.3))
+    loop_sigma_m: float = 0.01
+    max_landmark_depth_m: float = 5.0
+    min_revisit_path_m: float = 0.5
+
+
+@dataclass(frozen=True)
 class RunConfig:
     """All settings that decide the result of a run.
 
@@ -55,6 +78,7 @@ class RunConfig:
         save_recording: write `recording.rrd`.
         save_map: write `map.db`, which resuming, localization and later sessions need.
         mono: use the left camera alone.
+        depth: use the depth images of a depth camera; a run sets it where the recording has them.
         odometry_file: trajectory of another program, whose motions replace those measured here; empty for none.
         odometry_covariance: how uncertain these motions are (`slam.external.odometry_file.read_uncertainty`).
         trust_poses: take the relative poses of a file of matches as they are, without looking at the images.
@@ -62,6 +86,7 @@ class RunConfig:
         static_regions: how such parts are found without it.
         odometry: settings of the stereo odometry.
         mono_odometry: settings of a run with one camera.
+        rgbd: settings of a run with a depth camera.
         place_recognition: settings of the place recognisers.
         loop_closing: settings of the geometric verification of loops.
         pose_graph: noise model and loop selection of the pose graph, for a stereo pair.
@@ -75,6 +100,7 @@ class RunConfig:
     save_recording: bool = True
     save_map: bool = True
     mono: bool = False
+    depth: bool = False
     odometry_file: str = ""
     odometry_covariance: str = ""
     trust_poses: bool = False
@@ -82,6 +108,7 @@ class RunConfig:
     static_regions: StaticRegionConfig = field(default_factory=StaticRegionConfig)
     odometry: StereoOdometryConfig = field(default_factory=StereoOdometryConfig)
     mono_odometry: MonoConfig = field(default_factory=MonoConfig)
+    rgbd: RgbdConfig = field(default_factory=RgbdConfig)
     place_recognition: ParadigmsConfig = field(default_factory=ParadigmsConfig)
     loop_closing: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
@@ -90,9 +117,26 @@ class RunConfig:
 
     def pose_graph_for_camera(self) -> PoseGraphConfig:
         """Settings of the pose graph, with the drift of the odometry that is used."""
+        if self.depth:
+            return replace(self.pose_graph, nodes=self.rgbd.nodes, loop_sigma_m=self.rgbd.loop_sigma_m)
         if not self.mono:
             return self.pose_graph
         return replace(self.pose_graph, drift=self.mono_odometry.drift, scale_drift=self.mono_odometry.scale_drift)
+
+    def key_frames_for_camera(self) -> KeyFrameConfig:
+        """When a frame becomes a key frame."""
+        return self.rgbd.key_frames if self.depth else self.key_frames
+
+    def places_for_camera(self) -> ParadigmsConfig:
+        """Settings of place recognition, with the length of path that separates images of one place."""
+        places = self.place_recognition
+        if not self.depth:
+            return places
+        return replace(places, view=replace(places.view, min_distance_m=self.rgbd.min_revisit_path_m))
+
+    def with_depth_of(self, has_depth: bool) -> "RunConfig":
+        """Settings for a recording with depth images or without; one camera alone does not use them."""
+        return replace(self, depth=has_depth and not self.mono)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Visual odometry as the system uses it: motion and depth from frames, with a stereo pair or with one camera."""
+"""Visual odometry as the system uses it: motion and depth of frames, of a pair, a depth camera or one camera."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
 from odometry.motion import Motion
+from odometry.stereo.rgbd_odometry import RgbdOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
 from odometry.stereo.stereo_self_calibration import Calibration
 from place_recognition.evaluation.memory import count_array_bytes
@@ -15,6 +16,7 @@ from slam.datasets.dataset import Frame
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Depths = NDArray[np.float32]
 
 # Depth from motion is used where the camera has moved by this share of the pair's baseline: it is then about as
 # accurate as depth from the pair.
@@ -55,6 +57,27 @@ class StereoVisualOdometry:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the odometry."""
         self._odometry.restore(state)
+
+
+class RgbdVisualOdometry(StereoVisualOdometry):
+    """Odometry of a depth camera, whose depth image takes the place of the right image (a VisualOdometry)."""
+
+    def __init__(self, odometry: RgbdOdometry) -> None:
+        super().__init__(odometry)
+        self._depth: Depths | None = None  # of the frame that was tracked last
+
+    def track(self, frame: Frame) -> Motion:
+        """Motion since the previous frame."""
+        depth = frame.depth
+        if depth is None:  # a recording may lack single depth images
+            depth = np.full(frame.left.shape, np.nan, np.float32)
+        self._depth = depth
+        return self._odometry.track(frame.left, depth, frame.timestamp, frame.usable_pixels)
+
+    def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
+        """Disparity (N,) as the depth image of the frame tracked last has it."""
+        assert self._depth is not None
+        return self._odometry.disparity(left, self._depth, pixels)
 
 
 class MonocularVisualOdometry:

@@ -35,14 +35,15 @@ _add_coupling = compile_add_coupling(_ROWS, 3, 0, 1)
 
 @njit(cache=True)
 def build_normal_equations(
-    camera: Array, observations: tuple[Indices, Indices, Array], inverse_depth: Array, poses: Array, scale: float
+    camera: Array, observations: tuple[Indices, Indices, Array, Array], inverse_depth: Array, poses: Array, scale: float
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Sum the normal equations of all points, with robust weights, and eliminate the depths.
 
     Args:
         camera: (5,) fx, fy, cx, cy in pixels and the baseline in metres.
         observations: first row of each point's observations and their end (N + 1,); the frame of each observation
-            (M,), growing for each point; its columns left and right and its row, (M, 3) pixels.
+            (M,), growing for each point; its columns left and right and its row, (M, 3) pixels; the factor (M,) of
+            its residual in disparity.
         inverse_depth: (N,) 1/m, in the first frame that saw the point.
         poses: (K, 4, 4) T_window_frame, metres.
         scale: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure).
@@ -51,7 +52,7 @@ def build_normal_equations(
         H (6K, 6K) and b (6K,), `H @ change = -b`; squared residuals (M,), pixels squared; and for the depths:
         `inverse_depth -= offset (N,) + gain (N, 6K) @ change`.
     """
-    first, frame, pixels = observations
+    first, frame, pixels, factor = observations
     states = POSE * len(poses)
     H, b, chi2 = np.zeros((states, states)), np.zeros(states), np.zeros(len(frame))
     gain, offset = np.zeros((len(inverse_depth), states)), np.zeros(len(inverse_depth))
@@ -62,6 +63,8 @@ def build_normal_equations(
         for m in range(first[i], first[i + 1]):
             relative_pose(poses[anchor], poses[frame[m]], relative)
             observe(camera, pixels[first[i]], pixels[m], inverse_depth[i], relative, now)
+            for k in range(_COLUMNS):
+                now[2, k] *= factor[m]
             if m == first[i]:  # where a point is anchored does not depend on the pose
                 now[:, ANCHOR:BY_POINT] = 0.0
             subtract_previous(now, before, _FOLLOWED if m > first[i] else _FIRST, residual, J, Jd)

@@ -25,39 +25,52 @@ _MIN_RELATIVE_DEPTH = 1e-3
 
 @njit(cache=True)
 def build_normal_equations(
-    camera: Array, pixels: Array, inverse_depth: Array, T_second_first: Array, calibration: Array, scale: float
+    camera: Array, points: tuple[Array, Array, Array], T_second_first: Array, calibration: Array, scale: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Sum the normal equations of all points, each with its depth eliminated and its robust weight.
 
     Args:
         camera: (5,) fx, fy, cx, cy in pixels and the baseline in metres.
-        pixels: (N, 4, 2) places in the first left, first right, second left and second right image.
-        inverse_depth: (N,) 1/m.
+        points: places (N, 4, 2) in the first left, first right, second left and second right image, pixels; factors
+            (N, 2) of the residuals in the first and in the second right image; inverse depths (N,), 1/m.
         T_second_first: (4, 4) first camera in the second one's frame, metres.
         calibration: (15,) pixels.
-        scale: squared residual, pixels squared, at which a weight is a quarter (Geman and McClure).
+        scale: (N,) squared residual, pixels squared, at which a weight is a quarter (Geman and McClure).
 
     Returns:
         H (21, 21) and b (21,), `H @ change = -b`; squared residuals (N,), pixels squared, each with
         its depth at its best; and for the depths: `inverse_depth -= offset (N,) + gain (N, 21) @ change`.
     """
+    pixels, factors, inverse_depth = points
     n = len(pixels)
     H, b = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
     chi2, gain, offset = np.empty(n), np.zeros((n, _STATES)), np.empty(n)
     residual, J, Jd, lens = np.empty(_ROWS), np.zeros((_ROWS, _STATES)), np.zeros(_ROWS), np.empty((4, 2, DISTORTION))
     for i in range(n):
         observe(camera, pixels[i], inverse_depth[i], T_second_first, calibration, (residual, J, Jd, lens))
+        _scale_rows(residual, J, Jd, 0, factors[i, 0])
+        _scale_rows(residual, J, Jd, 4, factors[i, 1])
         curvature = Jd @ Jd
         for k in range(_STATES):
             gain[i, k] = _dot(Jd, J[:, k]) / curvature
         offset[i] = (Jd @ residual) / curvature
         # One weight for all six rows: a point is an outlier as a whole, whatever depth suits it best.
         chi2[i] = max(residual @ residual - curvature * offset[i] ** 2, 0.0)
-        weight = 1.0 / (1.0 + chi2[i] / scale) ** 2
+        weight = 1.0 / (1.0 + chi2[i] / scale[i]) ** 2
         _add_rows(H, b, J, residual, weight)
         eliminate_depth(H, b, gain[i], offset[i], weight * curvature, (0, _STATES))
     mirror_upper(H)
     return H, b, chi2, gain, offset
+
+
+@njit(cache=True, forceinline=True)
+def _scale_rows(residual: Array, J: Array, Jd: Array, first: int, factor: float) -> None:
+    """Multiply residuals `first` and next, and their derivatives: a noise of their own, or none at all."""
+    if factor != 1.0:
+        for m in range(first, first + 2):
+            residual[m], Jd[m] = factor * residual[m], factor * Jd[m]
+            for k in range(_STATES):
+                J[m, k] = factor * J[m, k]
 
 
 @njit(cache=True)

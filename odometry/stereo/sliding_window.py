@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from odometry import se3
 from odometry.camera import StereoCamera, clamp_inverse_depth
 from odometry.kernels.sliding_window_equations import build_normal_equations
+from odometry.stereo.second_view import RIGHT_IMAGE_NOISE, SecondViewNoise
 from odometry.stereo.stereo_self_calibration import Calibration
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class StereoFrameObservations:
 
     Attributes:
         ids: (N,) growing numbers of the tracks.
-        left, right: (N, 2) pixels.
+        left, right: (N, 2) pixels; NaN on the right where a depth is unknown.
     """
 
     ids: Indices
@@ -65,11 +66,15 @@ class _Tracks:
         first: (N + 1,) first observation of each point, and the end of the last one's.
         frame: (M,) frame of each observation.
         pixels: (M, 3) pixels of a perfect pair: column left, column right, row.
+        factor: (M,) of the residual in disparity.
+        has_depth: (M,) whether the disparity was measured.
     """
 
     first: Indices
     frame: Indices
     pixels: Array
+    factor: Array
+    has_depth: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.first) - 1
@@ -84,8 +89,8 @@ class _Tracks:
 class SlidingWindow:
     """The last frames of a stereo odometry, adjusted together."""
 
-    def __init__(self, config: WindowConfig | None = None) -> None:
-        self._config = config or WindowConfig()
+    def __init__(self, config: WindowConfig | None = None, noise: SecondViewNoise = RIGHT_IMAGE_NOISE) -> None:
+        self._config, self._noise = config or WindowConfig(), noise
         self._frames: list[StereoFrameObservations] = []
         self._poses = np.zeros((0, 4, 4))  # T_oldest_frame
         self._noise_px = _NOISE_AT_FIRST
@@ -110,7 +115,7 @@ class SlidingWindow:
         stated = self._poses[-1]
         self._frames.append(observed)
         self._poses = np.concatenate([self._poses, (stated @ T_last_frame)[None]])
-        tracks = _gather(self._frames, calibration)
+        tracks = _gather(self._frames, calibration, self._noise)
         if len(tracks) >= self._config.min_shared_points:
             self._adjust(tracks, calibration.camera)
         return se3.inverse(stated) @ self._poses[-1]
@@ -118,7 +123,7 @@ class SlidingWindow:
     def _adjust(self, tracks: _Tracks, camera: StereoCamera) -> None:
         """Gauss-Newton on all poses but the oldest; changes nothing if it does not converge."""
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
-        observations = (tracks.first, tracks.frame, tracks.pixels)
+        observations = (tracks.first, tracks.frame, tracks.pixels, tracks.factor)
         start = tracks.pixels[tracks.first[:-1]]
         depths = clamp_inverse_depth((start[:, 0] - start[:, 1]) / (camera.fx * camera.baseline))
         poses = self._poses
@@ -131,7 +136,7 @@ class SlidingWindow:
             poses = np.array([T @ se3.exp(xi) for T, xi in zip(poses, change.reshape(-1, 6), strict=True)])
         if np.isfinite(poses).all():
             self._poses = poses
-            noise = float(np.sqrt(np.median(chi2[tracks.is_followed()]) / _MEDIAN))
+            noise = float(np.sqrt(np.median(chi2[tracks.is_followed() & tracks.has_depth]) / _MEDIAN))
             self._noise_px = min(max(noise, self._config.min_noise_px), _NOISE_AT_FIRST)
 
     def state(self) -> dict[str, Any]:
@@ -152,15 +157,20 @@ def _seen_from_first(poses: Array) -> Array:
     return np.asarray(poses)
 
 
-def _gather(frames: list[StereoFrameObservations], calibration: Calibration) -> _Tracks:
+def _gather(frames: list[StereoFrameObservations], calibration: Calibration, noise: SecondViewNoise) -> _Tracks:
     """Sort the observations of all frames by point, without points that are seen once."""
     ids = np.concatenate([observed.ids for observed in frames])
     frame = np.repeat(np.arange(len(frames)), [len(observed.ids) for observed in frames])
-    left, right = calibration.rectify(
-        np.concatenate([observed.left for observed in frames]), np.concatenate([observed.right for observed in frames])
-    )
+    seen = np.concatenate([observed.left for observed in frames])
+    matched = np.concatenate([observed.right for observed in frames])
+    places, factor = noise.weights(seen, matched, fill=True)
+    left, right = calibration.rectify(seen, places)
     order = np.argsort(ids, kind="stable")  # stable: each point's observations stay in the order of frames
     _, counts = np.unique(ids, return_counts=True)
     order, counts = order[np.repeat(counts > 1, counts)], counts[counts > 1]
-    places = np.stack([left[:, 0], right[:, 0], left[:, 1]], axis=1)
-    return _Tracks(np.concatenate([[0], np.cumsum(counts)]), frame[order], places[order])
+    pixels = np.stack([left[:, 0], right[:, 0], left[:, 1]], axis=1)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    tracks = _Tracks(first, frame[order], pixels[order], factor[order], np.isfinite(matched[order, 0]))
+    # What is expected of an unknown depth is expected once.
+    tracks.factor[tracks.is_followed() & ~tracks.has_depth] = 0.0
+    return tracks

@@ -9,23 +9,20 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.klt_tracking import (
     TrackingConfig,
+    blur,
     detect_corners,
     is_inside,
     is_unmasked,
     match_brightness,
     track_points,
 )
+from odometry.stereo.second_view import RIGHT_IMAGE_NOISE, Pair, SecondView
 from odometry.stereo.sliding_window import StereoFrameObservations
-from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right, refine_right
 from odometry.stereo.stereo_self_calibration import Calibration
 from odometry.stereo.two_view_adjustment import StereoTracks
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Pair = tuple[Image, Image]
-
-_MIN_CLEAR_DISPARITY_PX = 2.0  # larger disparities than a calibration error explains
-_MIN_SWAPPED = 20  # points that must match only the other way round in a swapped pair
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class StereoObservation:
     """A stereo pair and its tracked points.
 
     Attributes:
-        pair: left and right image, (H, W) uint8.
+        pair: left image (H, W) uint8, and the right image or the depth image.
         points: points that are followed from this pair.
     """
 
@@ -55,20 +52,21 @@ class StereoFrontEnd:
 
     Attributes:
         mask: (H, W) uint8, 0 where the left image shows no scene but the vehicle or a text; None for nowhere. The
-            right image needs none: its points are sought from those of the left one.
+            second view needs none: its points are sought from those of the left image.
+        second_view: what finds points in the right image, or reads them in a depth image.
     """
 
-    def __init__(self, tracking: TrackingConfig, matching: StereoMatchingConfig) -> None:
-        self._tracking, self.matching = tracking, matching
+    def __init__(self, tracking: TrackingConfig, second_view: SecondView) -> None:
+        self._tracking, self.second_view = tracking, second_view
         self._count = 0
         self.mask: Image | None = None
 
     def observe(self, pair: Pair, kept: StereoFrameObservations | None = None) -> StereoObservation:
-        """Observe a pair: the points kept, topped up with new corners that the right image shows as well."""
+        """Observe a pair: the points kept, topped up with new corners that the second view shows as well."""
         kept = kept or StereoFrameObservations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
         corners = detect_corners(pair[0], kept.left, self._tracking, self.mask)
-        places = match_right(*pair, corners, self.matching)
-        matched = np.isfinite(places[:, 0])
+        places = self.second_view.find(pair, corners)
+        matched = self.second_view.are_usable(places)
         ids = self._count + np.arange(int(matched.sum()))
         self._count += len(ids)
         points = StereoFrameObservations(
@@ -86,23 +84,27 @@ class StereoFrontEnd:
         ahead, shift = _predict(points, guess, calibration, pair[0])
         # A wider search also allows for another exposure, as at the end of a tunnel.
         left = match_brightness(view.pair[0], pair[0]) if wide else pair[0]
-        second_left = track_points((view.pair[0], left), points.left, ahead, tracking)
+        images = view.pair[0], left
+        if wide and tracking.wide_blur_px:
+            images = blur(images[0], tracking.wide_blur_px), blur(images[1], tracking.wide_blur_px)
+        second_left = track_points(images, points.left, ahead, tracking)
         # What the prediction got wrong in the left image it got wrong in the right one too.
         start = second_left + shift
         kept = np.flatnonzero(np.isfinite(start[:, 0]) & is_unmasked(second_left, self.mask))
-        second_right = refine_right(pair, second_left[kept], start[kept], self.matching)
-        matched = np.isfinite(second_right[:, 0])
+        second_right = self.second_view.follow(pair, second_left[kept], start[kept])
+        matched = self.second_view.are_usable(second_right)
         kept, second_right = kept[matched], second_right[matched]
-        return StereoTracks(points.left[kept], points.right[kept], second_left[kept], second_right, points.ids[kept])
+        return StereoTracks(
+            points.left[kept], points.right[kept], second_left[kept], second_right, points.ids[kept],
+            self.second_view.noise,
+        )  # fmt: skip
 
     def is_swapped(self, pair: Pair) -> bool:
         """Whether left and right image are swapped: whether far more points match the other way round."""
-        counts = []
-        for one, other in (pair, pair[::-1]):
-            corners = detect_corners(one, np.zeros((0, 2)), self._tracking, self.mask)
-            shifts = corners[:, 0] - match_right(one, other, corners, self.matching)[:, 0]
-            counts.append(int((shifts > _MIN_CLEAR_DISPARITY_PX).sum()))
-        return counts[1] > max(_MIN_SWAPPED, 3 * counts[0])
+        return self.second_view.is_swapped(pair, self._detect)
+
+    def _detect(self, image: Image) -> Array:
+        return detect_corners(image, np.zeros((0, 2)), self._tracking, self.mask)
 
     def state(self) -> dict[str, Any]:
         """Number of tracks that have got an id, for a checkpoint."""
@@ -117,11 +119,12 @@ def _predict(
     points: StereoFrameObservations, guess: Array, calibration: Calibration, image: Image
 ) -> tuple[Array, Array]:
     """Predicted places (N, 2) of the points in the new left image, and right less left (N, 2), pixels."""
-    left, right = calibration.rectify(points.left, points.right)
+    places, _ = RIGHT_IMAGE_NOISE.weights(points.left, points.right)
+    left, right = calibration.rectify(points.left, places)
     disparity, camera = left[:, 0] - right[:, 0], calibration.camera
     seen = camera.project(se3.transform(se3.inverse(guess), camera.triangulate(left, np.maximum(disparity, 0.1))))
     # Distortion changes slowly over the image: what the point had before, it has now.
-    ahead, shift = seen[:, [0, 2]] + (points.left - left), points.right - points.left
+    ahead, shift = seen[:, [0, 2]] + (points.left - left), places - points.left
     visible = np.isfinite(ahead[:, 0]) & is_inside(ahead, image)
     shift[:, 0] += np.where(visible, seen[:, 1] - seen[:, 0] + disparity, 0.0)
     return np.where(visible[:, None], ahead, points.left), shift

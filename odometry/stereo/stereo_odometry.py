@@ -9,7 +9,7 @@ There is one finite motion for every pair. Where the images do not allow a measu
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,19 +17,25 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from odometry.klt_tracking import TrackingConfig, level_pair
+from odometry.klt_tracking import TrackingConfig
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.reference_frame import Reference
+from odometry.stereo.second_view import Pair, RightImage, SecondView
 from odometry.stereo.sliding_window import SlidingWindow, StereoFrameObservations, WindowConfig
-from odometry.stereo.stereo_frontend import Pair, StereoFrontEnd, StereoObservation
-from odometry.stereo.stereo_matching import StereoMatchingConfig, match_disparity
+from odometry.stereo.stereo_frontend import StereoFrontEnd, StereoObservation
+from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, TrackingResult
 from odometry.stereo.two_view_adjustment import AdjustmentConfig, TwoViewEstimate
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+# Distance from an earlier reference frame, as a share of that at which one is replaced, within which the camera has
+# come back to it.
+_MAX_REACH_BACK = 0.7
+_MAX_BLURRED = 3  # images in a row that show few points of the reference frame because they are blurred
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,8 @@ class StereoOdometryConfig:
         reference_spacing_m: distance from the reference frame at which a pair becomes the next one, metres.
         reference_rotation_rad: rotation from the reference frame at which a pair becomes the next one, radians.
         min_reference_ratio: share of the reference frame's points below which a pair becomes the next one.
+        max_earlier_references: reference frames of the past that are kept, to measure from them where the camera comes
+            back; 0 for a car, which does not within so short a time.
         max_lost_frames: images for which a lost reference frame is tried again when its successors fail.
         covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
             have if these erred independently in every image: tracks keep their errors while they live.
@@ -62,6 +70,7 @@ class StereoOdometryConfig:
     reference_spacing_m: float = 0.1
     reference_rotation_rad: float = 0.01
     min_reference_ratio: float = 0.6
+    max_earlier_references: int = 0
     max_lost_frames: int = 50
     covariance_scale: float = 9.0
     extrapolation_sigma_rad: float = 0.02
@@ -69,32 +78,53 @@ class StereoOdometryConfig:
 
 
 class StereoOdometry:
-    """Measures the motion of a rectified stereo pair, frame by frame.
+    """Measures the motion of a rectified stereo pair, or of a depth camera, frame by frame.
 
     Attributes:
         calibration: the pair's calibration error as learned so far; corrects disparities of any match.
     """
 
-    def __init__(self, camera: StereoCamera, config: StereoOdometryConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: StereoOdometryConfig | None = None,
+        second_view: SecondView | None = None,
+        calibration: Calibration | None = None,
+    ) -> None:
+        """Begin without images.
+
+        Args:
+            camera: rectified pair.
+            config: the settings.
+            second_view: what the second image of each pair is; None for a right image.
+            calibration: calibration error before the first pair; None for the prior of the settings.
+        """
         self._camera, self._config = camera, config or StereoOdometryConfig()
-        self.calibration = Calibration.unknown(camera, self._config.calibration)
-        self._front_end = StereoFrontEnd(self._config.tracking, self._config.matching)
+        self.calibration = calibration or Calibration.unknown(camera, self._config.calibration)
+        self._second_view = second_view or RightImage(self._config.matching)
+        self._front_end = StereoFrontEnd(self._config.tracking, self._second_view)
         self._tracker = StereoTracker(self._front_end, self._config.adjustment, self._config.motion_checks)
-        self._window = SlidingWindow(self._config.window)
+        self._window = SlidingWindow(self._config.window, self._second_view.noise)
         self._frame_counter = FrameCounter()
         self._reference: Reference[StereoObservation] | None = None
         # An earlier reference frame, from which its successor could not be measured.
         self._lost: Reference[StereoObservation] | None = None
+        # Reference frames before the present one, the latest last; the camera may come back to them.
+        self._earlier: list[Reference[StereoObservation]] = []
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
+        self._blurred = 0  # images in a row in which few points were found again
 
-    def track(self, left: Image, right: Image, timestamp: float | None = None, mask: Image | None = None) -> Motion:
+    def track(
+        self, left: Image, right: NDArray[Any], timestamp: float | None = None, mask: Image | None = None
+    ) -> Motion:
         """Measure the motion since the previous pair.
 
         Args:
             left: (H, W) uint8 of the camera's size.
-            right: of the same size, taken at the same time; its exposure may be another one.
+            right: of the same size, taken at the same time; its exposure may be another one. With a depth camera its
+                depth image, (H, W) float32, metres, NaN where there is no measurement.
             timestamp: seconds, from which gaps in the recording are found; None if no image is missing, at 10 Hz.
             mask: (H, W) uint8, 0 where the left image does not show the scene; None if it shows it everywhere.
 
@@ -102,7 +132,7 @@ class StereoOdometry:
             ValueError: images of another size or type.
         """
         self._check(left, right)
-        pair = left, level_pair(left, right)
+        pair = left, self._second_view.prepare(left, right)
         self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         self._unmeasured += steps
@@ -110,26 +140,21 @@ class StereoOdometry:
             return self._begin(pair)
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
         self._reference = self._reference.age(steps)
+        self._earlier = [earlier.age(steps) for earlier in self._earlier]
         is_lost_recent = self._lost is not None and self._lost.age_frames < self._config.max_lost_frames
         self._lost = self._lost.age(steps) if self._lost and is_lost_recent else None
         return self._measure(pair, motion)
 
-    def disparity(self, left: Image, right: Image, pixels: Array) -> Array:
+    def disparity(self, left: Image, right: NDArray[Any], pixels: Array) -> Array:
         """Disparity (N,), pixels, of pixels (N, 2) of the left image, less the calibration error learned so far.
 
         NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
         """
-        matched = match_disparity(left, level_pair(left, right), pixels, self._config.matching)
-        return self.calibration.correct_disparity(pixels, matched)
+        places = self._second_view.find((left, self._second_view.prepare(left, right)), pixels)
+        return self.calibration.correct_disparity(pixels, pixels[:, 0] - places[:, 0])
 
-    def _check(self, left: Image, right: Image) -> None:
-        expected = (self._camera.height, self._camera.width)
-        for side, image in (("left", left), ("right", right)):
-            if image.shape != expected or image.dtype != np.uint8:
-                raise ValueError(
-                    f"expected the {side} image to be {expected} uint8 as the camera says, "
-                    f"got left {left.shape} {left.dtype} and right {right.shape} {right.dtype}"
-                )
+    def _check(self, left: Image, right: NDArray[Any]) -> None:
+        self._second_view.check(left, right, (self._camera.height, self._camera.width))
 
     def _begin(self, pair: Pair) -> Motion:
         """Take the first pair as the reference, unless its images are swapped."""
@@ -142,6 +167,9 @@ class StereoOdometry:
 
     def _measure(self, pair: Pair, motion: Array) -> Motion:
         """Measure from the reference frame, else from the lost one, else extrapolate by the motion (4, 4)."""
+        back = self._come_back(pair, motion)
+        if back is not None:
+            return back
         reason = None
         for reference in filter(None, (self._reference, self._lost)):
             expected = self._expect(reference, pair, motion)
@@ -152,6 +180,47 @@ class StereoOdometry:
             if reason == SWAPPED:
                 break
         return self._extrapolate(pair, motion, reason or "")
+
+    def _come_back(self, pair: Pair, motion: Array) -> Motion | None:
+        """Measure from an earlier reference frame, if the camera is near it again and leaves the present one.
+
+        Drift between the two is taken back. None if there is no such frame, or it does not show the pair well.
+        """
+        assert self._reference is not None
+        if not self._earlier or self._reach(self._reference, motion) < 1.0:
+            return None
+        number = int(np.argmin([self._reach(earlier, motion) for earlier in self._earlier]))
+        earlier = self._earlier[number]
+        if self._reach(earlier, motion) > _MAX_REACH_BACK:
+            return None
+        # What was measured last is the same image, seen from this frame.
+        T_earlier_present = earlier.T_reference_previous @ se3.inverse(self._reference.T_reference_previous)
+        earlier = replace(
+            earlier,
+            T_reference_measured=T_earlier_present @ self._reference.T_reference_measured,
+            age_frames=self._reference.age_frames,
+        )
+        expected = self._expect(earlier, pair, motion)
+        located = self._tracker.follow(earlier.view, pair, expected, self.calibration)
+        estimate = located.estimate
+        if estimate is None or located.reason or self._is_far(earlier, estimate):
+            return None
+        del self._earlier[number]
+        self._keep(self._reference)
+        self._reference, self._lost = earlier, None
+        self._window.restart(earlier.view.points)
+        return self._accept(earlier, pair, located, estimate)
+
+    def _reach(self, reference: Reference[StereoObservation], motion: Array) -> float:
+        """Distance from a reference frame, after a motion (4, 4), as a share of that at which it is replaced."""
+        T = reference.T_reference_previous @ motion
+        distance = float(np.linalg.norm(T[:3, 3])) / self._config.reference_spacing_m
+        return max(distance, se3.angle(T) / self._config.reference_rotation_rad)
+
+    def _keep(self, reference: Reference[StereoObservation]) -> None:
+        """Keep a reference frame that is replaced."""
+        count = self._config.max_earlier_references
+        self._earlier = [*self._earlier, reference][-count:] if count else []
 
     def _expect(self, reference: Reference[StereoObservation], pair: Pair, motion: Array) -> MotionPrediction | None:
         """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
@@ -174,8 +243,9 @@ class StereoOdometry:
         self._speeds.append(float(np.linalg.norm(self._velocity[3:])))
         if reference is not self._reference:  # the lost one was found again, and the frames since then are dropped
             self._restart(self._front_end.observe(pair))
-        elif self._is_far_from_reference(estimate):
+        elif self._is_next_reference(reference, located, estimate):
             self._learn(estimate)
+            self._keep(reference)
             T_reference_current = self._renew(pair, located, estimate)
         else:
             self._reference = reference.update(T_reference_current)
@@ -184,21 +254,35 @@ class StereoOdometry:
         covariance = self._config.covariance_scale * estimate.covariance + Ad @ reference.covariance_previous @ Ad.T
         if self._lost:
             self._lost = self._lost.extend(T_previous_current, covariance)
+        self._earlier = [earlier.extend(T_previous_current, covariance) for earlier in self._earlier]
         tracks, good = located.tracks, estimate.inliers
         return Motion(
             T_previous_current, covariance, False, "",
             tracks.first_left, tracks.second_left, good, estimate.residual_px,
         )  # fmt: skip
 
-    def _is_far_from_reference(self, estimate: TwoViewEstimate) -> bool:
-        """Whether a pair is far from the reference frame. A near one would only add the error of another link."""
-        assert self._reference is not None
-        T, seen = estimate.T_first_second, len(self._reference.view.points.ids)
+    def _is_far(self, reference: Reference[StereoObservation], estimate: TwoViewEstimate) -> bool:
+        """Whether a pair is far from a reference frame. A near one would only add the error of another link."""
+        T, seen = estimate.T_first_second, len(reference.view.points.ids)
         far = (
             np.linalg.norm(T[:3, 3]) > self._config.reference_spacing_m
             or se3.angle(T) > self._config.reference_rotation_rad
         )
         return bool(far or estimate.inliers.sum() < self._config.min_reference_ratio * seen)
+
+    def _is_next_reference(
+        self, reference: Reference[StereoObservation], located: TrackingResult, estimate: TwoViewEstimate
+    ) -> bool:
+        """Whether a pair becomes the next reference frame: it is far from this one, and clear.
+
+        A depth image may be empty. An image in which few points are found again, as it is blurred, would pass its error
+        on to the images after it, which show more of the present reference than it does.
+        """
+        few = self._config.motion_checks.min_followed_ratio * len(reference.view.points.ids)
+        self._blurred = self._blurred + 1 if estimate.inliers.sum() < few else 0
+        known = np.isfinite(located.tracks.second_right[estimate.inliers, 0])
+        has_depth = int(known.sum()) >= self._config.motion_checks.min_tracks
+        return has_depth and not 0 < self._blurred <= _MAX_BLURRED and self._is_far(reference, estimate)
 
     def _learn(self, estimate: TwoViewEstimate) -> None:
         """Update the calibration error by what a measured motion says about it."""
@@ -232,8 +316,9 @@ class StereoOdometry:
         covariance = self._extrapolation_covariance(self._unmeasured)
         bridged = self._reference.extend(T_previous_current, covariance)
         self._lost = self._lost and self._lost.extend(T_previous_current, covariance)
+        self._earlier = [earlier.extend(T_previous_current, covariance) for earlier in self._earlier]
         view = None if reason == SWAPPED else self._front_end.observe(pair)
-        if view is None or len(view.points.ids) < self._config.motion_checks.min_tracks:
+        if view is None or np.isfinite(view.points.right[:, 0]).sum() < self._config.motion_checks.min_tracks:
             self._reference = bridged  # a pair that shows nothing is left out
         else:
             lost = self._lost or bridged
@@ -256,9 +341,11 @@ class StereoOdometry:
             "frame_counter": self._frame_counter.state(),
             "reference": None if self._reference is None else self._reference.state(self._reference.view.state()),
             "lost_reference": None if self._lost is None else self._lost.state(self._lost.view.state()),
+            "earlier_references": [earlier.state(earlier.view.state()) for earlier in self._earlier],
             "velocity": self._velocity,
             "speeds": list(self._speeds),
             "frames_unmeasured": self._unmeasured,
+            "frames_blurred": self._blurred,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -268,13 +355,16 @@ class StereoOdometry:
             KeyError, TypeError, ValueError: the state is of another odometry.
         """
         coefficients, covariance = state["calibration_coefficients"], state["calibration_covariance"]
-        self.calibration = Calibration(self._camera, coefficients, covariance)
+        self.calibration = replace(self.calibration, coefficients=coefficients, covariance=covariance)
         self._front_end.restore(state["front_end"])
         self._window.restore(state["window"])
         self._frame_counter.restore(state["frame_counter"])
         self._reference = self._restored_reference(state["reference"])
         self._lost = self._restored_reference(state["lost_reference"])
+        earlier = [self._restored_reference(one) for one in state["earlier_references"]]
+        self._earlier = [reference for reference in earlier if reference is not None]
         self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._blurred = state["frames_blurred"]
         self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
 
     def _restored_reference(self, state: dict[str, Any] | None) -> Reference[StereoObservation] | None:

@@ -20,8 +20,8 @@ from odometry.motion_checks import (
     rejection_reason,
     stops_implausibly,
 )
-from odometry.stereo.stereo_frontend import Pair, StereoFrontEnd, StereoObservation
-from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right
+from odometry.stereo.second_view import Pair, SecondView
+from odometry.stereo.stereo_frontend import StereoFrontEnd, StereoObservation
 from odometry.stereo.stereo_self_calibration import Calibration
 from odometry.stereo.two_view_adjustment import (
     AdjustmentConfig,
@@ -61,6 +61,11 @@ class TrackingResult:
     followed: bool = True
 
 
+def _count_agreeing(result: TrackingResult) -> int:
+    """Count the tracks that agree with a motion that is accepted."""
+    return 0 if result.estimate is None or result.reason else int(result.estimate.inliers.sum())
+
+
 class StereoTracker:
     """Finds the reference frame's points in a new pair by the cheapest of three methods that gives a sound motion."""
 
@@ -78,10 +83,27 @@ class StereoTracker:
         few = len(result.tracks) < _MIN_TRACKED_RATIO * len(reference.points.ids)
         if (result.reason or few) and self._front_end.is_swapped(pair):
             return TrackingResult(result.tracks, None, SWAPPED)
-        if result.reason in (None, IMPLAUSIBLE_STOP):
+        if result.reason == IMPLAUSIBLE_STOP or not (result.reason or self._has_lost_many(search, result)):
             return result
-        result = self._follow(search, search.guess, wide=True)
-        return self._match_descriptors(search) or result if result.reason else result
+        wide = self._follow(search, search.guess, wide=True)
+        result = wide if result.reason else max(result, wide, key=_count_agreeing)
+        if not (result.reason or self._has_lost_many(search, result)):
+            return result
+        described = self._match_descriptors(search)
+        if described is None:
+            return result
+        return described if result.reason else max(result, described, key=_count_agreeing)
+
+    def _has_lost_many(self, search: "_Search", result: TrackingResult) -> bool:
+        """Whether so few points agree with a motion that a wider search may find more and another one."""
+        return _count_agreeing(result) < self._motion_checks.min_followed_ratio * len(search.reference.points.ids)
+
+    def follow(
+        self, reference: StereoObservation, pair: Pair, predicted: MotionPrediction | None, calibration: Calibration
+    ) -> TrackingResult:
+        """Return the same as `track`, by optical flow alone."""
+        search = _Search(reference, pair, predicted, calibration)
+        return self._follow(search, search.guess, wide=False)
 
     def _follow(self, search: "_Search", guess: Array, wide: bool) -> TrackingResult:
         """Follow the points from a guess (4, 4), and once more from what that gives if it is far from the guess."""
@@ -99,7 +121,9 @@ class StereoTracker:
 
     def _match_descriptors(self, search: "_Search") -> TrackingResult | None:
         """Track the pair by descriptors; None where they give no acceptable motion."""
-        tracks = match_descriptors(search.reference.pair, search.pair, self._front_end.matching, self._front_end.mask)
+        tracks = match_descriptors(
+            search.reference.pair, search.pair, self._front_end.second_view, self._front_end.mask
+        )
         result = self._check(search, tracks, search.guess)
         if result.estimate is None or self._stops_implausibly(search, result.estimate):
             return None
@@ -117,10 +141,13 @@ class StereoTracker:
     def _check(self, search: "_Search", tracks: StereoTracks, guess: Array) -> TrackingResult:
         """Estimate the motion of tracks and check it."""
         estimate = None
-        if len(tracks) >= self._motion_checks.min_tracks:
+        if tracks.has_depth.sum() >= self._motion_checks.min_tracks:
             estimate = self._estimate(search, tracks, guess)
             estimate = self._prefer_predicted(search, tracks, estimate)
-        return TrackingResult(tracks, estimate, rejection_reason(estimate, search.predicted, self._motion_checks))
+        reason = rejection_reason(estimate, search.predicted, self._motion_checks)
+        if estimate is None and len(tracks) >= self._motion_checks.min_tracks:
+            reason = f"fewer than {self._motion_checks.min_tracks} of the points that could be followed have a depth"
+        return TrackingResult(tracks, estimate, reason)
 
     def _estimate(self, search: "_Search", tracks: StereoTracks, guess: Array) -> TwoViewEstimate:
         """Find the motion near the guess if it passes the checks, else the one that most tracks agree with."""
@@ -136,7 +163,7 @@ class StereoTracker:
     def _prefer_predicted(self, search: "_Search", tracks: StereoTracks, estimate: TwoViewEstimate) -> TwoViewEstimate:
         """Prefer the motion of a minority if it was predicted and that of most was not: they are another vehicle."""
         rest, config = ~estimate.inliers, self._motion_checks
-        if search.predicted is None or rest.sum() < config.min_tracks:
+        if search.predicted is None or (rest & tracks.has_depth).sum() < config.min_tracks:
             return estimate
         T_predicted = search.predicted.T_reference_current
         deviation = deviation_in_jumps(estimate.T_first_second, T_predicted, config)
@@ -172,24 +199,18 @@ class _Search:
         return np.eye(4) if self.predicted is None else self.predicted.T_reference_current
 
 
-def match_descriptors(
-    first: Pair, second: Pair, matching: StereoMatchingConfig, mask: Image | None = None
-) -> StereoTracks:
+def match_descriptors(first: Pair, second: Pair, second_view: SecondView, mask: Image | None = None) -> StereoTracks:
     """Match points of two pairs of images (H, W) uint8, anywhere in them but where the mask is 0; there may be none."""
     sift = cv2.SIFT.create(_MAX_SIFT_FEATURES)
     pixels, descriptors = zip(*(_describe(sift, pair[0], mask) for pair in (first, second)), strict=True)
-    if min(len(pixels[0]), len(pixels[1])) < 2:
-        return _tracks(*(np.zeros((0, 2)) for _ in range(4)))
-    index = _match_mutually(*descriptors)
+    index = np.zeros((0, 2), np.int64)
+    if min(len(pixels[0]), len(pixels[1])) >= 2:
+        index = _match_mutually(*descriptors)
     left = [pixels[0][index[:, 0]], pixels[1][index[:, 1]]]
-    right = [match_right(*pair, places, matching) for pair, places in zip((first, second), left, strict=True)]
-    seen = np.isfinite(right[0][:, 0]) & np.isfinite(right[1][:, 0])
-    return _tracks(left[0][seen], right[0][seen], left[1][seen], right[1][seen])
-
-
-def _tracks(first_left: Array, first_right: Array, second_left: Array, second_right: Array) -> StereoTracks:
-    """Stereo tracks without ids: descriptors start no track."""
-    return StereoTracks(first_left, first_right, second_left, second_right, np.full(len(first_left), -1))
+    right = [second_view.find(pair, places) for pair, places in zip((first, second), left, strict=True)]
+    seen = second_view.are_usable(right[0]) & second_view.are_usable(right[1])
+    unnumbered = np.full(int(seen.sum()), -1)  # descriptors start no track
+    return StereoTracks(left[0][seen], right[0][seen], left[1][seen], right[1][seen], unnumbered, second_view.noise)
 
 
 def _describe(sift: cv2.SIFT, image: Image, mask: Image | None) -> tuple[Array, NDArray[np.float32]]:

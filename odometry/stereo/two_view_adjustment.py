@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import clamp_inverse_depth
 from odometry.kernels.two_view_equations import build_normal_equations
+from odometry.stereo.second_view import RIGHT_IMAGE_NOISE, SecondViewNoise
 from odometry.stereo.stereo_self_calibration import NUM_COEFFICIENTS, Calibration
 
 Array = NDArray[np.float64]
 
 # Chi squared with five degrees of freedom (six measurements less one depth). The noise is measured at a low quantile,
 # because most of the view may belong to another car. Errors of tracks have heavier tails than a Gaussian: with 2.4
-# instead of its 3.0 the result equals that of the median where nothing else moves.
-_QUANTILE, _AT_QUANTILE, _LIMIT = 0.3, 2.4, 15.09
+# instead of its 3.0 the result equals that of the median where nothing else moves. A depth image measures no row, and
+# not every depth: of one to three degrees of freedom the quantile is as much smaller than that of a Gaussian.
+_QUANTILE = 0.3
+_AT_QUANTILE = np.array([np.nan, 0.119, 0.571, 1.139, np.nan, 2.4])
+_LIMIT = np.array([np.nan, 6.63, 9.21, 11.34, np.nan, 15.09])  # 99 %
 _DAMPING = 1e-3  # information, 1/rad² and 1/m², about motions that no point constrains: keeps matrices regular
 
 
@@ -32,8 +36,9 @@ class StereoTracks:
     """Points seen in two stereo pairs.
 
     Attributes:
-        first_left, first_right, second_left, second_right: (N, 2) pixels.
+        first_left, first_right, second_left, second_right: (N, 2) pixels; NaN on the right where a depth is unknown.
         ids: (N,) growing numbers of the tracks, -1 where there is no track.
+        noise: of the places on the right.
     """
 
     first_left: Array
@@ -41,9 +46,15 @@ class StereoTracks:
     second_left: Array
     second_right: Array
     ids: NDArray[np.int64]
+    noise: SecondViewNoise = RIGHT_IMAGE_NOISE
 
     def __len__(self) -> int:
         return len(self.first_left)
+
+    @property
+    def has_depth(self) -> NDArray[np.bool_]:
+        """Mask (N,) of the points whose place in the first right image is known."""
+        return np.isfinite(self.first_right[:, 0])
 
     def select(self, chosen: NDArray[np.bool_]) -> "StereoTracks":
         """Return some of the points, chosen by (N,) bool."""
@@ -53,11 +64,23 @@ class StereoTracks:
             self.second_left[chosen],
             self.second_right[chosen],
             self.ids[chosen],
+            self.noise,
         )
 
-    def stack_pixels(self) -> Array:
-        """Return all places, (N, 4, 2) pixels, in the order of the attributes."""
-        return np.stack([self.first_left, self.first_right, self.second_left, self.second_right], axis=1)
+    def stack_pixels(self) -> tuple[Array, Array]:
+        """Return all places, (N, 4, 2) pixels, in the order of the attributes, and factors (N, 2) of those right.
+
+        A depth that is unknown in the first image is that of the other points, with little weight.
+        """
+        first, first_factor = self.noise.weights(self.first_left, self.first_right, fill=True)
+        second, second_factor = self.noise.weights(self.second_left, self.second_right)
+        pixels = np.stack([self.first_left, first, self.second_left, second], axis=1)
+        return pixels, np.stack([first_factor, second_factor], axis=1)
+
+    def count_freedom(self) -> NDArray[np.int64]:
+        """Degrees of freedom (N,) of the points' residuals: measurements less one, the inverse depth."""
+        known = self.has_depth.astype(np.int64) + np.isfinite(self.second_right[:, 0])
+        return 1 + self.noise.rows * known
 
 
 @dataclass(frozen=True)
@@ -119,6 +142,7 @@ def estimate_motion(
 def ransac_motion(tracks: StereoTracks, calibration: Calibration) -> Array | None:
     """T_first_second (4, 4) that most tracks agree with, by minimal samples (P3P), or None."""
     camera = calibration.camera
+    tracks = tracks.select(tracks.has_depth)
     left, right = calibration.rectify(tracks.first_left, tracks.first_right)
     points = camera.triangulate(left, np.maximum(left[:, 0] - right[:, 0], 0.5))
     try:
@@ -143,9 +167,10 @@ class _TwoViewProblem:
     def __init__(self, tracks: StereoTracks, prior: Calibration, T_second_first: Array) -> None:
         camera = prior.camera
         self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
-        self._pixels = tracks.stack_pixels()
+        self._pixels, self._factors = tracks.stack_pixels()
+        self._freedom = tracks.count_freedom()
         self._prior, self._prior_information = prior, np.linalg.inv(prior.covariance)
-        left, right = prior.rectify(tracks.first_left, tracks.first_right)
+        left, right = prior.rectify(tracks.first_left, self._pixels[:, 1])
         self._inverse_depth = clamp_inverse_depth((left[:, 0] - right[:, 0]) / (camera.fx * camera.baseline))
         self._T_second_first, self._calibration = T_second_first, prior.coefficients.copy()
         self._linearize(np.inf)
@@ -165,12 +190,12 @@ class _TwoViewProblem:
     def noise(self) -> float:
         """Measure the standard deviation of a measurement, pixels, by the smaller of the squared residuals."""
         k = int(_QUANTILE * len(self._chi2))
-        return float(np.sqrt(np.partition(self._chi2, k)[k] / _AT_QUANTILE))
+        return float(np.sqrt(np.partition(self._chi2 / _AT_QUANTILE[self._freedom], k)[k]))
 
     def result(self, sigma: float) -> TwoViewEstimate:
         """Return the result with its uncertainty at the noise level sigma, pixels."""
         self._linearize(sigma)
-        inliers = self._chi2 < _LIMIT * sigma**2
+        inliers = self._chi2 < _LIMIT[self._freedom] * sigma**2
         # All inliers count in full for the uncertainty: the weights only chose them.
         H = self._information(inliers) / sigma**2 + _DAMPING * np.eye(6 + NUM_COEFFICIENTS)
         inverse = np.linalg.inv(H[:6, :6])
@@ -185,23 +210,29 @@ class _TwoViewProblem:
             covariance=0.5 * (covariance + covariance.T),
             inliers=inliers,
             noise_px=sigma,
-            residual_px=float(np.sqrt(self._chi2[inliers].mean() / 6.0)) if inliers.any() else float("nan"),
+            residual_px=self._residual(inliers),
             calibration=self._calibration,
             information=0.5 * (information + information.T),
         )
 
+    def _residual(self, inliers: NDArray[np.bool_]) -> float:
+        """Root mean square of the residuals of the inliers, pixels; NaN without any."""
+        if not inliers.any():
+            return float("nan")
+        return float(np.sqrt(self._chi2[inliers].mean() / (1.0 + self._freedom[inliers].mean())))
+
     def _linearize(self, sigma: float) -> tuple[Array, Array]:
         """Sum up the normal equations (21, 21), (21,); keeps what the depths need."""
         H, b, self._chi2, self._depth_gain, self._depth_offset = build_normal_equations(
-            self._camera, self._pixels, self._inverse_depth,
-            self._T_second_first, self._calibration, _LIMIT * sigma**2,
+            self._camera, (self._pixels, self._factors, self._inverse_depth),
+            self._T_second_first, self._calibration, _LIMIT[self._freedom] * sigma**2,
         )  # fmt: skip
         return H, b
 
     def _information(self, points: NDArray[np.bool_]) -> Array:
         """Hessian (21, 21) of some of the points, all with weight one, pixels squared."""
         H, *_ = build_normal_equations(
-            self._camera, self._pixels[points], self._inverse_depth[points],
-            self._T_second_first, self._calibration, np.inf,
+            self._camera, (self._pixels[points], self._factors[points], self._inverse_depth[points]),
+            self._T_second_first, self._calibration, np.full(int(points.sum()), np.inf),
         )  # fmt: skip
         return H

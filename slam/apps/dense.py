@@ -27,7 +27,7 @@ from slam.mapping.birds_eye_view import PlaneWindow, render_birds_eye_view
 from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
 from slam.mapping.occupancy_grid import OccupancyGrid, build_occupancy_grid, write_occupancy_grid
 from slam.mapping.submaps import SubmapStore, write_mesh
-from slam.mapping.tsdf import FusionConfig
+from slam.mapping.tsdf import DEPTH_CAMERA_FUSION, FusionConfig
 from slam.pipeline.progress import progress_bar
 from slam.report.dense_map_section import DenseOverview, write_dense_page
 from slam.report.html_report import DENSE_PAGE
@@ -51,26 +51,28 @@ class DenseOptions:
     Attributes:
         run: folder of a run, to which the results are written.
         source: new path of its recording; None if that has not moved.
-        voxel_m: edge of a voxel, about the distance between points, metres.
-        max_depth_m: maximum depth of fused pixels, metres.
+        voxel_m: edge of a voxel, about the distance between points, metres; None for that of the sensor.
+        max_depth_m: maximum depth of fused pixels, metres; None for that of the sensor.
         overwrite: whether an existing dense map is replaced.
     """
 
     run: Path
     source: Path | None = None
-    voxel_m: float = FusionConfig.voxel_m
-    max_depth_m: float = FusionConfig.max_depth_m
+    voxel_m: float | None = None
+    max_depth_m: float | None = None
     overwrite: bool = False
 
-    @property
-    def config(self) -> DenseMapConfig:
-        """Configuration of the fusion.
+    def config(self, has_depth: bool) -> DenseMapConfig:
+        """Configuration of the fusion, of measured depth or of stereo.
 
         Raises:
             ConfigError: a number is not positive and finite.
         """
+        sensor = DEPTH_CAMERA_FUSION if has_depth else FusionConfig()
+        voxel_m = sensor.voxel_m if self.voxel_m is None else self.voxel_m
+        max_depth_m = sensor.max_depth_m if self.max_depth_m is None else self.max_depth_m
         try:
-            return DenseMapConfig(fusion=FusionConfig(voxel_m=self.voxel_m, max_depth_m=self.max_depth_m))
+            return DenseMapConfig(fusion=replace(sensor, voxel_m=voxel_m, max_depth_m=max_depth_m))
         except ValueError as error:
             raise ConfigError(f"--voxel-size, --max-depth: {error}") from None
 
@@ -85,6 +87,7 @@ class MappedRun:
         odometry: trajectory within a submap.
         corrected: corrected trajectory, (F, 4, 4), metres, which moves the submaps.
         key_frames: rule for the choice of key frames.
+        has_depth: whether the depth is that of a depth camera.
     """
 
     dataset: Dataset
@@ -92,6 +95,7 @@ class MappedRun:
     odometry: OdometryTrajectory
     corrected: Array
     key_frames: KeyFrameConfig
+    has_depth: bool
 
     @property
     def states(self) -> dict[str, Array]:
@@ -106,10 +110,13 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
         DataError: a file is missing or damaged, or files do not belong to one run.
     """
     metrics = read_metrics(run / "metrics.json")
+    config = read_config(run / "config.toml")
     calibration, dataset = read_calibration(run / "calibration.toml"), _open_recording(run, metrics, source)
     (times, odometry), (_, corrected) = (read_tum(run / f"trajectory_{name}.tum") for name in ("odometry", "corrected"))
     differs = {
-        "right camera": not dataset.has_right,
+        "depth camera" if config.depth else "right camera": not (
+            dataset.has_depth if config.depth else dataset.has_right
+        ),
         "camera": dataset.camera != calibration.camera,
         "times": not _has_times(dataset, times),
         "first image": not is_same_image(metrics.get("first_image"), dataset[0].left),
@@ -126,8 +133,8 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
             f"{run}: expected one pose in both trajectories for each line of frames.csv, and an image for each, found"
             f" {len(odometry)}, {len(corrected)}, {len(predicted)} and {len(dataset)}; run again"
         )
-    key_frames = read_config(run / "config.toml").key_frames
-    return MappedRun(dataset, calibration, OdometryTrajectory(odometry, predicted), corrected, key_frames)
+    trajectory = OdometryTrajectory(odometry, predicted)
+    return MappedRun(dataset, calibration, trajectory, corrected, config.key_frames_for_camera(), config.depth)
 
 
 def _open_recording(run: Path, metrics: Mapping[str, object], source: Path | None) -> Dataset:
@@ -159,15 +166,17 @@ def build_dense_map(options: DenseOptions, messages: Console) -> str:
         DataError: the run or its recording cannot be read.
         OutputError: a dense map exists and is not to be replaced, or the results cannot be written.
     """
-    run, config = options.run, options.config
+    run = options.run
+    options.config(has_depth=False)  # a number that cannot work is refused before anything is read
     present = [name for name in RESULTS if (run / name).exists()]
     if present and not options.overwrite:
         raise OutputError(f"{run / present[0]}: there is a dense map already; give --overwrite to replace it")
     mapped = read_run(run, options.source)
+    config = options.config(mapped.has_depth)
     groups = group_key_frames(mapped.odometry, mapped.key_frames, config.submap_frames)
     total = sum(map(len, groups))
     with _folder_in(run) as folder:
-        store, mapper = SubmapStore(folder), DenseMapper(mapped.calibration, config)
+        store, mapper = SubmapStore(folder), DenseMapper(mapped.calibration, config, mapped.has_depth)
         with progress_bar(messages, "Fusing") as progress:
             for done in mapper.fuse(mapped.dataset, mapped.odometry, groups, store):
                 progress(done, total)

@@ -234,13 +234,23 @@ def reprocess(
 
 
 def dense(
-    run: Annotated[Path, typer.Argument(help="Folder of a stereo run.")],
+    run: Annotated[Path, typer.Argument(help="Folder of a run with a stereo pair or a depth camera.")],
     source: Annotated[
         Path | None,
         typer.Argument(help="Recording of the run, if it has been moved.", show_default="as in the run"),
     ] = None,
-    voxel_size: Annotated[float, typer.Option(help="Voxel size: distance between points, metres.")] = 0.15,
-    max_depth: Annotated[float, typer.Option(help="Maximum depth that is fused, metres from the camera.")] = 25.0,
+    voxel_size: Annotated[
+        float | None,
+        typer.Option(
+            help="Voxel size: distance between points, metres.", show_default="0.15; with a depth camera 0.02"
+        ),
+    ] = None,
+    max_depth: Annotated[
+        float | None,
+        typer.Option(
+            help="Maximum depth that is fused, metres from the camera.", show_default="25; with a depth camera 4"
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the dense map of the run.")] = False,
 ) -> None:
     """Make the dense map of a run: point cloud and mesh before and after correction, and an occupancy grid.

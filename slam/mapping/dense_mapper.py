@@ -1,4 +1,4 @@
-"""The dense map of a run: stereo depth of its key frames, fused submap by submap.
+"""The dense map of a run: depth of its key frames, by stereo or by a depth camera, fused submap by submap.
 
 Within a submap the odometry is exact enough: over 20 m it drifts less than a voxel. A corrected graph moves whole
 submaps, so one fusion gives the maps before and after correction, and no image is read twice.
@@ -7,6 +7,7 @@ submaps, so one fusion gives the maps before and after correction, and no image 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from odometry.stereo.stereo_self_calibration import Calibration
 from slam.datasets.dataset import Dataset, Frame
 from slam.datasets.prefetch import prefetch
 from slam.keyframes import KeyFrameConfig, KeyFrameSelector
-from slam.mapping.dense_stereo import DenseStereo
+from slam.mapping.dense_stereo import DenseStereo, DepthImage
 from slam.mapping.landmark_map import LandmarkMapConfig
+from slam.mapping.measured_depth import MeasuredDepth
 from slam.mapping.submaps import Submap, SubmapStore
 from slam.mapping.tsdf import FusionConfig, TsdfVolume
 
@@ -65,13 +67,33 @@ def group_key_frames(odometry: OdometryTrajectory, key_frames: KeyFrameConfig, s
     return [piece.tolist() for pieces in cut for piece in pieces]
 
 
+class DenseDepth(Protocol):
+    """Where the depth of a frame comes from."""
+
+    def depth_of(self, frame: Frame) -> DepthImage:
+        """Dense depth of a frame."""
+        ...
+
+
 class DenseMapper:
     """Fuses the depth of a recording into submaps."""
 
-    def __init__(self, calibration: Calibration, config: DenseMapConfig | None = None) -> None:
+    def __init__(self, calibration: Calibration, config: DenseMapConfig | None = None, has_depth: bool = False) -> None:
+        """Make a mapper.
+
+        Args:
+            calibration: of the pair, or of the depth camera.
+            config: the settings.
+            has_depth: whether the frames have depth images, instead of right images.
+        """
         self._config = config or DenseMapConfig()
-        reach = LandmarkMapConfig(max_depth_m=self._config.fusion.max_depth_m)
-        self._stereo = DenseStereo(calibration, reach.depth_limit(calibration.camera))
+        max_depth_m = self._config.fusion.max_depth_m
+        self._source: DenseDepth
+        if has_depth:
+            self._source = MeasuredDepth(calibration.camera, max_depth_m)
+        else:
+            reach = LandmarkMapConfig(max_depth_m=max_depth_m)
+            self._source = DenseStereo(calibration, reach.depth_limit(calibration.camera))
 
     def fuse(
         self, dataset: Dataset, odometry: OdometryTrajectory, groups: Sequence[Sequence[int]], store: SubmapStore
@@ -90,8 +112,7 @@ class DenseMapper:
             volume = TsdfVolume(self._config.fusion)
             for T in T_anchor_camera:
                 frame = next(frames)
-                assert frame.right is not None
-                volume.integrate(self._stereo.compute_depth(frame.left, frame.right), T)
+                volume.integrate(self._source.depth_of(frame), T)
                 done += 1
                 yield done
             store.add(Submap(group[middle], np.array(group), T_anchor_camera, volume.extract_surface()))

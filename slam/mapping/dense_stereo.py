@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.klt_tracking import level_pair
 from odometry.stereo.stereo_self_calibration import Calibration
+from slam.datasets.dataset import Frame
 
 Image = NDArray[np.uint8]
 Depths = NDArray[np.float32]
@@ -30,7 +31,7 @@ _DISPARITY_SCALE = 16.0  # OpenCV's disparities are in sixteenths of a pixel
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depth and brightness of one stereo pair.
+    """Depth and brightness of one frame.
 
     Attributes:
         depth: depth along the axis of the left camera, (H, W), metres; 0 where unknown.
@@ -44,7 +45,7 @@ class DepthImage:
 
 
 class DenseStereo:
-    """Computes dense depth with one camera pair, whose calibration error is corrected."""
+    """Computes dense depth with one camera pair, whose calibration error is corrected (a DenseDepth)."""
 
     def __init__(self, calibration: Calibration, max_depth_m: float) -> None:
         self._max_depth = max_depth_m
@@ -64,6 +65,11 @@ class DenseStereo:
             speckleRange=1,
             mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
         )
+
+    def depth_of(self, frame: Frame) -> DepthImage:
+        """Return the depth of a frame, which has a right image."""
+        assert frame.right is not None
+        return self.compute_depth(frame.left, frame.right)
 
     def compute_depth(self, left: Image, right: Image) -> DepthImage:
         """Return the depth of a pair of images, (H, W) uint8, of the calibrated size."""

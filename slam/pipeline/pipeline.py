@@ -168,6 +168,7 @@ class Pipeline:
         """
         config = resolve_config(options, settings, stopped.config)
         dataset = open_for_odometry(options.recording, config.mono)
+        config = config.with_depth_of(dataset.has_depth)
 
         def open_folder() -> RunFolder:
             check_same(stopped, dataset, config)
@@ -216,6 +217,7 @@ class Pipeline:
             return RunFolder.create(options.out, options.overwrite)
 
         dataset = open_for_odometry(options.recording, config.mono)
+        config = config.with_depth_of(dataset.has_depth)
         return cls(options=options, dataset=dataset, config=config, run_id=uuid4().hex, open_folder=open_folder)
 
     def run(self, messages: Console, results: Console) -> bool:

@@ -36,9 +36,16 @@ class World:
     def pair(self, T_world_camera: Array) -> Pair:
         """Left and right image (H, W) uint8 from a pose (4, 4)."""
         shift = se3.pose(np.eye(3), np.array([self.camera.baseline, 0.0, 0.0]))
-        return self._image(T_world_camera), self._image(T_world_camera @ shift)
+        return self._image(T_world_camera)[0], self._image(T_world_camera @ shift)[0]
 
-    def _image(self, T: Array) -> Image:
+    def frame(self, T_world_camera: Array, noise_px: float = 0.1, seed: int = 0) -> tuple[Image, NDArray[np.float32]]:
+        """Image (H, W) uint8 and depth (H, W) float32 from a pose (4, 4), with noise in the disparity."""
+        image, depth = self._image(T_world_camera)
+        scale, rng = self.camera.fx * self.camera.baseline, np.random.default_rng(seed)
+        disparity = scale / depth + rng.normal(0, noise_px, depth.shape)
+        return image, (scale / np.maximum(disparity, 0.5)).astype(np.float32)
+
+    def _image(self, T: Array) -> tuple[Image, Array]:
         c = self.camera
         u, v = np.meshgrid(np.arange(c.width), np.arange(c.height))
         rays = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1) @ T[:3, :3].T
@@ -51,7 +58,7 @@ class World:
             where = np.stack([Y[hit], X[hit]]) / texel
             image[hit] = map_coordinates(texture, where, order=3, mode="grid-wrap")
             nearest[hit] = distance[hit]
-        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8), nearest
 
 
 @pytest.fixture(scope="session")
@@ -78,6 +85,12 @@ def drive(world: World, motion_true: Array) -> list[Pair]:
         pairs.append(world.pair(T))
         T = T @ motion_true
     return pairs
+
+
+@pytest.fixture(scope="session")
+def depth_drive(world: World, motion_true: Array) -> list[tuple[Image, NDArray[np.float32]]]:
+    """The same ten images with their depth."""
+    return [world.frame(np.linalg.matrix_power(motion_true, k), seed=k) for k in range(10)]
 
 
 @pytest.fixture(scope="session")

@@ -8,16 +8,16 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from odometry.klt_tracking import TrackingConfig
 from odometry.mono.mono_frontend import MonoFrontEnd
+from odometry.stereo.second_view import RightImage
 from odometry.stereo.sliding_window import StereoFrameObservations
 from odometry.stereo.stereo_frontend import StereoFrontEnd
-from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_odometry import StereoOdometry
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 
 
 @pytest.fixture
 def stereo():
-    return StereoFrontEnd(TrackingConfig(), StereoMatchingConfig())
+    return StereoFrontEnd(TrackingConfig(), RightImage())
 
 
 @pytest.fixture

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from odometry import MonoOdometry, MonoOdometryConfig, StereoOdometry
+from odometry.stereo.rgbd_odometry import RgbdOdometry
 
-CASES = ("stereo", "one camera", "one camera of known height")
+CASES = ("stereo", "depth camera", "one camera", "one camera of known height")
 MISSING = 6  # a pair of blank images: what was lost is part of the state
 TIMES = [0.1 * k for k in range(8)] + [1.0, 1.1]  # an image is missing before the last but one
 
@@ -16,6 +17,8 @@ TIMES = [0.1 * k for k in range(8)] + [1.0, 1.1]  # an image is missing before t
 def make(camera, case):
     if case == "stereo":
         return StereoOdometry(camera)
+    if case == "depth camera":
+        return RgbdOdometry(camera)
     return MonoOdometry(camera, MonoOdometryConfig(camera_height_m=1.65) if "height" in case else None)
 
 
@@ -35,18 +38,25 @@ def bits(state):
 
 
 @pytest.fixture(scope="module")
-def pairs(drive):
-    return [*drive[:MISSING], tuple(map(np.zeros_like, drive[MISSING])), *drive[MISSING + 1 :]]
+def recorded(drive, depth_drive):
+    """Pairs of each case, one of them blank."""
+
+    def read(case):
+        pairs = depth_drive if case == "depth camera" else drive
+        return [*pairs[:MISSING], tuple(map(np.zeros_like, pairs[MISSING])), *pairs[MISSING + 1 :]]
+
+    return read
 
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("stop", [0, 1, 4, MISSING + 1])
-def test_a_restored_odometry_goes_on_with_the_same_bits(camera, pairs, case, stop):
+def test_a_restored_odometry_goes_on_with_the_same_bits(camera, recorded, case, stop):
+    pairs = recorded(case)
     undisturbed, stopped, restored = (make(camera, case) for _ in range(3))
     expected = track(undisturbed, pairs)
     for k in range(stop):
         pair, time = pairs[k], TIMES[k]
-        _ = stopped.track(*pair, time) if case == "stereo" else stopped.track(pair[0], time)
+        _ = stopped.track(*pair, time) if isinstance(stopped, StereoOdometry) else stopped.track(pair[0], time)
     restored.restore(copy.deepcopy(stopped.state()))
     motions = track(restored, pairs, stop)
     for motion, other in zip(motions, expected[stop:], strict=True):

@@ -152,7 +152,10 @@ def open_for_odometry(spec: DatasetSpec, mono: bool) -> Dataset:
             f" ({remark})" for remark in dataset.remarks if LEFT_ALONE in remark or DEPTH_UNUSED in remark
         )
         found = f"found left ones only{reasons}"
-        raise DataError(f"{spec.path}: expected left and right images, {found}; use one camera with --mono")
+        raise DataError(
+            f"{spec.path}: expected left and right images, {found}; use one camera with --mono, or add the right images"
+            " or a depth image for each left one"
+        )
     return dataset
 
 

@@ -6,15 +6,15 @@ import pytest
 from odometry import se3
 from odometry.klt_tracking import TrackingConfig
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
+from odometry.stereo.second_view import RightImage
 from odometry.stereo.stereo_frontend import StereoFrontEnd
-from odometry.stereo.stereo_matching import StereoMatchingConfig
 from odometry.stereo.stereo_self_calibration import Calibration, CalibrationConfig
 from odometry.stereo.stereo_tracking import SWAPPED, StereoTracker, match_descriptors
 from odometry.stereo.two_view_adjustment import AdjustmentConfig, estimate_motion, ransac_motion
 
 
 def test_pairs_several_images_apart_are_associated(camera, drive, motion_true):
-    tracks = match_descriptors(drive[0], drive[6], StereoMatchingConfig())
+    tracks = match_descriptors(drive[0], drive[6], RightImage())
     assert len(tracks) > 30
     assert np.all(tracks.ids == -1)
     known = Calibration.unknown(camera, CalibrationConfig(0.01, 0.01, 0.01, 0.01, 0.01))
@@ -26,13 +26,13 @@ def test_pairs_several_images_apart_are_associated(camera, drive, motion_true):
 
 def test_an_image_without_texture_is_associated_with_nothing(drive):
     blank = (np.zeros_like(drive[0][0]),) * 2
-    assert len(match_descriptors(drive[0], blank, StereoMatchingConfig())) == 0
-    assert len(match_descriptors(blank, drive[0], StereoMatchingConfig())) == 0
+    assert len(match_descriptors(drive[0], blank, RightImage())) == 0
+    assert len(match_descriptors(blank, drive[0], RightImage())) == 0
 
 
 @pytest.fixture
 def tracker():
-    front_end = StereoFrontEnd(TrackingConfig(), StereoMatchingConfig())
+    front_end = StereoFrontEnd(TrackingConfig(), RightImage())
     return front_end, StereoTracker(front_end, AdjustmentConfig(), MotionCheckConfig())
 
 
