@@ -5,7 +5,7 @@
 FOLDER is a recording with ground truth, such as `revisit simulate room --sensor depth` writes. PYTHON is the
 interpreter of an environment with `pyorbslam3`, numpy and opencv-python-headless (GPL: never in ours); FILE is made by
 `orb_vocabulary.py`. For each program: frames tracked, ATE after alignment (Sim(3) with one camera) of the odometry and
-of the final result, also in per cent of the way, loops kept and false, and milliseconds a frame. ORB-SLAM3's first ATE
+of the final result, also in per cent of the path, loops kept and false, and milliseconds a frame. ORB-SLAM3's first ATE
 is that of the frames as they were tracked, its second that of the key frames of the final map.
 """
 
@@ -36,10 +36,10 @@ def revisit(folder: Path, sensor: str, out: Path) -> list[str]:
     metrics = read_metrics(out / "metrics.json")
     with (out / "frames.csv").open() as file:
         measured = [row["status"] == "measured" for row in csv.DictReader(file)]
-    way, loops = metrics["path_length_m"], metrics["loops"]
+    path_length_m, loops = metrics["path_length_m"], metrics["loops"]
     errors = [metric_value(metrics, f"{name}.ate_m") for name in ("odometry", "corrected")]
     spent = 1e3 / metrics["frames_per_second"]
-    return [_share(measured), *_errors(errors, way), str(loops["kept"]), str(loops["false"]), f"{spent:.0f}"]
+    return [_share(measured), *_errors(errors, path_length_m), str(loops["kept"]), str(loops["false"]), f"{spent:.0f}"]
 
 
 def orb_slam3(folder: Path, sensor: str, out: Path, python: Path, vocabulary: Path) -> list[str]:
@@ -52,7 +52,7 @@ def orb_slam3(folder: Path, sensor: str, out: Path, python: Path, vocabulary: Pa
         )
     truth = read_trajectory(folder / "groundtruth.txt")
     alignment: Alignment = "sim3" if sensor == "mono" else "se3"
-    way = float(np.linalg.norm(np.diff(truth.poses[:, :3, 3], axis=0), axis=1).sum())
+    path_length_m = float(np.linalg.norm(np.diff(truth.poses[:, :3, 3], axis=0), axis=1).sum())
     errors = []
     for name in ("tracked.tum", "key_frames.tum"):
         found = read_trajectory(out / name)
@@ -60,16 +60,16 @@ def orb_slam3(folder: Path, sensor: str, out: Path, python: Path, vocabulary: Pa
         errors.append(trajectory_errors(found.poses, truth.poses[nearest], alignment).ate_m)
     spent = np.loadtxt(out / "milliseconds.txt")
     tracked = len(read_trajectory(out / "tracked.tum").poses)
-    return [f"{100 * tracked / len(spent):.1f} %", *_errors(errors, way), "-", "-", f"{np.mean(spent):.0f}"]
+    return [f"{100 * tracked / len(spent):.1f} %", *_errors(errors, path_length_m), "-", "-", f"{np.mean(spent):.0f}"]
 
 
 def _share(measured: list[bool]) -> str:
     return f"{100 * np.mean(measured):.1f} %"
 
 
-def _errors(errors: list[object], way_m: float) -> list[str]:
+def _errors(errors: list[object], path_length_m: float) -> list[str]:
     known = [float(str(error)) if error is not None else float("nan") for error in errors]
-    return [cell for error in known for cell in (f"{error:.4f}", f"{100 * error / way_m:.2f}")]
+    return [cell for error in known for cell in (f"{error:.4f}", f"{100 * error / path_length_m:.2f}")]
 
 
 def main() -> None:

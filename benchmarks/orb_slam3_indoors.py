@@ -3,7 +3,8 @@
     python benchmarks/orb_slam3_indoors.py FOLDER OUT --sensor mono|depth --vocabulary FILE
 
 Runs in an environment of its own, as `orb_slam3.py` does. FOLDER has rgb.txt, perhaps depth.txt, and a camera.toml with
-fx, fy, cx, cy and, with depth, depth_scale. OUT gets `tracked.tum`, the pose of each frame that was tracked, at the
+fx, fy, cx, cy and, perhaps, distortion (radtan) and
+depth_scale. OUT gets `tracked.tum`, the pose of each frame that was tracked, at the
 moment when it was; `key_frames.tum`, those of the final map; and `milliseconds.txt`.
 """
 
@@ -63,6 +64,8 @@ def main() -> None:
     settings = given.out / "settings.yaml"
     height, width = first.shape
     text = SETTINGS.format(width=width, height=height, features=FEATURES, **texts)
+    for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.get("distortion", ()), strict=False):
+        text = text.replace(f"Camera.{name}: 0.0\n", "") + f"Camera.{name}: {float(value)!r}\n"
     settings.write_text(text + (DEPTH_SETTINGS if given.sensor == "depth" else ""))
     depths = read_list(given.folder / "depth.txt") if given.sensor == "depth" else None
     sensor = pyorbslam3.Sensor.RGBD if depths else pyorbslam3.Sensor.MONOCULAR
