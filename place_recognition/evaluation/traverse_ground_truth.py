@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.ground_truth_files import NumberMatrix, array_names, read_array, read_matrices
 from place_recognition.evaluation.matlab_process import count_nans, count_values
-from place_recognition.evaluation.revisit_ground_truth import MAX_TRUTH_VALUES
+from place_recognition.evaluation.revisit_ground_truth import MAX_TRUTH_VALUES, MIN_IMAGES_FOR_SHARE
 
 Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
@@ -189,7 +189,7 @@ def _turn(path: Path, name: str, matrix: NumberMatrix, shape: tuple[int, int]) -
             f"{path}: expected 0 and 1 (1 = the same place) in {name}, found more different values, such as scores or"
             " distances; compare them with a threshold first"
         )
-    if 2 * np.count_nonzero(matrix.positive) > matrix.positive.size and min(shape) > 1:
+    if 2 * np.count_nonzero(matrix.positive) > matrix.positive.size and min(shape) >= MIN_IMAGES_FOR_SHARE:
         raise ValueError(
             f"{path}: expected 1 for the same place and 0 for another in {name}, found that most pairs of images are"
             " the same place; exchange 0 and 1 if 0 is the same place"

@@ -391,7 +391,7 @@ def make_record(
     result = evaluate_places(paradigm, counted, seen_truth, run.size, drive, control)
     stages = ("similarity", *(stage for stage in run.rows.stages if stage != "similarity"))
     return PlacesRecord(
-        name=f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}: {paradigm}",
+        name=f"{_name_recordings(provenance)}: {paradigm}",
         beliefs=beliefs,
         result=result,
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
@@ -400,6 +400,13 @@ def make_record(
         remark=_describe_sizes(run),
         tolerated=truth.tolerated,
     )
+
+
+def _name_recordings(provenance: dict[str, object]) -> str:
+    name = f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}"
+    if "reference_source" not in provenance:
+        return name
+    return f"{name} against {Path(str(provenance['reference_source'])).resolve().name}"
 
 
 def _describe_sizes(run: PlaceRecognitionRun) -> str:
@@ -478,7 +485,10 @@ def _draw_matrices(path: Path, record: PlacesRecord) -> None:
     from slam.report.style import save_png
 
     columns = "reference image" if "reference" in record.metrics else "earlier image"
-    save_png(plot_places(record.name, record.matrices, record.detections, record.truth, columns), path)
+    detections = record.detections
+    if record.tolerated is not None:
+        detections = detections[~record.tolerated[detections[:, 0], detections[:, 1]]]
+    save_png(plot_places(record.name, record.matrices, detections, record.truth, columns), path)
 
 
 def _draw_matches(path: Path, record: PlacesRecord, pictures: MatchedImages) -> None:

@@ -18,7 +18,7 @@ Truth = NDArray[np.bool_]
 
 _ROWS = 4  # of wrong and of right matches
 _WIDTH_PX = 320  # of an image on the sheet
-_CELL = (3.2, 2.5)  # inches
+_WIDTH_IN, _TITLE_IN = 3.2, 0.3  # of an image, and of the line above it
 
 
 class Recording(Protocol):
@@ -55,7 +55,8 @@ def plot_matches(
     """
     rows = [(belief, "wrong") for belief in choose_wrong(beliefs, truth, tolerated)]
     rows += [(belief, "right" if truth is not None else "match") for belief in choose_right(beliefs, truth)]
-    figure = new_figure(3 * _CELL[0], _CELL[1] * max(len(rows), 1) + 0.6)
+    height_in = _height_in(images.query[rows[0][0].query]) if rows else 1.0
+    figure = new_figure(3 * _WIDTH_IN, height_in * max(len(rows), 1) + 0.6)
     panels = figure.subplots(max(len(rows), 1), 3, squeeze=False)
     for (belief, verdict), cells in zip(rows, panels, strict=False):
         _draw_row(cells, belief, verdict, images, truth)
@@ -92,11 +93,15 @@ def choose_right(beliefs: Sequence[Belief], truth: Truth | None) -> list[Belief]
     return [right[k * len(right) // count + len(right) // (2 * count)] for k in range(count)]
 
 
+def _height_in(image: Image) -> float:
+    return _WIDTH_IN * image.shape[0] / image.shape[1] + _TITLE_IN
+
+
 def _draw_row(
     cells: NDArray[np.object_], belief: Belief, verdict: str, images: MatchedImages, truth: Truth | None
 ) -> None:
     assert belief.match is not None
-    true = None if truth is None else _nearest_true(truth[belief.query], belief.match)
+    true = None if truth is None else _middle_true(truth[belief.query])
     colour = style.REJECTED if verdict == "wrong" else style.ACCEPTED
     _draw_image(cells[0], images.query[belief.query], f"query {belief.query}", INK)
     found = f"{verdict}: {belief.match}, score {belief.score:.3g}" + ("" if belief.accepted else ", not accepted")
@@ -108,10 +113,10 @@ def _draw_row(
         _draw_image(cells[2], images.reference[true], f"true: {true}", INK)
 
 
-def _nearest_true(row: NDArray[np.bool_], match: int) -> int | None:
-    """Return the true image nearest in number to the match, None where the query has none."""
+def _middle_true(row: NDArray[np.bool_]) -> int | None:
+    """Return the middle one of the true images of a query, None where it has none."""
     true = np.flatnonzero(row)
-    return int(true[np.abs(true - match).argmin()]) if len(true) else None
+    return int(true[len(true) // 2]) if len(true) else None
 
 
 def _draw_image(ax: Axes, image: Image, title: str, colour: str) -> None:
