@@ -3,8 +3,8 @@
     python examples/two_traverses.py --data data --out runs/two_traverses
     python examples/two_traverses.py --data data --paradigms seq-slam --preset published
 
-Each line is one set and one paradigm: recall at 1, 5 and 10 of what the paradigm proposes, beside random images, and the
-final answers. What lies in DATA, where to get it and what others publish stands in SETS below. A set that is
+Each line is one set and one paradigm: recall at 1, 5 and 10 of what the paradigm proposes, beside random images, and
+the final answers. What lies in DATA, where to get it and what others publish stands in SETS below. A set that is
 missing, or has an odd file, costs one line. The results of each line are in its folder below OUT, with pictures of
 right and wrong matches. Sets of single photographs have no order: they are taken without temporal model, and only by
 paradigms that look at one image at a time.

@@ -6,13 +6,40 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from test_places import FILES, LAP, places, views, write
 
 from odometry import se3
 from slam.cli import app
 from slam.datasets.formats.image_sequence import open_image_folder
 from slam.errors import ConfigError, DataError
 from slam.evaluation.traverse_truth_files import TraverseTruthOptions, positions_from_names
+
+FILES = {"metrics.json", "matches.csv", "matrix.npz", "precision_recall.csv"} | {
+    f"{name}.png" for name in ("matrix", "precision_recall", "stages", "matches")
+}
+LAP = 30
+
+
+def views(seed: int) -> list[np.ndarray]:
+    """A camera that slides past ever new blobs, LAP images."""
+    rng = np.random.default_rng(seed)
+    world = np.zeros((160, 1400), np.float32)
+    for sigma in (1.5, 3.0, 6.0):
+        layer = cv2.GaussianBlur(rng.normal(size=world.shape).astype(np.float32), (0, 0), sigma)
+        world += layer / layer.std()
+    grey = np.clip(128 + 30 * world, 0, 255).astype(np.uint8)
+    return [grey[:, 36 * k : 36 * k + 240] for k in range(LAP)]
+
+
+def write(folder: Path, images: list[np.ndarray]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{number}.png"), image)
+    return folder
+
+
+def places(source: Path, out: Path, *more: object, paradigm: str = "tracked-words") -> int:
+    arguments = ["places", source, "--paradigm", paradigm, "--out", out, *more]
+    return app._exit_code(lambda: app.app([str(argument) for argument in arguments]))
 
 
 def metrics(out: Path) -> dict:
@@ -43,7 +70,7 @@ def matched(walks: tuple[Path, Path], truth: Path, tmp_path_factory: pytest.Temp
 
 
 def test_every_file_is_written_and_a_sheet_of_matches(matched: Path) -> None:
-    assert {path.name for path in matched.iterdir()} == FILES | {"matches.png"}
+    assert {path.name for path in matched.iterdir()} == FILES
     sheet = cv2.imread(str(matched / "matches.png"))
     assert sheet is not None
     assert sheet.std() > 10
