@@ -98,11 +98,19 @@ def _by_numbers(
 def _by_matrix(options: TraverseTruthOptions, path: Path, query: ImageDataset, reference: ImageDataset) -> RevisitTruth:
     if options.soft is not None:
         raise ConfigError("--soft: a matrix states what is tolerated itself, as `soft`; leave this option out")
+    return _revisit_truth(read_matrix(path, (len(query), len(reference))), str(path), options)
+
+
+def read_matrix(path: Path, shape: tuple[int, int]) -> TraverseTruth:
+    """Read the truth of N queries and M reference images, shape (N, M), from a .npz or .mat file.
+
+    Raises:
+        DataError: the file is missing, damaged, or of other recordings.
+    """
     try:
-        found = read_traverse_truth(path, (len(query), len(reference)))
+        return read_traverse_truth(path, shape)
     except ValueError as error:
         raise DataError(str(error)) from error
-    return _revisit_truth(found, str(path), options)
 
 
 def _by_poses(options: TraverseTruthOptions, path: Path, query: ImageDataset, reference: ImageDataset) -> RevisitTruth:
