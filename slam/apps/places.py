@@ -70,7 +70,7 @@ class PlacesOptions:
         reference: another recording, with whose images alone those of `source` are matched; None to match the images
             of `source` with earlier ones of their own.
         reference_sequence: name of its sequence; None where it has only one.
-        truth: ground truth of the two; `ground_truth` is part of it.
+        truth: ground truth of the two, besides `ground_truth`.
         temporal: whether the images around an image have a say in its answer.
     """
 
@@ -94,6 +94,11 @@ class PlacesOptions:
     reference_sequence: str | None = None
     truth: TraverseTruthOptions = field(default_factory=TraverseTruthOptions)
     temporal: bool = True
+
+    @property
+    def traverse_truth(self) -> TraverseTruthOptions:
+        """How the ground truth of the two recordings is found."""
+        return replace(self.truth, ground_truth=self.ground_truth)
 
     @property
     def reference_recording(self) -> DatasetSpec | None:
@@ -123,7 +128,7 @@ def check_options(options: PlacesOptions) -> None:
     if options.reference is None:
         _check_no_reference(options)
         return
-    options.truth.check()
+    options.traverse_truth.check()
     if options.exclude is not None:
         raise ConfigError("--exclude: no image is matched with one of its own recording; leave it out with --reference")
 
@@ -158,7 +163,7 @@ def recognize_places(options: PlacesOptions, messages: Console, results: Console
         record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
     else:
         reference = open_images(options.reference_recording)
-        truth = resolve_traverse_truth(replace(options.truth, ground_truth=options.ground_truth), images, reference)
+        truth = resolve_traverse_truth(options.traverse_truth, images, reference)
         record = recognize_images(options, images, truth, messages, reference)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
