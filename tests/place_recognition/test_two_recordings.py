@@ -9,7 +9,14 @@ from place_images import LAP_IMAGES, CachingSurf, bonnet, changed, drive, two_la
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.paradigms.registry import PARADIGMS, ParadigmsConfig, make_control, make_recognizer
+from place_recognition.paradigms.registry import (
+    PARADIGMS,
+    ParadigmsConfig,
+    make_control,
+    make_feature_extractor,
+    make_recognizer,
+    with_preset,
+)
 from place_recognition.verification.present_view import CameraSteps, FixedPast
 
 REFERENCE = two_laps()[:LAP_IMAGES]
@@ -28,7 +35,9 @@ def match(recognizer, query, reference=REFERENCE):
 
 
 def make(name, **settings):
-    return make_recognizer(name, FeatureCache(CachingSurf()), replace(CONFIG, **settings))
+    config = with_preset(name, replace(CONFIG, **settings))
+    extractor = CachingSurf() if config.features == "surf" else make_feature_extractor(config)
+    return make_recognizer(name, FeatureCache(extractor), config)
 
 
 def recall(beliefs, truth=lambda query: query):
