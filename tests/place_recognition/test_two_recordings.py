@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from place_images import LAP_IMAGES, CachingSurf, bonnet, changed, drive, two_laps
@@ -134,3 +135,17 @@ def test_what_was_static_in_the_reference_is_not_in_the_query():
     assert found.static_ratio > 0.1
     masks.end_reference()
     assert masks.observe(images[0]).static_ratio == 0.0
+
+
+def test_two_walks_on_either_side_of_a_real_path(test_data):
+    """Gardens Point by day: image i of one walk shows the place of image i of the other."""
+    walks = [
+        [
+            cv2.imread(str(test_data / "real_revisits" / "gardens_point" / walk / f"Image{k:03d}.jpg"), 0)
+            for k in range(50)
+        ]
+        for walk in ("day_left", "day_right")
+    ]
+    accepted = [b for b in match(make("tracked-words"), walks[1], walks[0]) if b.accepted]
+    assert len(accepted) > 25
+    assert all(abs(b.match - b.query) <= 5 for b in accepted)
