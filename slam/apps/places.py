@@ -29,7 +29,6 @@ from slam.evaluation.traverse_truth_files import TraverseTruthOptions, resolve_t
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
 from slam.pipeline.place_recognition import (
-    MatchedImages,
     PlaceRecognitionRun,
     PlacesRecord,
     RecognizerFactory,
@@ -196,7 +195,7 @@ def recognize_images(
             warnings.extend(_inspect(options.reference, reference, messages))
         run = _run(options, config, images, truth, messages, reference)
         origin = provenance(options.source.absolute(), images.name) | _settings(options, config)
-        pictures = None if reference is None else MatchedImages(images, reference)
+        pictures = None if reference is None else (images, reference)
         with stop_on_interrupt(messages):
             record = make_record(run, truth, _drive_data(images, truth), origin | {"warnings": warnings.texts})
             write_results(folder.path, record, warnings, pictures)

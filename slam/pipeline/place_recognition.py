@@ -29,6 +29,7 @@ from slam.pipeline.run_warnings import RunWarnings
 from slam.timing import StageTimer, timed, timing_ms
 
 Image = NDArray[np.uint8]
+Recordings = tuple[Recording[Image], Recording[Image]]  # a query and its reference
 
 
 Array = NDArray[np.float64]
@@ -328,19 +329,6 @@ def _subtract_features(spent: dict[str, float]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class MatchedImages:
-    """Two recordings, to look at what was matched.
-
-    Attributes:
-        query: images of the query.
-        reference: images of the reference.
-    """
-
-    query: Recording[Image]
-    reference: Recording[Image]
-
-
-@dataclass(frozen=True)
 class PlacesRecord:
     """Everything that the result files are written from.
 
@@ -435,7 +423,7 @@ def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth
 
 
 def write_results(
-    folder: Path, record: PlacesRecord, warnings: RunWarnings, pictures: MatchedImages | None = None
+    folder: Path, record: PlacesRecord, warnings: RunWarnings, pictures: Recordings | None = None
 ) -> None:
     """Write every result file into a folder. A picture or matrix that fails is left out, with a warning.
 
@@ -491,7 +479,7 @@ def _draw_matrices(path: Path, record: PlacesRecord) -> None:
     save_png(plot_places(record.name, record.matrices, detections, record.truth, columns), path)
 
 
-def _draw_matches(path: Path, record: PlacesRecord, pictures: MatchedImages) -> None:
+def _draw_matches(path: Path, record: PlacesRecord, pictures: Recordings) -> None:
     from slam.report.match_pictures import plot_matches
     from slam.report.style import save_png
 

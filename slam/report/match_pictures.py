@@ -1,7 +1,6 @@
 """A sheet of matched images: the most certain wrong matches, and right ones, each beside the query and a true image."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -10,56 +9,38 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from place_recognition.recognizer import Belief
+from slam.datasets.prefetch import Recording
 from slam.report import style
 from slam.report.style import INK, new_figure
 
 Image = NDArray[np.uint8]
 Truth = NDArray[np.bool_]
+Recordings = tuple[Recording[Image], Recording[Image]]
 
 _ROWS = 4  # of wrong and of right matches
 _WIDTH_PX = 320  # of an image on the sheet
 _WIDTH_IN, _TITLE_IN = 3.2, 0.3  # of an image, and of the line above it
 
 
-class Recording(Protocol):
-    """Images that are read by their index."""
-
-    def __getitem__(self, index: int, /) -> Image: ...
-
-
-class MatchedImages(Protocol):
-    """The images of a query and of its reference."""
-
-    @property
-    def query(self) -> Recording:
-        """Images of the query."""
-        ...
-
-    @property
-    def reference(self) -> Recording:
-        """Images of the reference."""
-        ...
-
-
 def plot_matches(
-    title: str, beliefs: Sequence[Belief], images: MatchedImages, truth: Truth | None, tolerated: Truth | None = None
+    title: str, beliefs: Sequence[Belief], images: Recordings, truth: Truth | None, tolerated: Truth | None = None
 ) -> Figure:
     """Plot the wrong matches of highest score, and right ones from all parts of the query.
 
     Args:
         title: title of the figure.
         beliefs: one for each query.
-        images: the two recordings.
+        images: the query and its reference.
         truth: (N, M) True where two images show one place; None if unknown: then all matches count as right.
         tolerated: (N, M) pairs that are neither right nor wrong, and are not shown; None for none.
     """
     rows = [(belief, "wrong") for belief in choose_wrong(beliefs, truth, tolerated)]
     rows += [(belief, "right" if truth is not None else "match") for belief in choose_right(beliefs, truth)]
-    height_in = _height_in(images.query[rows[0][0].query]) if rows else 1.0
+    height_in = _height_in(images[0][rows[0][0].query]) if rows else 1.0
     figure = new_figure(3 * _WIDTH_IN, height_in * max(len(rows), 1) + 0.6)
     panels = figure.subplots(max(len(rows), 1), 3, squeeze=False)
-    for (belief, verdict), cells in zip(rows, panels, strict=False):
-        _draw_row(cells, belief, verdict, images, truth)
+    for (belief, label), cells in zip(rows, panels, strict=False):
+        _draw_row(cells, belief, label, images, truth)
     if not rows:
         for ax in panels[0]:
             ax.axis("off")
@@ -97,20 +78,18 @@ def _height_in(image: Image) -> float:
     return _WIDTH_IN * image.shape[0] / image.shape[1] + _TITLE_IN
 
 
-def _draw_row(
-    cells: NDArray[np.object_], belief: Belief, verdict: str, images: MatchedImages, truth: Truth | None
-) -> None:
+def _draw_row(cells: NDArray[np.object_], belief: Belief, label: str, images: Recordings, truth: Truth | None) -> None:
     assert belief.match is not None
     true = None if truth is None else _middle_true(truth[belief.query])
-    colour = style.REJECTED if verdict == "wrong" else style.ACCEPTED
-    _draw_image(cells[0], images.query[belief.query], f"query {belief.query}", INK)
-    found = f"{verdict}: {belief.match}, score {belief.score:.3g}" + ("" if belief.accepted else ", not accepted")
-    _draw_image(cells[1], images.reference[belief.match], found, colour)
+    colour = style.REJECTED if label == "wrong" else style.ACCEPTED
+    _draw_image(cells[0], images[0][belief.query], f"query {belief.query}", INK)
+    found = f"{label}: {belief.match}, score {belief.score:.3g}" + ("" if belief.accepted else ", not accepted")
+    _draw_image(cells[1], images[1][belief.match], found, colour)
     if true is None:
         cells[2].axis("off")
         cells[2].text(0.5, 0.5, "no true image", ha="center", color=INK)
     else:
-        _draw_image(cells[2], images.reference[true], f"true: {true}", INK)
+        _draw_image(cells[2], images[1][true], f"true: {true}", INK)
 
 
 def _middle_true(row: NDArray[np.bool_]) -> int | None:
