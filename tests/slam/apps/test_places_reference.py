@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from odometry import se3
+from place_recognition.paradigms.registry import ParadigmsConfig
 from slam.cli import app
 from slam.datasets.formats.image_sequence import open_image_folder
 from slam.errors import ConfigError, DataError
 from slam.evaluation.traverse_truth_files import TraverseTruthOptions, positions_from_names
+from slam.pipeline.place_recognition import RecognizerFactory, run_recognizer
 
 FILES = {"metrics.json", "matches.csv", "matrix.npz", "precision_recall.csv"} | {
     f"{name}.png" for name in ("matrix", "precision_recall", "stages", "matches")
@@ -241,6 +243,27 @@ def test_the_same_call_gives_the_same_bits(
     assert places(walks[0], out, "--reference", walks[1], "--ground-truth", truth) == 0
     for name in ("matches.csv", "matrix.npz", "precision_recall.csv"):
         assert (out / name).read_bytes() == (matched / name).read_bytes()
+
+
+def test_who_stops_before_the_first_query_has_no_results(walks: tuple[Path, Path]) -> None:
+    images = views(3)[:4]
+    factory = RecognizerFactory("global-descriptor", ParadigmsConfig(reference=True))
+    with pytest.raises(KeyboardInterrupt):
+        run_recognizer(images, factory, lambda *_: None, lambda: True, images)
+    seen: list[int] = []
+    run = run_recognizer(images, factory, lambda done, _: seen.append(done), lambda: len(seen) == 6, images)
+    assert (run.interrupted, run.images, [belief.query for belief in run.beliefs]) == (True, 2, [0, 1])
+
+
+@pytest.mark.parametrize("sizes", [(1, 1), (1, 3), (3, 1)])
+def test_a_query_or_a_reference_may_be_a_single_image(tmp_path: Path, sizes: tuple[int, int]) -> None:
+    query, reference = (write(tmp_path / str(k), views(3)[:size]) for k, size in enumerate(sizes))
+    np.savez(tmp_path / "truth.npz", truth=np.eye(*sizes))
+    for paradigm in ("seq-slam", "pixel-sequences", "global-descriptor"):
+        out = tmp_path / paradigm
+        options = ("--reference", reference, "--ground-truth", tmp_path / "truth.npz")
+        assert places(query, out, *options, paradigm=paradigm) == 0
+        assert metrics(out)["places"]["queries"] == sizes[0]
 
 
 def test_the_help_names_the_option(capsys: pytest.CaptureFixture[str]) -> None:
