@@ -6,7 +6,7 @@ A paradigm is a proposer: a map of its own, and a score of its own. What follows
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,7 +204,8 @@ class Proposals:
 class Proposer(Protocol):
     """Proposes earlier images, online and causally: the same input gives the same proposals, to the bit.
 
-    A proposer that counts visual words may have a property `word_count`.
+    A proposer that counts visual words may have a property `word_count`, and one that keeps something from image to
+    image the method of a `ReferenceProposer`.
     """
 
     def observe(self, image: ObservedImage) -> list[Proposals]:
@@ -221,6 +222,15 @@ class Proposer(Protocol):
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue, bit for bit, from the state of another proposer of the same configuration."""
+        ...
+
+
+@runtime_checkable
+class ReferenceProposer(Protocol):
+    """A proposer that keeps something from image to image, such as tracks, which must not reach another recording."""
+
+    def end_reference(self) -> None:
+        """End a reference recording, after `finish`: the next image is no neighbour of the last one."""
         ...
 
 

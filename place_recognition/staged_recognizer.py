@@ -15,12 +15,21 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink, ObservedImage, Proposals, Proposer
+from place_recognition.recognizer import (
+    Belief,
+    MatrixSink,
+    NullMatrixSink,
+    ObservedImage,
+    Proposals,
+    Proposer,
+    ReferenceProposer,
+)
 from place_recognition.verification.candidate_verification import (
     CandidateVerificationConfig,
     VerificationResult,
     verify_candidates,
 )
+from place_recognition.verification.present_view import FixedPast
 
 # The paradigms of sequences propose for many images at once. Their verification is spread over the images that follow:
 # one for each, so that all images take the same time, and two while more than these wait.
@@ -52,6 +61,10 @@ class Decision(Protocol):
 
     def finish(self) -> list[Belief]:
         """Return the beliefs about the last queries."""
+        ...
+
+    def end_reference(self) -> None:
+        """Forget what connects successive images: the next one belongs to another recording."""
         ...
 
     def state(self) -> Any:
@@ -102,6 +115,18 @@ class StagedRecognizer:
         self._unverified.extend(self._proposer.finish())
         beliefs = self._decide(len(self._unverified)) + self._decision.finish()
         return [replace(belief, answered_at=self._latest_id) for belief in beliefs]
+
+    def end_reference(self) -> None:
+        """Make all images so far the reference: those that follow are matched with them alone.
+
+        They are images of another recording. Nothing connects the first of them with the last one so far, none of them
+        is ever a match, and the answers that still wait are dropped.
+        """
+        self.finish()
+        if isinstance(self._proposer, ReferenceProposer):
+            self._proposer.end_reference()
+        self._decision.end_reference()
+        self._view = FixedPast(self._history.latest)
 
     def _decide(self, count: int) -> list[Belief]:
         """Verify the next proposals and return the beliefs that follow."""

@@ -26,7 +26,8 @@ from place_recognition.paradigms.registry import (
     with_exclusion,
     with_preset,
 )
-from place_recognition.recognizer import MatrixSink, PlaceRecognizer
+from place_recognition.recognizer import MatrixSink
+from place_recognition.staged_recognizer import StagedRecognizer
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import Dataset
 from slam.datasets.formats.image_sequence import read_grey
@@ -173,7 +174,7 @@ def exclude_by_preset(config: RunConfig, timestamps: NDArray[np.float64]) -> Run
 
 def build_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
-) -> PlaceRecognizer:
+) -> StagedRecognizer:
     """Build the recogniser of a paradigm whose name has been checked.
 
     Raises:
@@ -188,7 +189,7 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
-def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> PlaceRecognizer:
+def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> StagedRecognizer:
     """Build the control of place recognition, which proposes random past images to the same geometry and belief."""
     return make_control(features, replace(config, seed=seed))
 

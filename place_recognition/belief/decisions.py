@@ -59,6 +59,11 @@ class SmoothedDecision:
         """Return the beliefs about the last queries."""
         return [self._answer_oldest() for _ in range(len(self._waiting))]
 
+    def end_reference(self) -> None:
+        """Begin anew, with the places of the images so far."""
+        self._filter = PlaceFilter(self._config)
+        self._steps.end_reference()
+
     def _observe(self, proposals: Proposals, results: Results) -> Observation:
         own = dict(zip(proposals.locations, self._own_ratio(proposals.scores), strict=True))
         evidence = np.array([result.evidence for result in results], np.float64)
@@ -153,6 +158,49 @@ class SmoothedDecision:
         for one in state["waiting"]:
             results = tuple(VerificationResult(**result) for result in one["results"])
             self._waiting.append((Proposals(**one["proposals"]), results))
+
+
+class GeometricDecision:
+    """Answers each query by geometry alone, at once (a Decision): for images without order.
+
+    The match is the candidate of most evidence, which is the score; it is accepted if less than one chance match is
+    expected among all tests so far.
+    """
+
+    def __init__(self, history: ImageHistory, verification: CandidateVerificationConfig) -> None:
+        self._history, self._verification = history, verification
+
+    def add(self, proposals: Proposals, results: Results) -> list[Belief]:
+        """Add the candidates of the next query and return the belief about it."""
+        query, stages = int(self._history.ids[proposals.query]), stage_scores(self._history, proposals, results)
+        if stages.geometry_match is None or stages.geometry_score is None:
+            return [Belief(query, None, 0.0, accepted=False, verified=False, stages=stages)]
+        best = max(results, key=lambda result: result.evidence)
+        verified = best.evidence >= min_evidence(proposals.query, self._verification)
+        belief = Belief(
+            query=query,
+            match=stages.geometry_match,
+            score=stages.geometry_score,
+            accepted=verified,
+            inliers=best.inliers,
+            verified=True,  # geometry agrees with the match, be it too little to accept it: the curve counts it
+            pixels=best.pixels,
+            stages=stages,
+        )
+        return [belief]
+
+    def finish(self) -> list[Belief]:
+        """Return nothing: each query is answered at once."""
+        return []
+
+    def end_reference(self) -> None:
+        """Do nothing: no image has a say in the answer of another."""
+
+    def state(self) -> None:
+        """Nothing."""
+
+    def restore(self, state: None) -> None:
+        """Nothing."""
 
 
 def min_evidence(query: int, config: CandidateVerificationConfig) -> float:

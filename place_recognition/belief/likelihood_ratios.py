@@ -45,6 +45,7 @@ OWN_SCORES = {
     "tracked-words": RatioTable((2, 2.8, 4.3, 8, 13.7, 21, 35, 60), (-3.0, -1.7, -0.9, 0.1, 1.2, 1.7, 2.9, 3.4)),
     "pixel-sequences": RatioTable((-0.3, 0.1, 0.4, 1.2, 2.4), (-0.4, -0.2, 0.4, 1.3, 3.4)),
     "global-descriptor": RatioTable((0.0,), (0.0,)),
+    "seq-slam": RatioTable((0.0,), (0.0,)),
     "random-images": RatioTable((0.0,), (0.0,)),
 }
 

@@ -6,7 +6,7 @@ with neither counts for nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,13 +69,13 @@ def is_correct(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> N
 
     Args:
         beliefs: beliefs whose query and match index the truth.
-        truth: (N, N) truth matrix, row = query, column = earlier image.
+        truth: (N, M) truth matrix, row = query, column = earlier image, or image of a reference recording.
         tolerance: number of columns by which a match may differ from a true one. 0 is the rule of the chapter's
             authors, whose tolerance is in the matrix; 10 reproduces iBoW-LCD's published figures.
     """
     right = np.zeros(len(beliefs), np.bool_)
     for i, belief in enumerate(beliefs):
-        _check_query(belief, len(truth))
+        _check_query(belief, truth.shape)
         if belief.match is not None:
             first = max(belief.match - tolerance, 0)
             right[i] = truth[belief.query, first : belief.match + tolerance + 1].any()
@@ -120,6 +120,31 @@ def _curve(scores: Array, right: NDArray[np.bool_], thresholds: Array, truth_row
     )
 
 
-def _check_query(belief: Belief, images: int) -> None:
-    if not 0 <= belief.query < images or (belief.match is not None and not 0 <= belief.match < belief.query):
-        raise ValueError(f"expected query and earlier match below {images}, got {belief.query} and {belief.match}")
+def leave_out_tolerated(beliefs: Sequence[Belief], tolerated: Truth | None) -> list[Belief]:
+    """Return the beliefs without the images that are neither right nor wrong.
+
+    As Schubert, Neubert, Garg, Milford, Fischer, 'Visual Place Recognition: A Tutorial', IEEE Robotics and Automation
+    Magazine 31(3) 2024, have it, these are no answers: not true, not false, and no candidates.
+
+    Args:
+        beliefs: beliefs whose query and match index the matrix.
+        tolerated: (N, M) bool, row = query; None where every answer is right or wrong.
+    """
+    if tolerated is None:
+        return list(beliefs)
+    kept = []
+    for belief in beliefs:
+        row = tolerated[belief.query]
+        stages = belief.stages.renumber(lambda image, row=row: None if row[image] else image)  # type: ignore[misc]
+        if belief.match is not None and row[belief.match]:
+            kept.append(Belief(belief.query, None, 0.0, False, stages=stages, answered_at=belief.answered_at))
+        else:
+            kept.append(replace(belief, stages=stages))
+    return kept
+
+
+def _check_query(belief: Belief, shape: tuple[int, ...]) -> None:
+    rows, columns = shape
+    if not 0 <= belief.query < rows or (belief.match is not None and not 0 <= belief.match < columns):
+        below = rows if rows == columns else f"{rows} and {columns}"
+        raise ValueError(f"expected query and earlier match below {below}, got {belief.query} and {belief.match}")

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Truth = NDArray[np.bool_]
 
 MAX_TRUTH_VALUES = 3  # different numbers in a truth: 0 and 1, perhaps a mark for what is not known
-_MIN_IMAGES_FOR_SHARE = 10  # in fewer images most pairs may be the same place
+MIN_IMAGES_FOR_SHARE = 10  # in fewer images most pairs may be the same place
 _HDF5, _HDF5_AT = b"\x89HDF\r\n\x1a\n", 512  # begins a file of MATLAB 7.3, after MATLAB's own header of that size
 _BLOCK = 256  # rows computed at a time: all N^2 distances of a long recording at once would need a gigabyte
 
@@ -150,7 +150,7 @@ def read_truth_matrix(path: Path) -> TruthMatrix:
             " or distances; compare them with a threshold first"
         )
     truth, which = _one_triangle(found.positive)
-    if 2 * np.count_nonzero(truth) > len(truth) * (len(truth) - 1) / 2 and len(truth) >= _MIN_IMAGES_FOR_SHARE:
+    if 2 * np.count_nonzero(truth) > len(truth) * (len(truth) - 1) / 2 and len(truth) >= MIN_IMAGES_FOR_SHARE:
         raise ValueError(
             f"{path}: expected 1 for the same place and 0 for another, found that most pairs of images are the same"
             " place; exchange 0 and 1 if 0 is the same place"

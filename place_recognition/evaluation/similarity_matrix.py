@@ -17,7 +17,8 @@ class SimilarityMatrix:
     """Similarities of all pairs of images that a recogniser compared.
 
     Attributes:
-        values: (M, M) float32, row = query, column = earlier image, NaN where the two were not compared.
+        values: (M, M) float32, row = query, column = earlier image, NaN where the two were not compared; (M, K) where
+            the columns are the images of a reference recording.
         step: number of neighbouring images that share a row and a column, which hold their largest value.
     """
 
@@ -35,6 +36,7 @@ class MatrixRecorder:
 
     def __init__(self, max_rows: int = MAX_ROWS) -> None:
         self._limit, self._step, self._first = max_rows, 1, 0
+        self._reference: int | None = None  # number of images of the reference recording; None without one
         self._stages: dict[str, dict[int, Floats]] = {}
 
     @property
@@ -47,25 +49,32 @@ class MatrixRecorder:
         self._step, self._first = 1, first
         self._stages = {}
 
+    def end_reference(self, images: int) -> None:
+        """Delete all rows; the `images` so far are the columns from now on, and those that follow the rows."""
+        self._step, self._reference = 1, images
+        self._stages = {}
+
     def add(self, query: int, matches: NDArray[np.int64], values: Array, stage: str = "similarity") -> None:
         """Record a row; ids and values as in `MatrixSink`. Rows may come late and more than once."""
-        if query < self._first:
+        begin = self._first if self._reference is None else self._reference
+        if query < begin:
             return
-        query, matches = query - self._first, np.asarray(matches, np.int64) - self._first
+        query, matches = query - begin, np.asarray(matches, np.int64) - self._first
         values, matches = np.asarray(values)[matches >= 0], matches[matches >= 0]
-        while query // self._step >= self._limit:
+        columns = query + 1 if self._reference is None else self._reference
+        while max(query, columns - 1) // self._step >= self._limit:
             self._halve()
         row, cells = query // self._step, matches // self._step
         kept = self._stages.setdefault(stage, {})
         known = kept.get(row)
         if known is None:
-            known = kept[row] = np.full(row + 1, np.nan, np.float32)
+            known = kept[row] = np.full((columns - 1) // self._step + 1, np.nan, np.float32)
         np.fmax.at(known, cells, np.asarray(values, np.float32))
 
     def matrix(self, images: int, stage: str = "similarity") -> SimilarityMatrix:
-        """Return the matrix of the `images` images so far; NaN throughout where a stage has no rows."""
-        size = -(-images // self._step)
-        values = np.full((size, size), np.nan, np.float32)
+        """Return the matrix of the `images` queries so far; NaN throughout where a stage has no rows."""
+        columns = images if self._reference is None else self._reference
+        values = np.full((-(-images // self._step), -(-columns // self._step)), np.nan, np.float32)
         for row, known in self._stages.get(stage, {}).items():
             values[row, : len(known)] = known
         return SimilarityMatrix(values, self._step)
@@ -75,7 +84,7 @@ class MatrixRecorder:
         for stage, kept in self._stages.items():
             smaller: dict[int, Floats] = {}
             for row, known in kept.items():
-                folded = np.full(row // 2 + 1, np.nan, np.float32)
+                folded = np.full(-(-len(known) // 2), np.nan, np.float32)
                 np.fmax.at(folded, np.arange(len(known)) // 2, known)
                 smaller[row // 2] = np.fmax(smaller[row // 2], folded) if row // 2 in smaller else folded
             self._stages[stage] = smaller

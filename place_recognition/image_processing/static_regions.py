@@ -291,8 +291,8 @@ class ImageMasks:
             config: how static regions are found; the defaults if None.
             fixed: (H, W) uint8 of the images' size, 0 where features are left out in all of them; None for nowhere.
         """
-        config = config or StaticRegionConfig()
-        self._detector = StaticRegionDetector(config) if config.enabled else None
+        self._config = config or StaticRegionConfig()
+        self._detector = StaticRegionDetector(self._config) if self._config.enabled else None
         self._fixed = fixed
         self._images, self._sum_static = 0, 0.0
         # The latest mask and its static share, and the static blocks and the shape of the image that they are for.
@@ -313,6 +313,12 @@ class ImageMasks:
         self._images += 1
         self._sum_static += static_ratio
         return ImageMask(pixels, static_ratio, self._state())
+
+    def end_reference(self) -> None:
+        """Begin another recording: what was static in the one before says nothing about it."""
+        if self._detector is not None:
+            self._detector = StaticRegionDetector(self._config)
+        self._latest = None
 
     def confirm(self, mask: ImageMask) -> None:
         """Note that the image of a mask has been processed; a run that is resumed continues after it."""

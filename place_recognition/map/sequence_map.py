@@ -81,6 +81,10 @@ class Segmentation(Protocol):
         """
         ...
 
+    def restart(self) -> None:
+        """Let the next image start a sequence: it belongs to another recording."""
+        ...
+
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""
         ...
@@ -127,6 +131,10 @@ class FixedDistanceSegmentation:
             self._start_distance_m, self._images = distance_travelled_m, 0
         self._images += 1
         return bool(starts)
+
+    def restart(self) -> None:
+        """Let the next image start a sequence."""
+        self._images = 0
 
     def state(self) -> dict[str, Any]:
         """Where the recording and the open sequence began, for a checkpoint."""
@@ -182,6 +190,10 @@ class WordVariance:
         self._seen[distinct] = True
         self._images += 1
         return starts
+
+    def restart(self) -> None:
+        """Let the next image start a sequence; it has not changed from the image before it."""
+        self._images, self._latest = 0, np.empty(0, np.int64)
 
     def _has_changed(self, distinct: Indices) -> bool:
         if self._images < self.config.min_images or len(distinct) == 0:

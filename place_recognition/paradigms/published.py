@@ -154,6 +154,10 @@ class PublishedDecision:
         """Return nothing: each query is answered at once."""
         return []
 
+    def end_reference(self) -> None:
+        """Forget the matches of the latest queries."""
+        self._recent.clear()
+
     def state(self) -> list[int | None]:
         """The matches of the latest queries, for a checkpoint."""
         return list(self._recent)
@@ -166,7 +170,7 @@ class PublishedDecision:
 # Thresholds of the decisions. P1 and P2: the threshold of the filter, 12 inliers (IROS 2016, Table III) and two
 # successive images for the temporal consistency whose number the papers do not state. P3: sigma = 1e-12, tau = 12 and
 # beta = 2. P4: delta = 2e-11 and phi = 9. The baselines have no geometry in their papers; their thresholds are the
-# largest scores of unrelated images of simulated towns.
+# largest scores of unrelated images of simulated towns; that of SeqSLAM is the quotient 0.9 of OpenSeqSLAM's example.
 DECISIONS: dict[str, PublishedDecisionConfig] = {
     "sequence-histograms": PublishedDecisionConfig(0.32, min_consistent_frames=2),
     "dynamic-sequences": PublishedDecisionConfig(3.5, min_consistent_frames=2),
@@ -174,6 +178,7 @@ DECISIONS: dict[str, PublishedDecisionConfig] = {
     "tracked-words": PublishedDecisionConfig(-math.log10(2e-11), min_exclusion_s=0.0, min_inliers=9),
     "pixel-sequences": PublishedDecisionConfig(1.1, min_inliers=0),
     "global-descriptor": PublishedDecisionConfig(0.93, min_inliers=0),
+    "seq-slam": PublishedDecisionConfig(0.1, min_inliers=0),
 }
 
 # Of random images, which have no score: geometry and the temporal gate of most methods.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from place_recognition.belief.decisions import SmoothedDecision
+from place_recognition.belief.decisions import GeometricDecision, SmoothedDecision
 from place_recognition.belief.likelihood_ratios import OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.extractors import make_extractor
@@ -16,6 +16,7 @@ from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms import published
 from place_recognition.paradigms.hierarchical_places import HierarchicalPlaces, HierarchicalPlacesConfig
+from place_recognition.paradigms.seq_slam import SeqSlam, SeqSlamConfig
 from place_recognition.paradigms.sequences import (
     DynamicSequencesConfig,
     SequenceHistogramsConfig,
@@ -29,10 +30,10 @@ from place_recognition.paradigms.whole_images import (
     PixelSequences,
     PixelSequencesConfig,
 )
-from place_recognition.recognizer import MatrixSink, PlaceRecognizer, Proposer, RandomImages
-from place_recognition.staged_recognizer import Decision, RowsById, StagedRecognizer
+from place_recognition.recognizer import MatrixSink, Proposer, RandomImages
+from place_recognition.staged_recognizer import Decision, ExclusionWindow, RowsById, StagedRecognizer
 from place_recognition.verification.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
-from place_recognition.verification.present_view import FixedWindow, PresentView, PresentViewConfig
+from place_recognition.verification.present_view import FixedPast, FixedWindow, PresentView, PresentViewConfig
 from place_recognition.vocabulary.vocabulary import (
     Vocabulary,
     default_vocabulary,
@@ -43,7 +44,7 @@ from place_recognition.vocabulary.vocabulary import (
 
 @dataclass(frozen=True)
 class ParadigmsConfig:
-    """Settings of all paradigms; of the last six only those of the chosen one matter.
+    """Settings of all paradigms; of the last seven only those of the chosen one matter.
 
     Attributes:
         features: name of the local features, a key of EXTRACTORS. A vocabulary works only with the features from which
@@ -54,6 +55,8 @@ class ParadigmsConfig:
             learned one.
         seed: seed of every random generator.
         preset: "default", or "published" for the methods as the papers state them (`with_preset`).
+        temporal: whether the images around an image have a say in its answer; False for images without order.
+        reference: whether a reference recording comes first (`StagedRecognizer.end_reference`).
         view: which of the latest images belong to the present.
         verification: how candidates are verified geometrically.
         place_filter: how the candidates of successive images become a probability.
@@ -63,6 +66,7 @@ class ParadigmsConfig:
         tracked_words: settings of `tracked-words`.
         pixel_sequences: settings of `pixel-sequences`.
         global_descriptor: settings of `global-descriptor`.
+        seq_slam: settings of `seq-slam`.
     """
 
     features: str = "surf"
@@ -71,6 +75,8 @@ class ParadigmsConfig:
     descriptor: str = "hog"
     seed: int = 0
     preset: str = "default"
+    temporal: bool = True
+    reference: bool = False
     view: PresentViewConfig = field(default_factory=PresentViewConfig)
     verification: CandidateVerificationConfig = field(default_factory=CandidateVerificationConfig)
     place_filter: PlaceFilterConfig = field(default_factory=PlaceFilterConfig)
@@ -80,6 +86,7 @@ class ParadigmsConfig:
     tracked_words: TrackedWordsConfig = field(default_factory=TrackedWordsConfig)
     pixel_sequences: PixelSequencesConfig = field(default_factory=PixelSequencesConfig)
     global_descriptor: GlobalDescriptorConfig = field(default_factory=GlobalDescriptorConfig)
+    seq_slam: SeqSlamConfig = field(default_factory=SeqSlamConfig)
 
 
 PRESETS = ("default", "published")
@@ -114,6 +121,10 @@ def _global_descriptor(history: ImageHistory, kind: str, config: ParadigmsConfig
     return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
 
 
+def _seq_slam(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
+    return SeqSlam(config.seq_slam, rows)
+
+
 # The names are those of the option --paradigm. A new paradigm joins by its line here, and so do the tests of all.
 PARADIGMS: dict[str, Builder] = {
     "sequence-histograms": _sequence_histograms,
@@ -122,6 +133,7 @@ PARADIGMS: dict[str, Builder] = {
     "tracked-words": _tracked_words,
     "pixel-sequences": _pixel_sequences,
     "global-descriptor": _global_descriptor,
+    "seq-slam": _seq_slam,
 }
 
 
@@ -158,6 +170,7 @@ def with_preset(name: str, config: ParadigmsConfig) -> ParadigmsConfig:
         tracked_words=published.tracked_words(),
         pixel_sequences=published.pixel_sequences(),
         global_descriptor=GlobalDescriptorConfig(max_candidates=1),
+        seq_slam=SeqSlamConfig(max_candidates=1),
     )
 
 
@@ -168,7 +181,7 @@ def exclusion_s(name: str, config: ParadigmsConfig) -> float:
 
 def make_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig | None = None, rows: MatrixSink | None = None
-) -> PlaceRecognizer:
+) -> StagedRecognizer:
     """Make a recogniser that has seen nothing.
 
     Args:
@@ -188,7 +201,7 @@ def make_recognizer(
     return _stages(name, features, history, proposer, config)
 
 
-def make_control(features: FeatureCache, config: ParadigmsConfig | None = None) -> PlaceRecognizer:
+def make_control(features: FeatureCache, config: ParadigmsConfig | None = None) -> StagedRecognizer:
     """Make the control of every paradigm: a recogniser that proposes random earlier images to the same stages."""
     config = config or ParadigmsConfig()
     return _stages("random-images", features, ImageHistory(), RandomImages(config.seed), config)
@@ -196,16 +209,26 @@ def make_control(features: FeatureCache, config: ParadigmsConfig | None = None) 
 
 def _stages(
     name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
-) -> PlaceRecognizer:
+) -> StagedRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
     if config.preset == "published":
         epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
         exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)
-        window = FixedWindow(history, config.view.exclusion_frames)
-        decision: Decision = published.PublishedDecision(history, published.DECISIONS.get(name, published.CONTROL))
-        return StagedRecognizer(features, history, window, proposer, decision, exact)
-    decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
-    return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)
+        thresholds = published.DECISIONS.get(name, published.CONTROL)
+        if not config.temporal:
+            thresholds = replace(thresholds, min_consistent_frames=1)
+        window: ExclusionWindow = FixedWindow(history, config.view.exclusion_frames)
+        window = FixedPast(-1) if config.reference else window
+        return StagedRecognizer(
+            features, history, window, proposer, published.PublishedDecision(history, thresholds), exact
+        )
+    decision: Decision = GeometricDecision(history, verification)
+    if config.temporal:
+        decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
+    # A reference is only mapped, unless its own revisits tell which of its images show one place.
+    learns_places = config.temporal and name != "random-images"
+    view = FixedPast(-1) if config.reference and not learns_places else PresentView(history, config.view)
+    return StagedRecognizer(features, history, view, proposer, decision, verification)
 
 
 def with_exclusion(config: ParadigmsConfig, images: int) -> ParadigmsConfig:

@@ -146,7 +146,9 @@ class SequenceProposer:
         self._segmentation = segmentation
         self._vocabulary = vocabulary.require(kind)
         self._find_words = _make_word_search(vocabulary)
-        self._threshold, self._filter = matrix_filter.threshold, OnlineMatrixFilter(matrix_filter.kernel)
+        self._threshold, self._kernel = matrix_filter.threshold, matrix_filter.kernel
+        self._filter = OnlineMatrixFilter(self._kernel)
+        self._previous_score = 1.0  # of the latest sequence with the one before it
         self._words = ImageWords(len(vocabulary))
         self._map = SequenceMap(len(vocabulary))
         self._open: list[int] = []  # latest matchable location of each image of the sequence that has not ended
@@ -175,6 +177,11 @@ class SequenceProposer:
         self._waiting = None
         return answered
 
+    def end_reference(self) -> None:
+        """Begin a new sequence with the next image, whose rows have none before them (a ReferenceProposer)."""
+        self._segmentation.restart()
+        self._filter = OnlineMatrixFilter(self._kernel)
+
     def _assign(self, descriptors: Floats) -> Indices:
         return self._find_words(descriptors) if len(descriptors) else np.empty(0, np.int64)
 
@@ -195,9 +202,11 @@ class SequenceProposer:
         )
         heaviest, score = vector.strongest(self.config.max_query_words), SCORES[self.config.score]
         scores = score(self._map.index.cosines(heaviest, self._map.count_ended_by(self._open[-1]))).astype(np.float32)
-        # The first sequence has no predecessor, and no earlier sequences to compare with either.
-        previous = float(score(heaviest.cosine(self._waiting.vector))) if self._waiting else 1.0
-        row = normalize_row(scores, previous, self.config.min_previous_score)
+        # The first sequence has no predecessor, and no earlier sequences to compare with either. That of the first one
+        # after a reference recording is as alike as the last two of the reference.
+        if self._waiting:
+            self._previous_score = float(score(heaviest.cosine(self._waiting.vector)))
+        row = normalize_row(scores, self._previous_score, self.config.min_previous_score)
         return _EndedSequence(images, self._open, vector, row)
 
     def _answer(self, sequence: _EndedSequence, response: Floats | None) -> list[Proposals]:

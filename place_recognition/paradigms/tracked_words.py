@@ -71,6 +71,7 @@ class TrackedWords:
         self.config = config or TrackedWordsConfig()
         self._tracks = FeatureTracks(self.config.tracks)
         self._words = WordMap(index())
+        self._reference_end = 0  # number of images of the reference recording, which are past at any track length
         self._rows = NullMatrixSink() if rows is None else rows
 
     @property
@@ -82,7 +83,7 @@ class TrackedWords:
         """Add an image, whose features may become words later, and propose locations for it."""
         self._words.add(self._tracks.advance(image.pixels, image.features))
         by_tracks = image.location - self.config.exclusion_track_lengths * self._tracks.max_length_frames
-        last_matchable = min(image.last_matchable, by_tracks)
+        last_matchable = min(image.last_matchable, max(by_tracks, self._reference_end - 1))
         self._words.activate_until(last_matchable)  # words of later images are not hit yet
         votes = count_votes(self._words.lookup(self._tracks.descriptors), self._words, self.config.distinct_votes)
         self._rows.add(image.location, votes.locations, votes.votes.astype(np.float64))
@@ -101,6 +102,11 @@ class TrackedWords:
     def finish(self) -> list[Proposals]:
         """Return nothing: each image is answered at once."""
         return []
+
+    def end_reference(self) -> None:
+        """Make words of the tracks that go on to the last image, and end all tracks (a ReferenceProposer)."""
+        self._words.add(self._tracks.end())
+        self._reference_end = self._tracks.num_images
 
     def state(self) -> dict[str, Any]:
         """Everything that changes from image to image, for a checkpoint."""

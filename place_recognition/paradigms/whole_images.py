@@ -81,6 +81,7 @@ class PixelSequences:
         # A line of speed ratio v is v * i locations further back, i images before the query.
         steps = np.arange(length)
         self._offsets = np.round(np.outer(self.config.speed_ratios, steps)).astype(np.int64)
+        self._reference_end: int | None = None  # number of images of the reference recording; None without one
         self._rows = NullMatrixSink() if rows is None else rows
 
     def observe(self, image: ObservedImage) -> list[Proposals]:
@@ -96,13 +97,21 @@ class PixelSequences:
         """Return nothing: each image is answered at once."""
         return []
 
+    def end_reference(self) -> None:
+        """Let no line begin in the images so far, and compare later ones with them alone (a ReferenceProposer)."""
+        self._reference_end = len(self._blank)
+        for _ in range(self.config.sequence_length):
+            self._similarity.append(np.empty(0, np.float32))
+
     def _compare(self, picture: NDArray[np.uint8]) -> Floats:
         """Similarity (N,) of each image so far, relative to those around it (`local_contrast`); 0 for blank ones."""
         if len(self._blank) == 0:
             return np.empty(0, np.float32)
-        differences = absolute_differences(picture, self._pictures.rows)
+        differences = absolute_differences(picture, self._pictures.rows[: self._reference_end])
         similarity = local_contrast(differences, self.config.window, self.config.min_contrast * len(picture))
-        similarity[self._blank.rows.reshape(-1)] = 0  # all blank images look alike, wherever they are
+        similarity[self._blank.rows.reshape(-1)[: self._reference_end]] = (
+            0  # all blank images look alike, wherever they are
+        )
         return similarity
 
     def _propose(self, image: ObservedImage) -> Proposals:

@@ -146,6 +146,27 @@ class FixedWindow:
         """Nothing."""
 
 
+class FixedPast:
+    """Takes everything up to one image for the past, whatever comes after it (as PresentView).
+
+    A reference recording is the past of another one: all its images may be matched, and no image of the other.
+    """
+
+    def __init__(self, last: int) -> None:
+        self._last = last
+
+    def advance(self) -> int:
+        """Return the last location that any image may be matched with; -1 for none."""
+        return self._last
+
+    def state(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Nothing."""
+
+
 class CameraSteps:
     """Counts the steps of the camera, and the places that it saw: a standing camera takes many images of one step.
 
@@ -159,10 +180,12 @@ class CameraSteps:
         self._steps: GrowingArray[np.int64] = GrowingArray(np.int64)  # step of each image
         self._places: GrowingArray[np.int64] = GrowingArray(np.int64)  # place of each step
         self._junctions: dict[int, tuple[int, int]] = {}  # places of a step and of the next one, where they lie apart
+        self._reference_end = -1  # number of steps of the reference recording; -1 while there is no such recording
 
     def add(self, location: int) -> bool:
         """Add the next image; return whether the camera has moved since the first image of its latest step."""
-        moved = not self._firsts or self._has_moved(self._firsts[-1], location)
+        is_new = len(self._firsts) in (0, self._reference_end)  # not a neighbour of the image before, however alike
+        moved = is_new or self._has_moved(self._firsts[-1], location)
         if moved:
             self._places.extend(np.array([len(self._firsts)]))
             self._firsts.append(location)
@@ -179,8 +202,14 @@ class CameraSteps:
         places: NDArray[np.int64] = self._places.rows.reshape(-1)[self._steps.rows.reshape(-1)[locations]]
         return places
 
+    def end_reference(self) -> None:
+        """Let the next image begin another recording, whose steps are no places of the map and join none of them."""
+        self._reference_end = len(self._firsts)
+
     def recognize(self, step: int, place: int) -> None:
         """Let a step show an earlier place from now on."""
+        if self._reference_end >= 0:
+            return
         self._places.rows.reshape(-1)[step] = place
         self._compare_with_next(step - 1)
         self._compare_with_next(step)
@@ -190,6 +219,8 @@ class CameraSteps:
         return np.array([self._junctions[step] for step in sorted(self._junctions)], np.int64).reshape(-1, 2)
 
     def _compare_with_next(self, step: int) -> None:
+        if self._reference_end >= 0:
+            return
         self._junctions.pop(step, None)
         shown = self._places.rows.reshape(-1)[max(step, 0) : step + 2]
         if len(shown) == 2 and abs(int(shown[1]) - int(shown[0])) > _BESIDE:

@@ -183,6 +183,18 @@ class FeatureTracks:
         self._refill(features, chosen)
         return ended
 
+    def end(self) -> Words:
+        """End all tracks, as the next image belongs to another recording, and return their words."""
+        ended = self._make_words(np.ones(len(self._lengths), np.bool_))
+        self._image = None
+        self._reset()
+        return ended
+
+    @property
+    def num_images(self) -> int:
+        """Number of images so far."""
+        return self._location + 1
+
     def _reset(self) -> None:
         self._pixels = np.empty((0, 2), np.float32)
         self._descriptors = self._sums = np.empty((0, 0), np.float32)

@@ -1,7 +1,7 @@
 """`revisit places`: recognise places in a recording, and write matches, precision-recall curves and matrices."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from slam.evaluation.revisit_truth_files import (
     revisit_truth_from_poses,
 )
 from slam.evaluation.trajectory_errors import distances_along
+from slam.evaluation.traverse_truth_files import TraverseTruthOptions, resolve_traverse_truth
 from slam.external.matches_file import check_matches_file, path_of
 from slam.io.metrics import metrics_text
 from slam.io.run_folder import RunFolder
@@ -49,7 +50,7 @@ from slam.pipeline.provenance import provenance
 from slam.pipeline.run_warnings import RunWarnings
 
 # They use no features, so there is nothing that a mask could leave out.
-WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor")
+WHOLE_IMAGE_PARADIGMS = ("pixel-sequences", "global-descriptor", "seq-slam")
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,11 @@ class PlacesOptions:
         topics: topics of the left camera in a bag; empty to detect them.
         mask: image of the camera's size, black where features are left out; None for none.
         preset: "default", or "published" for the methods as the papers state them.
+        reference: another recording, with whose images alone those of `source` are matched; None to match the images
+            of `source` with earlier ones of their own.
+        reference_sequence: name of its sequence; None where it has only one.
+        truth: ground truth of the two, besides `ground_truth`.
+        temporal: whether the images around an image have a say in its answer.
     """
 
     source: Path
@@ -91,6 +97,22 @@ class PlacesOptions:
     topics: tuple[str, ...] = ()
     mask: Path | None = None
     preset: str = "default"
+    reference: Path | None = None
+    reference_sequence: str | None = None
+    truth: TraverseTruthOptions = field(default_factory=TraverseTruthOptions)
+    temporal: bool = True
+
+    @property
+    def traverse_truth(self) -> TraverseTruthOptions:
+        """How the ground truth of the two recordings is found."""
+        return replace(self.truth, ground_truth=self.ground_truth)
+
+    @property
+    def reference_recording(self) -> DatasetSpec | None:
+        """The reference with the options of how to read it; None without one."""
+        if self.reference is None:
+            return None
+        return DatasetSpec(self.reference, self.reference_sequence, self.format, self.fps, self.topics)
 
     @property
     def recording(self) -> DatasetSpec:
@@ -111,6 +133,23 @@ def check_options(options: PlacesOptions) -> None:
             f"--mask: expected a paradigm of local features, found {options.paradigm}, which compares whole images;"
             " leave the option out or choose another paradigm"
         )
+    if options.reference is None:
+        _check_no_reference(options)
+        return
+    options.traverse_truth.check()
+    if path_of(options.paradigm) is not None:
+        raise ConfigError("--matches: a file matches the images of one recording; leave it out with --reference")
+    if options.exclude is not None:
+        raise ConfigError("--exclude: no image is matched with one of its own recording; leave it out with --reference")
+
+
+def _check_no_reference(options: PlacesOptions) -> None:
+    given = replace(options.truth, ground_truth=None)
+    others = {f"--{f.name.removesuffix('_m').replace('_', '-')}": getattr(given, f.name) for f in fields(given)}
+    others["--reference-sequence"] = options.reference_sequence
+    name = next((name for name, value in others.items() if value is not None), None)
+    if name is not None:
+        raise ConfigError(f"{name}: belongs to two recordings; give the other one with --reference")
 
 
 def recognize_places(options: PlacesOptions, messages: Console, results: Console, json: bool = False) -> bool:
@@ -130,15 +169,31 @@ def recognize_places(options: PlacesOptions, messages: Console, results: Console
     """
     check_options(options)
     images = open_images(options.recording)
-    record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
+    if options.reference_recording is None:
+        record = recognize_images(options, images, resolve_ground_truth(options, images), messages)
+    else:
+        reference = open_images(options.reference_recording)
+        truth = resolve_traverse_truth(options.traverse_truth, images, reference)
+        record = recognize_images(options, images, truth, messages, reference)
     _print(record, options.out, results, json)
     return bool(record.metrics["interrupted"])
 
 
 def recognize_images(
-    options: PlacesOptions, images: ImageDataset, truth: RevisitTruth, messages: Console
+    options: PlacesOptions,
+    images: ImageDataset,
+    truth: RevisitTruth,
+    messages: Console,
+    reference: ImageDataset | None = None,
 ) -> PlacesRecord:
     """Recognise the places of opened images and write every result into `options.out`.
+
+    Args:
+        options: input, output and settings.
+        images: the recording.
+        truth: its ground truth.
+        messages: console for progress and warnings.
+        reference: images with which alone those of the recording are matched; None for its own earlier ones.
 
     Raises:
         RevisitError: the images, the settings or the output folder cannot be used; earlier results stay untouched.
@@ -147,22 +202,25 @@ def recognize_images(
     remarks = () if matches is None else check_matches_file(matches, len(images))
     with RunFolder.create(options.out, options.overwrite) as folder:
         warnings = RunWarnings(messages, folder.path)
-        warnings.extend((*truth.remarks, *remarks, *_inspect(options, images, messages)))
-        run = _run(options, config, images, truth, messages)
+        warnings.extend((*truth.remarks, *remarks, *_inspect(options.source, images, messages)))
+        if reference is not None and options.reference is not None:
+            warnings.extend(_inspect(options.reference, reference, messages))
+        run = _run(options, config, images, truth, messages, reference)
         origin = provenance(options.source.absolute(), images.name) | _settings(options, config)
+        pictures = None if reference is None else (images, reference)
         with stop_on_interrupt(messages):
             record = make_record(run, truth, _drive_data(images, truth), origin | {"warnings": warnings.texts})
-            write_results(folder.path, record, warnings)
+            write_results(folder.path, record, warnings, pictures)
         folder.commit()
     warnings.check_written(options.out)
     return record
 
 
-def _inspect(options: PlacesOptions, images: ImageDataset, messages: Console) -> tuple[str, ...]:
+def _inspect(source: Path, images: ImageDataset, messages: Console) -> tuple[str, ...]:
     """What `revisit check` says about the images; its faults are errors."""
     with progress_bar(messages, "Checking") as progress:
         findings = inspect_images(images, progress)
-    return remarks_for(Use.PLACES, options.source, findings)
+    return remarks_for(Use.PLACES, source, findings)
 
 
 def resolve_ground_truth(options: PlacesOptions, images: ImageDataset) -> RevisitTruth:
@@ -211,19 +269,27 @@ def _drive_data(images: ImageDataset, truth: RevisitTruth) -> DriveData:
 
 
 def _run(
-    options: PlacesOptions, config: ParadigmsConfig, images: ImageDataset, truth: RevisitTruth, messages: Console
+    options: PlacesOptions,
+    config: ParadigmsConfig,
+    images: ImageDataset,
+    truth: RevisitTruth,
+    messages: Console,
+    reference: ImageDataset | None,
 ) -> PlaceRecognitionRun:
     import cv2
 
-    mask = None if options.mask is None else read_mask(options.mask, images[0].shape)
+    first = images if reference is None else reference
+    mask = None if options.mask is None else read_mask(options.mask, first[0].shape)
     # Without truth the control can be compared with nothing.
     control_seed = None if truth.matrix is None else options.seed
     factory = RecognizerFactory(options.paradigm, config, control_seed, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
-        run = run_recognizer(images, factory, progress, lambda: stop.requested)
+        run = run_recognizer(images, factory, progress, lambda: stop.requested, reference)
     if run.interrupted:
         messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
+    if reference is not None:
+        return run
     exclude = _exclude_s(options)
     control = None if run.control is None else drop_recent_matches(run.control, images, exclude)
     return replace(run, beliefs=drop_recent_matches(run.beliefs, images, exclude), control=control)
@@ -236,9 +302,16 @@ def _config(options: PlacesOptions, images: ImageDataset) -> ParadigmsConfig:
         ConfigError: images are excluded by time and have no timestamps.
     """
     vocabulary = "" if options.vocabulary is None else str(options.vocabulary)
-    chosen = ParadigmsConfig(options.features, vocabulary=vocabulary, descriptor=options.descriptor, seed=options.seed)
+    chosen = ParadigmsConfig(
+        options.features,
+        vocabulary=vocabulary,
+        descriptor=options.descriptor,
+        seed=options.seed,
+        temporal=options.temporal,
+        reference=options.reference is not None,
+    )
     config, exclude = with_preset(options.paradigm, replace(chosen, preset=options.preset)), _exclude_s(options)
-    if not exclude or len(images) < 2:
+    if not exclude or len(images) < 2 or options.reference is not None:
         return config
     if images.timestamps is None:
         rule = f"--preset {options.preset}, which excludes {exclude:g} s"
@@ -260,7 +333,9 @@ def _settings(options: PlacesOptions, config: ParadigmsConfig) -> dict[str, obje
         "preset": options.preset,
         "features": config.features,
         "seed": options.seed,
-        "exclude_seconds": _exclude_s(options),
+        "exclude_seconds": None if options.reference is not None else _exclude_s(options),
+        "temporal": options.temporal,
+        **({} if options.reference is None else {"reference_source": str(options.reference.absolute())}),
     }
 
 
@@ -269,5 +344,7 @@ def _print(record: PlacesRecord, out: Path, results: Console, json: bool) -> Non
         results.print(metrics_text(record.metrics), markup=False, highlight=False, soft_wrap=True)
         return
     results.print(make_summary(record))
-    pictures = ", ".join(str(out / name) for name in ("precision_recall.png", "stages.png", "matrix.png"))
+    is_two = "reference" in record.metrics
+    names = ("precision_recall.png", "stages.png", "matrix.png", *(("matches.png",) if is_two else ()))
+    pictures = ", ".join(str(out / name) for name in names)
     results.print(f"Pictures: {pictures}", markup=False, highlight=False)

@@ -18,7 +18,8 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 # Written out here because the registries are slow to import, and help must answer at once. A test compares these lists
 # with the registries.
 PARADIGM_NAMES = (
-    "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor"
+    "sequence-histograms, dynamic-sequences, hierarchical-places, tracked-words, pixel-sequences, global-descriptor, "
+    "seq-slam"
 )
 PRESET_NAMES = "default, published"
 FEATURE_NAMES = "surf, surf-oriented, sift, orb, brief"
@@ -28,6 +29,7 @@ FORMAT_NAMES = "kitti, kitti-raw, euroc, tum-rgbd, own-camera, bag, malaga, new-
 # Groups of options in the help of commands that have many.
 INPUT, RECOGNITION, BACK_END, OUTPUT = "Input", "Place recognition", "Odometry and back end", "Output"
 _ROUTE, _SCENE, _ROOM, _CAMERA = "Route", "Scene", "Room", "Camera"
+_TWO_RECORDINGS = "Two recordings"
 _RULE = "Rule of a revisit, for ground truth given as poses"
 
 # The defaults of RunConfig, for help: without an option its value comes from --config, and without that from here.
@@ -383,6 +385,64 @@ PlacesTruth = Annotated[
         help="Ground truth: a matrix of revisits (.mat, or .npz with `truth`), or poses (KITTI, TUM).",
         show_default="poses of the source",
         rich_help_panel=INPUT,
+    ),
+]
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        help="Another recording: the images are matched with its images alone, and not with each other.",
+        show_default="none",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+ReferenceSequence = Annotated[
+    str | None,
+    typer.Option(
+        help="Name of the sequence of the reference.",
+        show_default="the only one of the reference",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+ReferenceTruth = Annotated[
+    Path | None,
+    typer.Option(
+        help="Poses of the reference (KITTI, TUM), in the frame of those of --ground-truth.",
+        show_default="none",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+EqualNumbers = Annotated[
+    int | None,
+    typer.Option(
+        "--tolerance",
+        help="Ground truth by equal numbers: largest difference of the numbers of two images of one place.",
+        show_default="numbers say nothing",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+SamePlace = Annotated[
+    float | None,
+    typer.Option(
+        "--max-distance",
+        help="Largest distance of two images of one place, metres.",
+        show_default="10 for poses, 25 for names",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+Soft = Annotated[
+    float | None,
+    typer.Option(
+        help="Images, or metres, up to which a wrong match is tolerated: it counts neither as right nor as wrong.",
+        show_default="none is",
+        rich_help_panel=_TWO_RECORDINGS,
+    ),
+]
+Temporal = Annotated[
+    bool,
+    typer.Option(
+        "--temporal/--no-temporal",
+        help="Whether the images around an image have a say in its answer; not where images have no order.",
+        rich_help_panel=RECOGNITION,
     ),
 ]
 PlacesPreset = Annotated[str, typer.Option(help=_PRESET_HELP, rich_help_panel=RECOGNITION)]

@@ -13,6 +13,7 @@ from slam.cli.options import EXIT_INTERRUPTED, FEATURE_NAMES
 def places(
     source: Annotated[Path, typer.Argument(help="Recording: a drive, a folder of images, a video or a bag.")],
     out: option.Out,
+    reference: option.Reference = None,
     paradigm: option.PlacesParadigm = None,
     matches: option.MatchesFile = None,
     sequence: option.Sequence = None,
@@ -21,20 +22,29 @@ def places(
     image_topic: option.ImageTopic = None,
     mask: option.Mask = None,
     ground_truth: option.PlacesTruth = None,
+    reference_sequence: option.ReferenceSequence = None,
+    reference_truth: option.ReferenceTruth = None,
+    tolerance: option.EqualNumbers = None,
+    max_distance: option.SamePlace = None,
+    soft: option.Soft = None,
     preset: option.PlacesPreset = "default",
     features: option.PlacesFeatures = "surf",
     vocabulary: option.Vocabulary = None,
     descriptor: option.PlacesDescriptor = "hog",
     exclude: option.Exclude = None,
+    temporal: option.Temporal = True,
     seed: option.PlacesSeed = 0,
     json: option.Json = False,
     overwrite: option.Overwrite = False,
 ) -> None:
     """Recognise places with one camera, without odometry or mapping: which images show a place seen before?
 
+    With --reference, which images of another recording show the places of this one?
+
     Example: revisit places ~/kitti/dataset --sequence 05 --paradigm tracked-words --out runs/places05
     """
     from slam.apps.places import PlacesOptions, recognize_places
+    from slam.evaluation.traverse_truth_files import TraverseTruthOptions
 
     options = PlacesOptions(
         source=source,
@@ -53,6 +63,10 @@ def places(
         topics=tuple(image_topic or ()),
         mask=mask,
         preset=preset,
+        reference=reference,
+        reference_sequence=reference_sequence,
+        truth=TraverseTruthOptions(None, reference_truth, tolerance, max_distance, soft),
+        temporal=temporal,
     )
     interrupted = recognize_places(options, Console(stderr=True), Console(), json)
     raise typer.Exit(EXIT_INTERRUPTED if interrupted else 0)

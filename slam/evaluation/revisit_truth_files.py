@@ -23,12 +23,15 @@ class RevisitTruth:
         origin: description of the source for people, with the rule if one was applied.
         path_lengths_m: (N,) length of the true path from the first image, metres; None if the poses are not known.
         remarks: how the file was taken and what of it was left out, a sentence each.
+        tolerated: (N, N) bool, pairs that count neither as right nor as wrong; None for none. Between two recordings
+            this and the matrix are (N, M), column = image of the reference.
     """
 
     matrix: NDArray[np.bool_] | None
     origin: str
     path_lengths_m: NDArray[np.float64] | None = None
     remarks: tuple[str, ...] = ()
+    tolerated: NDArray[np.bool_] | None = None
 
     @property
     def required_matrix(self) -> NDArray[np.bool_]:
@@ -78,6 +81,26 @@ def read_revisit_truth(
             " give --fps, or poses as TUM"
         )
     return replace(revisit_truth_from_poses(poses, str(path), rule, times), remarks=remarks)
+
+
+def poses_of_images(path: Path, image_times: NDArray[np.float64] | None, count: int) -> Trajectory:
+    """Read the true poses of a recording, one for each of `count` images with times (N,), or without.
+
+    Raises:
+        DataError: the file is missing, damaged or of another recording.
+    """
+    trajectory = read_trajectory(path)
+    if image_times is not None and trajectory.times is not None:
+        images = Trajectory(image_times, np.tile(np.eye(4), (count, 1, 1)))
+        trajectory = scale_to_other(path, trajectory, images)
+        poses, remark = _poses_of_images(path, trajectory, images)
+        return replace(trajectory, times=image_times, poses=poses, remarks=(*trajectory.remarks, remark))
+    if len(trajectory.poses) != count:
+        raise DataError(
+            f"{path}: expected a pose for each of {count} images, found {len(trajectory.poses)}; choose the poses of"
+            " this recording"
+        )
+    return trajectory
 
 
 def _poses_of_images(path: Path, trajectory: Trajectory, images: Trajectory) -> tuple[NDArray[np.float64], str]:

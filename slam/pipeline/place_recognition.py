@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import MapSize, map_size
+from place_recognition.evaluation.precision_recall import leave_out_tolerated
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
-from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
+from place_recognition.recognizer import Belief, MatrixSink
+from place_recognition.staged_recognizer import StagedRecognizer
 from slam.components import build_control, build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
@@ -27,6 +29,7 @@ from slam.pipeline.run_warnings import RunWarnings
 from slam.timing import StageTimer, timed, timing_ms
 
 Image = NDArray[np.uint8]
+Recordings = tuple[Recording[Image], Recording[Image]]  # a query and its reference
 
 
 Array = NDArray[np.float64]
@@ -44,10 +47,13 @@ class PlaceRecognitionRun:
         rows: rows of the similarity matrices.
         size: size of the map at the end.
         static_ratio: mean share of the images that was left out because it is static.
-        resized: indices of the processed images that had another size than the first.
+        resized: indices of the processed images that had another size than the first of all.
         interrupted: whether the user stopped the run.
         wall_seconds: time from the first image to the last belief, without the control's.
         control: beliefs of the control about the same images; None where it did not run.
+        reference_images: number of images of the reference recording; None without one. All else is of the query: its
+            images count from 0, and their matches from the first image of the reference.
+        mapping_seconds: time that the reference took.
     """
 
     beliefs: list[Belief] = field(default_factory=list)
@@ -59,6 +65,8 @@ class PlaceRecognitionRun:
     interrupted: bool = False
     wall_seconds: float = 0.0
     control: list[Belief] | None = None
+    reference_images: int | None = None
+    mapping_seconds: float = 0.0
 
     @property
     def images(self) -> int:
@@ -112,6 +120,21 @@ class SameSizeImages:
         return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.uint8)
 
 
+class JoinedImages:
+    """The images of a reference recording and then those of the query."""
+
+    def __init__(self, reference: Recording[Image], query: Recording[Image]) -> None:
+        self._reference, self._query = reference, query
+
+    def __len__(self) -> int:
+        return len(self._reference) + len(self._query)
+
+    def __getitem__(self, index: int) -> Image:
+        """Read image (H, W) uint8."""
+        begin = len(self._reference)
+        return self._reference[index] if index < begin else self._query[index - begin]
+
+
 class RecognizerFactory:
     """Makes recognisers of one paradigm; their feature extraction is timed separately.
 
@@ -142,7 +165,7 @@ class RecognizerFactory:
         self._paradigm, self._config, self._control_seed = paradigm, with_preset(paradigm, config), control_seed
         self._static_regions, self._mask = static_regions, mask
 
-    def make(self, rows: MatrixSink | None = None) -> PlaceRecognizer:
+    def make(self, rows: MatrixSink | None = None) -> StagedRecognizer:
         """Make a new recogniser.
 
         Raises:
@@ -150,7 +173,7 @@ class RecognizerFactory:
         """
         return build_recognizer(self._paradigm, self._make_features(), self._config, rows)
 
-    def make_with_control(self, rows: MatrixSink) -> tuple[PlaceRecognizer, PlaceRecognizer | None]:
+    def make_with_control(self, rows: MatrixSink) -> tuple[StagedRecognizer, StagedRecognizer | None]:
         """Make a new recogniser, and the control with the same features of each image.
 
         Raises:
@@ -176,7 +199,7 @@ class ControlRun:
         seconds: time that it took.
     """
 
-    def __init__(self, control: PlaceRecognizer | None, clock: StageTimer) -> None:
+    def __init__(self, control: StagedRecognizer | None, clock: StageTimer) -> None:
         self._control, self._clock = control, clock
         self.beliefs: list[Belief] | None = None if control is None else []
         self.seconds = 0.0
@@ -186,12 +209,18 @@ class ControlRun:
         if self._control is not None:
             self._add(lambda control: control.observe(index, image, float("nan")))
 
+    def end_reference(self) -> None:
+        """Make the images so far its reference."""
+        if self._control is not None:
+            self._control.end_reference()
+            self.beliefs, self.seconds = [], 0.0
+
     def finish(self) -> None:
         """Take its late beliefs."""
         if self._control is not None:
             self._add(lambda control: control.finish())
 
-    def _add(self, answer: Callable[[PlaceRecognizer], list[Belief]]) -> None:
+    def _add(self, answer: Callable[[StagedRecognizer], list[Belief]]) -> None:
         assert self._control is not None
         assert self.beliefs is not None
         start = time.perf_counter()
@@ -205,24 +234,33 @@ def run_recognizer(
     factory: RecognizerFactory,
     show_progress: Callable[[int, int], None],
     should_stop: Callable[[], bool],
+    reference: Recording[Image] | None = None,
 ) -> PlaceRecognitionRun:
     """Run a recogniser once over all images, in order, without a measured distance.
 
     Args:
-        images: images of the recording; a thread reads ahead, and resizes them to the size of the first.
+        images: images of the recording; a thread reads ahead, and resizes them to the size of the first of all.
         factory: makes the recogniser.
         show_progress: called after each image with the number of images done and their total number.
         should_stop: called after each image; returns whether to end the run there.
+        reference: images of the recording with which those of `images` are matched; None to match them with earlier
+            ones of their own.
 
     Raises:
         DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
+        KeyboardInterrupt: the run was to end before the first image after the reference.
     """
-    images = SameSizeImages(images)
+    begin = 0 if reference is None else len(reference)
+    images = SameSizeImages(images if reference is None else JoinedImages(reference, images))
     _warm_up(images, factory)
-    run = PlaceRecognitionRun()
+    run = PlaceRecognitionRun(reference_images=None if reference is None else begin)
     recognizer, control = factory.make_with_control(run.rows)
     control_run, start = ControlRun(control, factory.clock), time.perf_counter()
     for index, image in enumerate(timed(prefetch(images), factory.clock)):
+        if reference is not None and index == begin:
+            run.mapping_seconds = time.perf_counter() - start - control_run.seconds
+            _end_reference(run, recognizer, control_run, factory)
+            start = time.perf_counter()
         with factory.clock.stage("place recognition"):
             run.beliefs += recognizer.observe(index, image, float("nan"))
         run.stage_ms.append(_subtract_features(factory.clock.lap()))
@@ -231,17 +269,44 @@ def run_recognizer(
         if should_stop():
             run.interrupted = True
             break
+    if run.interrupted and index < begin:
+        raise KeyboardInterrupt
     run.beliefs += recognizer.finish()
     control_run.finish()
     wall_seconds = time.perf_counter() - start - control_run.seconds
     return replace(
         run,
+        beliefs=_count_from(run.beliefs, begin),
         size=map_size(recognizer),
         static_ratio=factory.masks.mean_static_ratio,
-        resized=tuple(sorted(index for index in images.resized if index < run.images)),
+        resized=tuple(sorted(index - begin for index in images.resized if begin <= index < begin + run.images)),
         wall_seconds=wall_seconds,
-        control=control_run.beliefs,
+        control=None if control_run.beliefs is None else _count_from(control_run.beliefs, begin),
     )
+
+
+def _end_reference(
+    run: PlaceRecognitionRun, recognizer: StagedRecognizer, control: ControlRun, factory: RecognizerFactory
+) -> None:
+    """Make the images so far the reference, and forget what was answered about them."""
+    recognizer.end_reference()
+    control.end_reference()
+    factory.masks.end_reference()
+    run.rows.end_reference(run.images)
+    run.beliefs.clear()
+    run.stage_ms.clear()
+
+
+def _count_from(beliefs: list[Belief], begin: int) -> list[Belief]:
+    """Return beliefs whose queries count from the image at index `begin`, and whose matches stay as they are."""
+    return [
+        replace(
+            belief,
+            query=belief.query - begin,
+            answered_at=None if belief.answered_at is None else belief.answered_at - begin,
+        )
+        for belief in beliefs
+    ]
 
 
 def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
@@ -272,9 +337,10 @@ class PlacesRecord:
         beliefs: beliefs sorted by query.
         result: metrics of the beliefs.
         matrices: similarity matrix of each stage, "similarity" first.
-        truth: (N, N) ground truth of the N processed images, or None.
+        truth: (N, N) ground truth of the N processed images, or None; (N, M) with M images of a reference.
         metrics: content of metrics.json.
         remark: what the user should know about the images; empty for nothing.
+        tolerated: (N, M) pairs that count neither as right nor as wrong; None for none.
     """
 
     name: str
@@ -284,6 +350,7 @@ class PlacesRecord:
     truth: NDArray[np.bool_] | None
     metrics: dict[str, object]
     remark: str = ""
+    tolerated: NDArray[np.bool_] | None = None
 
     @property
     def detections(self) -> NDArray[np.int64]:
@@ -303,31 +370,45 @@ def make_record(
         drive: times and path lengths of the whole recording.
         provenance: source, settings and versions, for metrics.json.
     """
-    seen_truth = None if truth.matrix is None else truth.matrix[: run.images, : run.images]
+    columns = run.images if run.reference_images is None else run.reference_images
+    seen_truth = None if truth.matrix is None else truth.matrix[: run.images, :columns]
     paradigm = str(provenance["paradigm"])
     beliefs = tuple(sorted(run.beliefs, key=lambda belief: belief.query))
-    result = evaluate_places(paradigm, beliefs, seen_truth, run.size, drive, run.control)
+    counted = leave_out_tolerated(beliefs, truth.tolerated)
+    control = None if run.control is None else leave_out_tolerated(run.control, truth.tolerated)
+    result = evaluate_places(paradigm, counted, seen_truth, run.size, drive, control)
     stages = ("similarity", *(stage for stage in run.rows.stages if stage != "similarity"))
     return PlacesRecord(
-        name=f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}: {paradigm}",
+        name=f"{_name_recordings(provenance)}: {paradigm}",
         beliefs=beliefs,
         result=result,
         matrices={stage: run.rows.matrix(run.images, stage) for stage in stages},
         truth=seen_truth,
         metrics=provenance | _measure(run, result, truth),
-        remark=_describe_sizes(run.resized),
+        remark=_describe_sizes(run),
+        tolerated=truth.tolerated,
     )
 
 
-def _describe_sizes(resized: tuple[int, ...]) -> str:
-    if not resized:
+def _name_recordings(provenance: dict[str, object]) -> str:
+    name = f"{Path(str(provenance['source'])).resolve().name} {provenance['sequence']}"
+    if "reference_source" not in provenance:
+        return name
+    return f"{name} against {Path(str(provenance['reference_source'])).resolve().name}"
+
+
+def _describe_sizes(run: PlaceRecognitionRun) -> str:
+    if not run.resized:
         return ""
-    return f"{len(resized)} images were resized to the size of the first; image {resized[0]} is the first of them"
+    first = "the first" if run.reference_images is None else "the reference"
+    return f"{len(run.resized)} images were resized to the size of {first}; image {run.resized[0]} is the first of them"
 
 
 def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth) -> dict[str, object]:
+    reference = {"frames": run.reference_images, "mapping_seconds": run.mapping_seconds}
     return {
         "frames": run.images,
+        **({} if run.reference_images is None else {"reference": reference}),
         "static_ratio": run.static_ratio,
         "images_resized": len(run.resized),
         "ground_truth": truth.origin,
@@ -341,8 +422,16 @@ def _measure(run: PlaceRecognitionRun, result: PlaceMetrics, truth: RevisitTruth
     }
 
 
-def write_results(folder: Path, record: PlacesRecord, warnings: RunWarnings) -> None:
+def write_results(
+    folder: Path, record: PlacesRecord, warnings: RunWarnings, pictures: Recordings | None = None
+) -> None:
     """Write every result file into a folder. A picture or matrix that fails is left out, with a warning.
+
+    Args:
+        folder: where to.
+        record: what is written.
+        warnings: takes the warnings.
+        pictures: images of a query and its reference, for a sheet of matches; None to draw none.
 
     Raises:
         OutputError: not even the matches and the metrics can be written.
@@ -356,6 +445,8 @@ def write_results(folder: Path, record: PlacesRecord, warnings: RunWarnings) -> 
         "matrix.png": lambda path: _draw_matrices(path, record),
         "stages.png": lambda path: _draw_stages(path, record),
     }
+    if pictures is not None:
+        files["matches.png"] = lambda path: _draw_matches(path, record, pictures)
     for name, write in files.items():
         if not warnings.attempt_to(name, partial(write, folder / name)):
             (folder / name).unlink(missing_ok=True)  # half a file is none
@@ -381,7 +472,19 @@ def _draw_matrices(path: Path, record: PlacesRecord) -> None:
     from slam.report.place_recognition_figures import plot_places
     from slam.report.style import save_png
 
-    save_png(plot_places(record.name, record.matrices, record.detections, record.truth), path)
+    columns = "reference image" if "reference" in record.metrics else "earlier image"
+    detections = record.detections
+    if record.tolerated is not None:
+        detections = detections[~record.tolerated[detections[:, 0], detections[:, 1]]]
+    save_png(plot_places(record.name, record.matrices, detections, record.truth, columns), path)
+
+
+def _draw_matches(path: Path, record: PlacesRecord, pictures: Recordings) -> None:
+    from slam.report.match_pictures import plot_matches
+    from slam.report.style import save_png
+
+    figure = plot_matches(record.name, record.beliefs, pictures, record.truth, record.tolerated)
+    save_png(figure, path)
 
 
 def _draw_stages(path: Path, record: PlacesRecord) -> None:

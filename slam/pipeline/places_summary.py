@@ -62,6 +62,9 @@ def _about_run(record: PlacesRecord) -> Iterator[str]:
     size = (places["map_bytes"] or 0) / 1e6
     words = "" if places["words"] is None else f", {places['words']} words"
     yield f"ground truth: {record.metrics['ground_truth']}"
+    reference = record.metrics.get("reference")
+    if isinstance(reference, dict):
+        yield f"reference: {reference['frames']} images, mapped in {reference['mapping_seconds']:.1f} s"
     yield from filter(None, (describe_static_ratio(record.metrics), record.remark))
     yield (
         f"{len(record.beliefs)} images, {len(record.detections)} accepted, {speed:.1f} a second"

@@ -34,7 +34,11 @@ _LINES = (
 
 
 def plot_places(
-    title: str, matrices: Mapping[str, SimilarityMatrix], detections: Ids, truth: NDArray[np.bool_] | None
+    title: str,
+    matrices: Mapping[str, SimilarityMatrix],
+    detections: Ids,
+    truth: NDArray[np.bool_] | None,
+    columns_are: str = "earlier image",
 ) -> Figure:
     """Plot the matrices of a run, before and after their filter, the detections, and the ground truth if known.
 
@@ -43,6 +47,7 @@ def plot_places(
         matrices: matrix of each stage.
         detections: (K, 2) query and match of each detection.
         truth: (N, N) True where two images show one place, row = query, column = earlier image; None if unknown.
+        columns_are: what the columns are; with a reference recording the matrices and the truth are (N, M).
     """
     count = len(matrices) + 1 + (truth is not None)
     columns = 2 if count == 4 else count
@@ -51,10 +56,13 @@ def plot_places(
     panels = list(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
     for panel, (stage, matrix) in zip(panels, matrices.items(), strict=False):
         draw_matrix(panel, matrix, _STAGES.get(stage, stage))
-    images = next(len(matrix.values) * matrix.step for matrix in matrices.values())
-    draw_detections(panels[len(matrices)], detections, truth, images if truth is None else len(truth))
+    rows, columns = next(np.array(matrix.values.shape) * matrix.step for matrix in matrices.values())
+    shape = (int(rows), int(columns)) if truth is None else truth.shape
+    draw_detections(panels[len(matrices)], detections, truth, shape)
     if truth is not None:
         draw_truth(panels[-1], truth)
+    for panel in panels:
+        panel.set_xlabel(columns_are)
     figure.suptitle(title, color=INK, parse_math=False, fontweight="bold")
     return figure
 
@@ -69,15 +77,23 @@ def plot_matrix(matrix: SimilarityMatrix) -> Figure:
 
 def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     """Draw a matrix of similarities, votes or filter responses: Figures 4.8 and 4.12."""
-    _format_axes(ax, title, len(matrix.values) * matrix.step)
-    rows, columns, cells = reduce_to_cells(matrix)
+    rows, columns = matrix.values.shape
+    _format_axes(ax, title, (rows * matrix.step, columns * matrix.step))
+    row_edges, column_edges, cells = reduce_to_cells(matrix)
     if not np.isfinite(cells).any():
         ax.text(0.5, 0.5, "no images were compared", transform=ax.transAxes, ha="center", va="center", color=INK)
         return
     # Filter responses go far below zero where nothing matches, so colours start at their median.
     low, high = np.nanpercentile(cells, [50.0 if np.nanmin(cells) < 0 else 10.0, 99.8])
     mesh = ax.pcolormesh(
-        columns, rows, cells, cmap=_SHADES, vmin=low, vmax=max(high, low + 1e-9), rasterized=True, shading="flat"
+        column_edges,
+        row_edges,
+        cells,
+        cmap=_SHADES,
+        vmin=low,
+        vmax=max(high, low + 1e-9),
+        rasterized=True,
+        shading="flat",
     )
     bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.045, pad=0.02, extend="max")
     assert bar.solids is not None
@@ -86,9 +102,9 @@ def draw_matrix(ax: Axes, matrix: SimilarityMatrix, title: str) -> None:
     bar.ax.tick_params(colors=INK, labelsize=8)
 
 
-def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, images: int) -> None:
+def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> None:
     """Draw the accepted matches: Figure 4.7; true and false ones in different colours if the truth is known."""
-    _format_axes(ax, f"Detections: {len(detections)}", images)
+    _format_axes(ax, f"Detections: {len(detections)}", shape)
     right = np.ones(len(detections), np.bool_) if truth is None else truth[detections[:, 0], detections[:, 1]]
     label = "accepted" if truth is None else f"true ({int(right.sum())})"
     ax.plot(*_columns_first(detections[right]), "o", color=style.ACCEPTED, ms=2.4, mew=0, label=label)
@@ -100,7 +116,7 @@ def draw_detections(ax: Axes, detections: Ids, truth: NDArray[np.bool_] | None, 
 
 def draw_truth(ax: Axes, truth: NDArray[np.bool_]) -> None:
     """Draw which images show the same place: Figure 4.9."""
-    _format_axes(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", len(truth))
+    _format_axes(ax, f"Ground truth: {int(truth.any(axis=1).sum())} revisits", truth.shape)
     ax.plot(*_columns_first(np.argwhere(truth)), "s", color=style.CORRECTED, ms=1.4, mew=0, rasterized=True)
 
 
@@ -155,7 +171,7 @@ def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
     """
     finite = np.isfinite(matrix.values)
     rows, columns = _begins(finite, axis=1), _begins(finite, axis=0)
-    ends = _end(rows, len(finite)), _end(columns, len(finite))
+    ends = _end(rows, finite.shape[0]), _end(columns, finite.shape[1])
     rows, columns = rows[:: -(-len(rows) // _MAX_CELLS)], columns[:: -(-len(columns) // _MAX_CELLS)]
     cells = np.fmax.reduceat(np.fmax.reduceat(matrix.values, rows, axis=0), columns, axis=1)
     return np.append(rows, ends[0]) * matrix.step, np.append(columns, ends[1]) * matrix.step, cells
@@ -164,8 +180,9 @@ def reduce_to_cells(matrix: SimilarityMatrix) -> tuple[Ids, Ids, Floats]:
 def _begins(finite: NDArray[np.bool_], axis: int) -> Ids:
     """Return the first row (axis 1) or column (axis 0) of each cell: those with values if at most half, else all."""
     there = np.flatnonzero(np.any(finite, axis=axis))
-    if 2 * len(there) > len(finite) or not len(there):
-        return np.arange(len(finite))
+    size = finite.shape[1 - axis]
+    if 2 * len(there) > size or not len(there):
+        return np.arange(size)
     return there if there[0] == 0 else np.insert(there, 0, 0)
 
 
@@ -174,10 +191,11 @@ def _end(begins: Ids, size: int) -> int:
     return min(int(begins[-1] + np.diff(begins).max(initial=1)), size)
 
 
-def _format_axes(ax: Axes, title: str, images: int) -> None:
+def _format_axes(ax: Axes, title: str, shape: tuple[int, ...]) -> None:
+    rows, columns = shape
     style_axes(ax)
     ax.grid(False)
-    ax.set(xlim=(0, images), ylim=(images, 0), xlabel="earlier image", ylabel="query image")
+    ax.set(xlim=(0, columns), ylim=(rows, 0), xlabel="earlier image", ylabel="query image")
     ax.set_aspect("equal")
     ax.set_title(title, color=INK, parse_math=False, fontsize=11)
 

@@ -21,6 +21,7 @@ from slam.datasets.formats.registry import open_dataset
 from slam.datasets.video import open_video
 from slam.errors import DataError
 from slam.evaluation.revisit_truth_files import read_revisit_truth
+from slam.evaluation.traverse_truth_files import read_matrix
 from slam.io.calibration import read_calibration
 from slam.io.frames_and_loops_csv import read_events, read_frames, read_loops, read_stages
 from slam.io.g2o import Graph, read_g2o
@@ -161,6 +162,15 @@ def _truth(name: str) -> Read:
     return read
 
 
+def _truth_of_two(name: str) -> Read:
+    def read(root: Path) -> None:
+        truth = read_matrix(root / name, (4, 4))
+        assert truth.hard.dtype == bool, f"gave a truth of {truth.hard.dtype}"
+        assert truth.hard.shape == (4, 4), f"gave a truth of {truth.hard.shape}"
+
+    return read
+
+
 def _bag(suffix: str) -> Callable[[], Sequence[bytes]]:
     return lambda: [media.bags()[suffix]]
 
@@ -253,6 +263,13 @@ READERS: dict[str, Reader] = {
         made.files_of(b"PK\x03\x04"), share=2),
     "truth, array in .npz": Reader("t.npz", _truth("t.npz"), lambda: valid.array_files(valid.TRUTH, valid.TRUTH > 0),
         made.array_files(), dressed=_zipped("truth"), share=3),
+    "truth of two, MATLAB": Reader("t.mat", _truth_of_two("t.mat"), valid.matlab_files,
+        made.files_of(b"MATLAB 5.0 MAT-file"), share=0.05),
+    "truth of two, .npz": Reader("t.npz", _truth_of_two("t.npz"), lambda: valid.arrays("truth", valid.TRUTH),
+        made.files_of(b"PK\x03\x04"), share=2),
+    "truth of two, array in .npz": Reader("t.npz", _truth_of_two("t.npz"),
+        lambda: valid.array_files(valid.TRUTH, valid.TRUTH > 0), made.array_files(), dressed=_zipped("GThard"),
+        share=3),
     "matrix.npz": Reader("m.npz", _at("m.npz", read_similarities), lambda: valid.arrays("similarity", valid.TRUTH / 2),
         made.files_of(b"PK\x03\x04"), share=2),
     "array in matrix.npz": Reader("m.npz", _at("m.npz", read_similarities), lambda: valid.array_files(valid.TRUTH / 2),

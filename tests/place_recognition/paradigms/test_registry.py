@@ -18,6 +18,7 @@ NAMES = {
     "tracked-words",
     "pixel-sequences",
     "global-descriptor",
+    "seq-slam",
 }
 
 
