@@ -133,7 +133,7 @@ class PlaceRecognizer(Protocol):
 
         Args:
             image_id: increases by one or more from call to call.
-            image: (H, W) uint8, grey.
+            image: (H, W) uint8, grey, or (H, W, 3), red first; only some global descriptors see the colour.
             distance_travelled_m: length of the path so far by odometry, metres; NaN, or always the same value, where
                 it is not measured.
 
@@ -175,6 +175,7 @@ class ObservedImage:
         features: its local features, strongest first.
         distance_travelled_m: length of the path so far; NaN, or always the same, where it is not measured.
         last_matchable: latest location that it may be matched with, -1 for none.
+        color: (H, W, 3) uint8, red first; None where the recording is grey.
     """
 
     location: int
@@ -182,6 +183,7 @@ class ObservedImage:
     features: LocalFeatures
     distance_travelled_m: float
     last_matchable: int
+    color: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)

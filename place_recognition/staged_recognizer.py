@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.image_processing.onnx_network import convert_channels
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import Belief, MatrixSink, NullMatrixSink, ObservedImage, Proposals, Proposer
 from place_recognition.verification.candidate_verification import (
@@ -90,10 +91,12 @@ class StagedRecognizer:
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
         """Add an image and return the beliefs that are ready now (`PlaceRecognizer.observe`)."""
-        check_gray(image)
-        features = self._features.get(image_id, image)
+        gray = convert_channels(image, 1)
+        check_gray(gray)
+        features = self._features.get(image_id, gray)
         location = self._history.add(image_id, features, distance_travelled_m)
-        observed = ObservedImage(location, image, features, distance_travelled_m, self._view.advance())
+        color = image if image.ndim == 3 else None
+        observed = ObservedImage(location, gray, features, distance_travelled_m, self._view.advance(), color)
         self._unverified.extend(self._proposer.observe(observed))
         return self._decide(_count_now(len(self._unverified)))
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
-from place_recognition.image_processing.extractors import EXTRACTORS
-from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.extractors import EXTRACTORS, is_extractor
+from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.paradigms.registry import (
     PARADIGMS,
@@ -51,8 +51,8 @@ def check_paradigm(name: str) -> None:
 
 def check_features(name: str) -> None:
     """Raise ConfigError for unknown local features; the message lists the known ones."""
-    if name not in EXTRACTORS:
-        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
+    if not is_extractor(name):
+        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)} or onnx:FILE")
 
 
 def check_preset(name: str) -> None:
@@ -140,6 +140,18 @@ def exclude_by_preset(config: RunConfig, timestamps: NDArray[np.float64]) -> Run
     return replace(config, place_recognition=exclude_time(places, exclusion_s(config.paradigm, places), timestamps))
 
 
+def build_extractor(config: ParadigmsConfig) -> FeatureExtractor:
+    """Build the extractor of the local features, whose name has been checked.
+
+    Raises:
+        DataError: the file of learned features is missing, or holds no usable network.
+    """
+    try:
+        return make_feature_extractor(config)
+    except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
+        raise DataError(str(error)) from error
+
+
 def build_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
 ) -> PlaceRecognizer:
@@ -168,10 +180,10 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         rows: receives the rows of the recogniser's similarity matrix; None where nobody needs them.
 
     Raises:
-        DataError: the mask, the vocabulary or the descriptor cannot be used.
+        DataError: the mask, the features, the vocabulary or the descriptor cannot be used.
     """
     places = with_preset(config.paradigm, replace(config.place_recognition, seed=config.seed))
-    features = FeatureCache(make_feature_extractor(places))
+    features = FeatureCache(build_extractor(places))
     mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)
     return Components(

@@ -42,9 +42,10 @@ class SmoothedDecision:
         own_ratio: RatioTable,
         config: PlaceFilterConfig,
         verification: CandidateVerificationConfig,
+        min_geometry: float = -math.inf,
     ) -> None:
         self._history, self._own_ratio, self._config = history, own_ratio, config
-        self._verification = verification
+        self._verification, self._min_geometry = verification, min_geometry
         self._filter, self._steps = PlaceFilter(config), CameraSteps(history)
         self._waiting: deque[tuple[Proposals, Results]] = deque()
 
@@ -64,7 +65,7 @@ class SmoothedDecision:
         evidence = np.array([result.evidence for result in results], np.float64)
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
-        ratios = log_ratios(np.array(nearest), evidence)
+        ratios = log_ratios(np.array(nearest), evidence, self._min_geometry)
         elsewhere = log_ratios_elsewhere(ratios, evidence)
         return Observation(self._places(results), ratios, elsewhere, sharpness(evidence), self._steps.junctions())
 

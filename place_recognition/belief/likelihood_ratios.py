@@ -48,6 +48,10 @@ OWN_SCORES = {
     "random-images": RatioTable((0.0,), (0.0,)),
 }
 
+# A network recognises a place in other light, where local features agree on nothing: that they do not says little then.
+LEARNED_SCORE = RatioTable((2.2, 3.0, 3.7, 4.5, 5.5, 7.0, 9.0), (-1.5, -0.7, 0.0, 0.6, 1.3, 2.2, 3.0))
+LEARNED_MIN_GEOMETRY = -0.3
+
 # What the two say is not independent, neither of each other nor from image to image: they count by these powers.
 _GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.8, 0.5
 
@@ -62,15 +66,17 @@ _MAX_RATIO_ELSEWHERE, _MAX_EVIDENCE_ELSEWHERE = 5.0, 150.0
 _SHARP_EVIDENCE, _MAX_SHARPNESS = 90.0, 16.0
 
 
-def log_ratios(own: Array, evidence: Array) -> Array:
+def log_ratios(own: Array, evidence: Array, min_geometry: float = -np.inf) -> Array:
     """Return log10 of the likelihood ratio (K,) of each candidate of an image.
 
     Args:
         own: (K,) log10 of the ratios of their own scores (`OWN_SCORES`).
         evidence: (K,) evidence of geometry of each.
+        min_geometry: least log10 of the ratio of geometry.
     """
     behind = (evidence.max(initial=0.0) - evidence) / _EVIDENCE_PER_POWER
-    return _GEOMETRY_WEIGHT * GEOMETRY(evidence) + _OWN_WEIGHT * own - behind
+    geometry = np.maximum(GEOMETRY(evidence), min_geometry)
+    return _GEOMETRY_WEIGHT * geometry + _OWN_WEIGHT * own - behind
 
 
 def log_ratios_elsewhere(ratios: Array, evidence: Array) -> Array:

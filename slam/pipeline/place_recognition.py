@@ -14,9 +14,9 @@ from place_recognition.evaluation.memory import MapSize, map_size
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig
-from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
+from place_recognition.paradigms.registry import ParadigmsConfig, with_preset
 from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
-from slam.components import build_control, build_recognizer
+from slam.components import build_control, build_extractor, build_recognizer
 from slam.datasets.prefetch import Recording, prefetch
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth
@@ -164,7 +164,7 @@ class RecognizerFactory:
 
     def _make_features(self) -> FeatureCache:
         self.masks = ImageMasks(self._static_regions, self._mask)
-        extractor = MaskedExtractor(make_feature_extractor(self._config), self.masks)
+        extractor = MaskedExtractor(build_extractor(self._config), self.masks)
         return FeatureCache(TimedExtractor(extractor, self.clock))
 
 
