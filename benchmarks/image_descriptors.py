@@ -12,7 +12,6 @@ stands for night where there are no such images, and no more: it keeps the place
 import argparse
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
