@@ -101,6 +101,10 @@ class Dataset(Protocol):
 
     def __iter__(self) -> Iterator[Frame]: ...
 
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
+        ...
+
 
 def is_valid_fps(fps: float) -> bool:
     """Whether a number can be a frame rate, in images per second."""

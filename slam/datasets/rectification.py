@@ -36,7 +36,7 @@ class ImageMap(Protocol):
     """Turns a raw image into a rectified image."""
 
     def __call__(self, image: Image, /) -> Image:
-        """Return the rectified image (H, W) uint8 of a raw image (H, W) uint8."""
+        """Return the rectified image (H, W) or (H, W, 3) uint8 of a raw image of that form."""
         ...
 
 
@@ -60,7 +60,7 @@ class UndistortMap:
     maps: tuple[Array, Array]
 
     def __call__(self, image: Image) -> Image:
-        """Return the rectified image (H, W) uint8 of a raw image (H, W) uint8."""
+        """Return the rectified image (H, W) or (H, W, 3) uint8 of a raw image of that form."""
         return np.asarray(cv2.remap(image, *self.maps, cv2.INTER_LINEAR), np.uint8)
 
 

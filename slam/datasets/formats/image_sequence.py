@@ -65,6 +65,15 @@ class ImageSequence:
             raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
         return read_grey(self.files[index], lambda: self._grey_range)
 
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read image (H, W, 3), RGB, 8 bits; None if the file holds grey values, or cannot be read."""
+        try:
+            check_name(self.files[index])
+            image = cv2.imread(str(self.files[index]), cv2.IMREAD_ANYCOLOR)
+        except (cv2.error, DataError):  # which reading the grey image reports
+            return None
+        return None if image is None or image.ndim == 2 else np.asarray(image[..., ::-1], np.uint8)
+
     @cached_property
     def _grey_range(self) -> GreyRange:
         """Range of 16-bit images, by some from all parts of the sequence and of its partner's."""

@@ -86,6 +86,10 @@ class KittiDataset:
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
+    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB; None where there is only grey."""
+        return self._images[0].read_colour(index)
+
     @cached_property
     def _images(self) -> tuple[ImageSequence, ImageSequence | None]:
         """Images of both cameras; those of 16 bits have one scale."""

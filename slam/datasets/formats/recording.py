@@ -8,7 +8,7 @@ calibrated (`LeftImages`) or not (`UncalibratedImages`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,15 @@ class Images(Protocol):
 
     def where(self, index: int) -> str:
         """File of an image and its position in the file, for error messages."""
+        ...
+
+
+@runtime_checkable
+class ColourImages(Protocol):
+    """Raw images that can be read in colour too; a reader without it has grey images alone."""
+
+    def read_colour(self, index: int, /) -> Image | None:
+        """Read image (H, W, 3), RGB; None if it is grey."""
         ...
 
 
@@ -90,6 +99,11 @@ class ImageSubset:
     def __getitem__(self, index: int) -> Image:
         """Read a selected image (H, W) uint8, grey."""
         return self.images[int(self.indices[index])]
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read a selected image (H, W, 3), RGB; None if it is grey."""
+        number = int(self.indices[index])
+        return self.images.read_colour(number) if isinstance(self.images, ColourImages) else None
 
     def where(self, index: int) -> str:
         """File of a selected image, for error messages."""
@@ -213,6 +227,13 @@ class RectifiedDataset:
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
+        colour = self.left.read_colour(index) if isinstance(self.left, ColourImages) else None
+        if colour is None or colour.shape[:2] != (self.camera.height, self.camera.width):
+            return None
+        return self.rectification.left(colour)
 
     def _read(self, images: Images, index: int, rectify: ImageMap) -> Image:
         image = images[index]
