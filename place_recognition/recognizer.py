@@ -125,7 +125,8 @@ class PlaceRecognizer(Protocol):
     The caller gives each image an id, and beliefs name images by their ids. Inside a recogniser an image is named by
     its location: its index, from 0, among all images observed. The same input gives the same beliefs, to the bit. A
     recogniser that counts visual words may have a property `word_count`, and one whose map holds more than NumPy arrays
-    a property `map_bytes` (`place_recognition.evaluation.memory` reads both).
+    a property `map_bytes` (`place_recognition.evaluation.memory` reads both). One that sees colour has a property
+    `takes_color`, which is true.
     """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
@@ -163,6 +164,11 @@ class PlaceRecognizer(Protocol):
             KeyError, TypeError, ValueError: the state is of another recogniser.
         """
         ...
+
+
+def takes_color(recognizer: PlaceRecognizer) -> bool:
+    """Whether a recogniser sees colour, and is to be given it where the recording has it."""
+    return bool(getattr(recognizer, "takes_color", False))
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,11 @@ class StagedRecognizer:
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="verify")
 
     @property
+    def takes_color(self) -> bool:
+        """Whether the paradigm sees colour, and is to be given it where the recording has it."""
+        return bool(getattr(self._proposer, "takes_color", False))
+
+    @property
     def word_count(self) -> int | None:
         """Number of visual words in the map; None for a paradigm without words."""
         count: int | None = getattr(self._proposer, "word_count", None)

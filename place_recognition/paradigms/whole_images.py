@@ -243,6 +243,11 @@ class GlobalDescriptorMatching:
         self._map = DescriptorDatabase()
         self._rows = NullMatrixSink() if rows is None else rows
 
+    @property
+    def takes_color(self) -> bool:
+        """Whether the descriptor sees colour."""
+        return self._descriptor.takes_color
+
     def observe(self, image: ObservedImage) -> list[Proposals]:
         """Propose the most similar images, and add this one to the map."""
         color = image.color if self._descriptor.takes_color else None

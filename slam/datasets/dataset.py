@@ -35,6 +35,7 @@ class Frame:
         right: (H, W) uint8, or None in a dataset with one camera.
         features: local features of the left image; None until they are extracted.
         mask: which pixels of the left image were left out of them; None until they are extracted.
+        color: the left image in colour, (H, W, 3) uint8, red first; None where nobody asked, or there is only grey.
     """
 
     index: int
@@ -43,6 +44,7 @@ class Frame:
     right: NDArray[np.uint8] | None
     features: LocalFeatures | None = None
     mask: ImageMask | None = None
+    color: NDArray[np.uint8] | None = None
 
     @property
     def usable_pixels(self) -> NDArray[np.uint8] | None:

@@ -15,9 +15,9 @@ from place_recognition.evaluation.similarity_matrix import MatrixRecorder, Simil
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig
 from place_recognition.paradigms.registry import ParadigmsConfig, with_preset
-from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer
+from place_recognition.recognizer import Belief, MatrixSink, PlaceRecognizer, takes_color
 from slam.components import build_control, build_extractor, build_recognizer
-from slam.datasets.prefetch import Recording, prefetch
+from slam.datasets.prefetch import ColorImages, Recording, has_color, prefetch
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
@@ -101,9 +101,9 @@ class SameSizeImages:
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8."""
         if self._shape is None:
-            self._shape = self._images[0].shape
+            self._shape = self._images[0].shape[:2]
         image = self._images[index]
-        if image.shape == self._shape:
+        if image.shape[:2] == self._shape:
             return image
         self.resized.add(index)
         height, width = self._shape
@@ -217,10 +217,10 @@ def run_recognizer(
     Raises:
         DataError: an image cannot be read, or the recogniser cannot be made (`RecognizerFactory.make`).
     """
-    images = SameSizeImages(images)
-    _warm_up(images, factory)
     run = PlaceRecognitionRun()
     recognizer, control = factory.make_with_control(run.rows)
+    images = SameSizeImages(ColorImages(images) if takes_color(recognizer) and has_color(images) else images)
+    _warm_up(images, factory)
     control_run, start = ControlRun(control, factory.clock), time.perf_counter()
     for index, image in enumerate(timed(prefetch(images), factory.clock)):
         with factory.clock.stage("place recognition"):

@@ -132,7 +132,7 @@ def read_grey(path: Path, find_range: Callable[[], GreyRange] = lambda: FULL_RAN
     Raises:
         DataError: the file is missing or damaged, or its name is not valid Unicode.
     """
-    _check_name(path)
+    check_name(path)
     image = _read(path)
     if image is None and not path.exists():
         raise DataError(f"{path}: expected an image, found none; was the recording moved, or its disk taken out?")
@@ -155,7 +155,8 @@ def _read(path: Path) -> NDArray[Any] | None:
         return None
 
 
-def _check_name(path: Path) -> None:
+def check_name(path: Path) -> None:
+    """Raise DataError if OpenCV cannot open a file of this name."""
     try:
         str(path).encode()
     except UnicodeEncodeError:  # OpenCV would abort the process on such a name

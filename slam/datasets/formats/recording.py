@@ -288,6 +288,10 @@ class LeftImages:
         """Read image (H, W) uint8, grey."""
         return self.dataset[index].left
 
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None where there is only grey."""
+        return self.dataset.read_colour(index)
+
 
 @dataclass(frozen=True)
 class UncalibratedImages:
@@ -313,6 +317,10 @@ class UncalibratedImages:
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8, grey."""
         return self.images[index]
+
+    def read_colour(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None where there is only grey."""
+        return self.images.read_colour(index) if isinstance(self.images, ColourImages) else None
 
 
 def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:
