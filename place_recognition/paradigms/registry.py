@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from place_recognition.belief.decisions import SmoothedDecision
-from place_recognition.belief.likelihood_ratios import LEARNED_MIN_GEOMETRY, LEARNED_SCORE, OWN_SCORES
+from place_recognition.belief.likelihood_ratios import LEARNED_SCORE, LEARNED_WEIGHTS, OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.global_descriptors import is_learned, make_global_descriptor
@@ -212,7 +212,7 @@ def _stages(
         return StagedRecognizer(features, history, window, proposer, decision, exact)
     decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
     if name == "global-descriptor" and is_learned(config.descriptor):
-        decision = SmoothedDecision(history, LEARNED_SCORE, config.place_filter, verification, LEARNED_MIN_GEOMETRY)
+        decision = SmoothedDecision(history, LEARNED_SCORE, config.place_filter, verification, LEARNED_WEIGHTS)
     return StagedRecognizer(features, history, PresentView(history, config.view), proposer, decision, verification)
 
 

@@ -26,10 +26,11 @@ def patches():
 @pytest.fixture(scope="module")
 def model():
     """Local maxima of a Laplacian, strongest first, described by the pixels around them; any size of image."""
-    laplacian = cv2.Laplacian(np.pad([[1.0]], 3), cv2.CV_32F).reshape(1, 1, 7, 7) / -4
+    laplacian = cv2.Laplacian(np.pad(np.float32([[1]]), 3), cv2.CV_32F).reshape(1, 1, 7, 7) / -4
     constants = {
         "laplacian": laplacian.astype(np.float32),
         "patches": patches(),
+        "border": np.array([0, 0, 3, 3, 0, 0, 3, 3]),
         "count": np.array([POINTS]),
         "flat": np.array([-1]),
         "columns": np.array([SIDE * SIDE, -1]),
@@ -39,7 +40,8 @@ def model():
     }
     make = helper.make_node
     nodes = [
-        make("Conv", ["image", "laplacian"], ["blobs"], pads=[3] * 4),
+        make("Pad", ["image", "border"], ["wider"], mode="reflect"),
+        make("Conv", ["wider", "laplacian"], ["blobs"]),
         make("MaxPool", ["blobs"], ["largest"], kernel_shape=[5, 5], pads=[2] * 4),
         make("Equal", ["blobs", "largest"], ["is_peak"]),
         make("Where", ["is_peak", "blobs", "zero"], ["peaks"]),
@@ -128,11 +130,11 @@ def test_key_points_lie_on_the_image_whatever_the_size_of_the_input(save, metada
     for k in range(12):
         x, y = 30 + 70 * (k % 4), 40 + 70 * (k // 4)
         centers.append((x, y))
-        cv2.circle(image, (x, y), 6, 220, -1)
+        cv2.circle(image, (x, y), 3, 255, -1)
     blurred = cv2.GaussianBlur(image, (0, 0), 2.5)
     features = OnnxFeatures(save(metadata), OnnxFeaturesConfig(12)).extract(blurred)
     for pixel in features.pixels:
-        assert np.abs(np.array(centers) - pixel).max(axis=1).min() < 7.5
+        assert np.abs(np.array(centers) - pixel).max(axis=1).min() < 2.5
 
 
 def test_half_the_size_is_half_a_pixel_off_unless_centres_are_kept(save):
@@ -166,14 +168,15 @@ def test_normalised_key_points_become_pixels(save):
 def test_outputs_may_have_a_batch_of_one_and_descriptors_lie_on_their_side(save):
     plain = OnnxFeatures(save()).extract(WORLD)
     turned = OnnxFeatures(save(change=replace_output("descriptors", "Transpose", perm=[1, 0]))).extract(WORLD)
-    np.testing.assert_array_equal(turned.descriptors, plain.descriptors)
+    np.testing.assert_allclose(turned.descriptors, plain.descriptors, atol=1e-6)
 
     def batch(graph):
         replace_output("descriptors", "Unsqueeze")(graph)
         graph.node[-1].input.append("front")
         graph.initializer.append(numpy_helper.from_array(np.array([0]), "front"))
 
-    np.testing.assert_array_equal(OnnxFeatures(save(change=batch)).extract(WORLD).descriptors, plain.descriptors)
+    batched = OnnxFeatures(save(change=batch)).extract(WORLD)
+    np.testing.assert_allclose(batched.descriptors, plain.descriptors, atol=1e-6)
 
 
 def test_a_mask_leaves_out_its_pixels(save):
@@ -189,7 +192,7 @@ def test_features_of_a_moved_view_move_with_it(save):
     first, second = extractor.extract(WORLD[:, :-20].copy()), extractor.extract(WORLD[:, 20:].copy())
     nearest = (first.descriptors @ second.descriptors.T).argmax(axis=1)
     moved = first.pixels - second.pixels[nearest]
-    assert (np.abs(moved - [20, 0]).max(axis=1) < 1e-3).mean() > 0.8
+    assert (np.abs(moved - [20, 0]).max(axis=1) < 1e-3).mean() > 0.7
 
 
 def test_a_network_without_the_three_outputs_is_refused_by_name(save):
