@@ -124,10 +124,10 @@ class OnnxFeatures:
                 "export the model again, or check its normalisation"
             )
         if self._network.metadata.get(UNITS) == _NORMALIZED:
-            points = (points + 1) / 2 * (np.array(size[::-1], np.float32) - 1)
+            points = np.asarray((points + 1) / 2 * (np.array(size[::-1], np.float32) - 1), np.float32)
         # pixel centres are at integers, so that the middle of a pixel of another size is elsewhere
         factor = np.array(image.shape[::-1], np.float32) / np.array(size[::-1], np.float32)
-        return (points + np.float32(0.5)) * factor - np.float32(0.5), descriptors, scores
+        return np.asarray((points + 0.5) * factor - 0.5, np.float32), descriptors, scores
 
     def _size(self, shape: tuple[int, ...]) -> tuple[int, int]:
         """Height and width of the input: those of the network, else those of the image, made to fit."""
