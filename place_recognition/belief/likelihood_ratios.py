@@ -68,7 +68,7 @@ class RatioWeights:
 
 
 # A network recognises a place in other light, where local features agree on nothing: that they do not says less then.
-LEARNED_WEIGHTS = RatioWeights(own=1.0, min_geometry=-0.8)
+LEARNED_WEIGHTS = RatioWeights(own=1.0, min_geometry=-0.3)
 
 # A candidate of less evidence than the best of its image shows the place from further away: its ratio falls by one
 # power of ten for this evidence.

@@ -57,7 +57,7 @@ def test_even_images_are_not_distinct():
 
 
 def test_where_geometry_finds_nothing_a_distinct_image_remains_likely_and_another_one_does_not():
-    own, nothing = LEARNED_SCORE([7.5, 2.5]), np.zeros(2)
+    own, nothing = LEARNED_SCORE([5.5, 2.5]), np.zeros(2)
     distinct, usual_one = log_ratios(own, nothing, LEARNED_WEIGHTS)
     assert distinct > 0.5
     assert usual_one < -0.5
