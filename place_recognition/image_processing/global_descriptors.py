@@ -249,9 +249,9 @@ SMALL_CNN = "small-cnn"
 
 GLOBAL_DESCRIPTORS: dict[str, Callable[[], GlobalDescriptor]] = {
     "hog": Hog,
-    SMALL_CNN: SmallCnn,
     "thumbnail": Thumbnail,
     "colour-histogram": ColorHistogram,
+    SMALL_CNN: SmallCnn,
 }
 
 
