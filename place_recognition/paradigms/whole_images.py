@@ -43,7 +43,7 @@ Floats = NDArray[np.float32]
 _BESIDE_FRAMES = 10  # images around the most similar one, which may show the same
 _MIN_OTHERS = 20  # images from which mean and standard deviation are known well enough
 _MIN_COSINE_STD = 0.02
-_NOTHING_TOLD = 3.7  # distinctness at which the likelihood ratio is one
+_NEUTRAL_SCORE = 3.7  # distinctness at which the likelihood ratio is one
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def distinctness(similarities: NDArray[np.float64]) -> NDArray[np.float64]:
         return similarities
     away = np.abs(np.arange(len(similarities)) - similarities.argmax()) > _BESIDE_FRAMES
     if np.count_nonzero(away) < _MIN_OTHERS:
-        return np.full(len(similarities), _NOTHING_TOLD)
+        return np.full(len(similarities), _NEUTRAL_SCORE)
     others = similarities[away]
     return (similarities - others.mean()) / max(float(others.std()), _MIN_COSINE_STD)
 

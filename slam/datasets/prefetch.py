@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.dataset import Dataset, Frame
-from slam.datasets.formats.recording import ColourImages
 
 Item = TypeVar("Item")
 ItemRead = TypeVar("ItemRead", covariant=True)
@@ -52,13 +51,19 @@ class ColorImages:
 
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         """Read an image: once, where it is in colour."""
-        color = self._images.read_colour(index) if isinstance(self._images, ColourImages) else None
+        color = _read_color(self._images, index)
         return self._images[index] if color is None else color
 
 
 def has_color(images: object) -> bool:
     """Whether the first image of a dataset or recording can be read in colour."""
-    return isinstance(images, ColourImages) and images.read_colour(0) is not None
+    return _read_color(images, 0) is not None
+
+
+def _read_color(images: object, index: int) -> NDArray[np.uint8] | None:
+    """Read an image (H, W, 3); None if it is grey, or the reader has grey images alone."""
+    read: Callable[[int], NDArray[np.uint8] | None] | None = getattr(images, "read_colour", None)
+    return None if read is None else read(index)
 
 
 def prefetch(
