@@ -125,7 +125,8 @@ class PlaceRecognizer(Protocol):
     The caller gives each image an id, and beliefs name images by their ids. Inside a recogniser an image is named by
     its location: its index, from 0, among all images observed. The same input gives the same beliefs, to the bit. A
     recogniser that counts visual words may have a property `word_count`, and one whose map holds more than NumPy arrays
-    a property `map_bytes` (`place_recognition.evaluation.memory` reads both).
+    a property `map_bytes` (`place_recognition.evaluation.memory` reads both). One that sees colour has a property
+    `takes_color`, which is true.
     """
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
@@ -133,7 +134,7 @@ class PlaceRecognizer(Protocol):
 
         Args:
             image_id: increases by one or more from call to call.
-            image: (H, W) uint8, grey.
+            image: (H, W) uint8, grey, or (H, W, 3), red first; only some global descriptors see the colour.
             distance_travelled_m: length of the path so far by odometry, metres; NaN, or always the same value, where
                 it is not measured.
 
@@ -165,6 +166,19 @@ class PlaceRecognizer(Protocol):
         ...
 
 
+class TwoRecordingRecognizer(PlaceRecognizer, Protocol):
+    """A recogniser that can be shown a reference recording first, and then a query."""
+
+    def end_reference(self) -> None:
+        """End the reference: from now on images are matched with those of the reference alone."""
+        ...
+
+
+def takes_color(recognizer: PlaceRecognizer) -> bool:
+    """Whether a recogniser sees colour, and is to be given it where the recording has it."""
+    return bool(getattr(recognizer, "takes_color", False))
+
+
 @dataclass(frozen=True)
 class ObservedImage:
     """An image as a proposer sees it.
@@ -175,6 +189,7 @@ class ObservedImage:
         features: its local features, strongest first.
         distance_travelled_m: length of the path so far; NaN, or always the same, where it is not measured.
         last_matchable: latest location that it may be matched with, -1 for none.
+        color: (H, W, 3) uint8, red first; None where the recording is grey.
     """
 
     location: int
@@ -182,6 +197,7 @@ class ObservedImage:
     features: LocalFeatures
     distance_travelled_m: float
     last_matchable: int
+    color: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)

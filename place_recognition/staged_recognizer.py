@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import FeatureCache, check_gray
+from place_recognition.image_processing.onnx_network import convert_channels
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import (
     Belief,
@@ -96,6 +97,11 @@ class StagedRecognizer:
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="verify")
 
     @property
+    def takes_color(self) -> bool:
+        """Whether the paradigm sees colour, and is to be given it where the recording has it."""
+        return bool(getattr(self._proposer, "takes_color", False))
+
+    @property
     def word_count(self) -> int | None:
         """Number of visual words in the map; None for a paradigm without words."""
         count: int | None = getattr(self._proposer, "word_count", None)
@@ -103,10 +109,12 @@ class StagedRecognizer:
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
         """Add an image and return the beliefs that are ready now (`PlaceRecognizer.observe`)."""
-        check_gray(image)
-        features = self._features.get(image_id, image)
+        gray = convert_channels(image, 1)
+        check_gray(gray)
+        features = self._features.get(image_id, gray)
         location = self._history.add(image_id, features, distance_travelled_m)
-        observed = ObservedImage(location, image, features, distance_travelled_m, self._view.advance())
+        color = image if image.ndim == 3 else None
+        observed = ObservedImage(location, gray, features, distance_travelled_m, self._view.advance(), color)
         self._unverified.extend(self._proposer.observe(observed))
         return self._decide(_count_now(len(self._unverified)))
 

@@ -12,8 +12,8 @@ from odometry.camera import StereoCamera
 from odometry.mono.mono_odometry import MonoOdometry
 from odometry.stereo.rgbd_odometry import RgbdOdometry
 from odometry.stereo.stereo_odometry import StereoOdometry
-from place_recognition.image_processing.extractors import EXTRACTORS
-from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.extractors import EXTRACTORS, is_extractor
+from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
 from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.paradigms.registry import (
     PARADIGMS,
@@ -26,8 +26,7 @@ from place_recognition.paradigms.registry import (
     with_exclusion,
     with_preset,
 )
-from place_recognition.recognizer import MatrixSink
-from place_recognition.staged_recognizer import StagedRecognizer
+from place_recognition.recognizer import MatrixSink, TwoRecordingRecognizer
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import Dataset
 from slam.datasets.formats.image_sequence import read_grey
@@ -57,8 +56,8 @@ def check_paradigm(name: str) -> None:
 
 def check_features(name: str) -> None:
     """Raise ConfigError for unknown local features; the message lists the known ones."""
-    if name not in EXTRACTORS:
-        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
+    if not is_extractor(name):
+        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)} or onnx:FILE")
 
 
 def check_preset(name: str) -> None:
@@ -172,9 +171,21 @@ def exclude_by_preset(config: RunConfig, timestamps: NDArray[np.float64]) -> Run
     return replace(config, place_recognition=exclude_time(places, exclusion_s(config.paradigm, places), timestamps))
 
 
+def build_extractor(config: ParadigmsConfig) -> FeatureExtractor:
+    """Build the extractor of the local features, whose name has been checked.
+
+    Raises:
+        DataError: the file of learned features is missing, or holds no usable network.
+    """
+    try:
+        return make_feature_extractor(config)
+    except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
+        raise DataError(str(error)) from error
+
+
 def build_recognizer(
     name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None = None
-) -> StagedRecognizer:
+) -> TwoRecordingRecognizer:
     """Build the recogniser of a paradigm whose name has been checked.
 
     Raises:
@@ -189,7 +200,7 @@ def build_recognizer(
         raise DataError(str(error)) from error
 
 
-def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> StagedRecognizer:
+def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> TwoRecordingRecognizer:
     """Build the control of place recognition, which proposes random past images to the same geometry and belief."""
     return make_control(features, replace(config, seed=seed))
 
@@ -203,10 +214,10 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         rows: receives the rows of the recogniser's similarity matrix; None where nobody needs them.
 
     Raises:
-        DataError: the mask, the vocabulary or the descriptor cannot be used.
+        DataError: the mask, the features, the vocabulary or the descriptor cannot be used.
     """
     places = with_preset(config.paradigm, replace(config.places_for_camera(), seed=config.seed))
-    features = FeatureCache(make_feature_extractor(places))
+    features = FeatureCache(build_extractor(places))
     mask = read_mask(Path(config.mask), (camera.height, camera.width)) if config.mask else None
     odometry = build_odometry(camera, config)
     return Components(

@@ -233,7 +233,8 @@ class Slam:
 
     def _recognize(self, frame: Frame) -> list[Belief]:
         with self.timer.stage("place recognition"):
-            return self.components.recognizer.observe(frame.index, frame.left, self._distance_travelled_m)
+            image = frame.left if frame.color is None else frame.color
+            return self.components.recognizer.observe(frame.index, image, self._distance_travelled_m)
 
     def _verify_all(self, beliefs: Iterable[Belief]) -> tuple[LoopCandidate, ...]:
         return tuple(self._verify(belief) for belief in beliefs)

@@ -27,7 +27,7 @@ QUARANTINE = {
     "rosbags": ("slam/datasets/formats/rosbag_file",),
     "yaml": ("slam/datasets/calibration_yaml",),
     "faiss": ("place_recognition/",),
-    "onnxruntime": ("place_recognition/image_processing/onnx_descriptor",),
+    "onnxruntime": ("place_recognition/image_processing/onnx_network",),
     "distributed": ("slam/benchmark/executors",),
     "dask": ("slam/benchmark/executors",),
     "evo": (),

@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.belief.likelihood_ratios import RatioTable, log_ratios, log_ratios_elsewhere, sharpness
+from place_recognition.belief.likelihood_ratios import (
+    RatioTable,
+    RatioWeights,
+    log_ratios,
+    log_ratios_elsewhere,
+    sharpness,
+)
 from place_recognition.belief.place_filter import Observation, PlaceFilter, PlaceFilterConfig, PlacePosterior
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import Belief, Proposals, StageScores, no_pixels
@@ -42,9 +48,10 @@ class SmoothedDecision:
         own_ratio: RatioTable,
         config: PlaceFilterConfig,
         verification: CandidateVerificationConfig,
+        weights: RatioWeights | None = None,
     ) -> None:
         self._history, self._own_ratio, self._config = history, own_ratio, config
-        self._verification = verification
+        self._verification, self._weights = verification, weights
         self._filter, self._steps = PlaceFilter(config), CameraSteps(history)
         self._waiting: deque[tuple[Proposals, Results]] = deque()
 
@@ -69,7 +76,7 @@ class SmoothedDecision:
         evidence = np.array([result.evidence for result in results], np.float64)
         # The image beside a candidate, which geometry prefers, has the score of the candidate next to it.
         nearest = [own[min(own, key=lambda k: abs(k - result.location))] for result in results]
-        ratios = log_ratios(np.array(nearest), evidence)
+        ratios = log_ratios(np.array(nearest), evidence, self._weights)
         elsewhere = log_ratios_elsewhere(ratios, evidence)
         return Observation(self._places(results), ratios, elsewhere, sharpness(evidence), self._steps.junctions())
 

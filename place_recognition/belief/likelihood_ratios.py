@@ -49,8 +49,27 @@ OWN_SCORES = {
     "random-images": RatioTable((0.0,), (0.0,)),
 }
 
-# What the two say is not independent, neither of each other nor from image to image: they count by these powers.
-_GEOMETRY_WEIGHT, _OWN_WEIGHT = 0.8, 0.5
+# Of the descriptor of a network.
+LEARNED_SCORE = RatioTable((2.2, 3.0, 3.7, 4.5, 5.5, 7.0, 9.0), (-1.5, -0.7, 0.0, 0.6, 1.3, 2.2, 3.0))
+
+
+@dataclass(frozen=True)
+class RatioWeights:
+    """How much the two observations count: they are not independent of each other, nor from image to image.
+
+    Attributes:
+        own: power of the ratio of a paradigm's own score.
+        geometry: power of the ratio of geometry.
+        min_geometry: least log10 of the ratio of geometry.
+    """
+
+    own: float = 0.5
+    geometry: float = 0.8
+    min_geometry: float = -np.inf
+
+
+# A network recognises a place in other light, where local features agree on nothing: that they do not says less then.
+LEARNED_WEIGHTS = RatioWeights(own=1.0, min_geometry=-0.3)
 
 # A candidate of less evidence than the best of its image shows the place from further away: its ratio falls by one
 # power of ten for this evidence.
@@ -63,15 +82,18 @@ _MAX_RATIO_ELSEWHERE, _MAX_EVIDENCE_ELSEWHERE = 5.0, 150.0
 _SHARP_EVIDENCE, _MAX_SHARPNESS = 90.0, 16.0
 
 
-def log_ratios(own: Array, evidence: Array) -> Array:
+def log_ratios(own: Array, evidence: Array, weights: RatioWeights | None = None) -> Array:
     """Return log10 of the likelihood ratio (K,) of each candidate of an image.
 
     Args:
         own: (K,) log10 of the ratios of their own scores (`OWN_SCORES`).
         evidence: (K,) evidence of geometry of each.
+        weights: how much both count; the defaults if None.
     """
+    weights = weights or RatioWeights()
     behind = (evidence.max(initial=0.0) - evidence) / _EVIDENCE_PER_POWER
-    return _GEOMETRY_WEIGHT * GEOMETRY(evidence) + _OWN_WEIGHT * own - behind
+    geometry = np.maximum(GEOMETRY(evidence), weights.min_geometry)
+    return weights.geometry * geometry + weights.own * own - behind
 
 
 def log_ratios_elsewhere(ratios: Array, evidence: Array) -> Array:

@@ -14,6 +14,7 @@
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from statistics import NormalDist
 
 import cv2
@@ -25,8 +26,9 @@ from place_recognition.image_processing.local_features import (
     LocalFeatures,
     SpreadConfig,
     check_gray,
-    select_strongest,
+    select_spread,
 )
+from place_recognition.image_processing.onnx_features import OnnxFeatures, OnnxFeaturesConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 
 Floats = NDArray[np.float32]
@@ -157,14 +159,6 @@ def convert_keypoints(points: Sequence[cv2.KeyPoint], descriptors: Floats, sigma
     return LocalFeatures(pixels, np.float32(sigmas_per_size) * sizes, responses, descriptors)
 
 
-def select_spread(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
-    """Keep at most `count` of the strongest features of an image (H, W), evenly spread, strongest first."""
-    kept = select_strongest(features.pixels, features.responses, (shape[0], shape[1]), count, config)
-    return LocalFeatures(
-        features.pixels[kept], features.scales[kept], features.responses[kept], features.descriptors[kept]
-    )
-
-
 def unpack_bits(packed: NDArray[np.uint8]) -> Floats:
     """Convert bits (N, 32) to descriptors (N, 256) float32 of +-1/16."""
     return (np.unpackbits(packed, axis=1).astype(np.float32) * 2 - 1) / np.float32(16)
@@ -255,16 +249,26 @@ EXTRACTORS: dict[str, Callable[[int], FeatureExtractor]] = {
 }
 
 
+ONNX = "onnx:"  # first letters of the name of learned features, before the path of their file
+
+
+def is_extractor(name: str) -> bool:
+    """Whether there are local features of a name; the file of learned ones need not exist."""
+    return name in EXTRACTORS or name.startswith(ONNX)
+
+
 def make_extractor(name: str, features: int = 500) -> FeatureExtractor:
     """Make the extractor of a name.
 
     Args:
-        name: a key of EXTRACTORS.
+        name: a key of EXTRACTORS, or `onnx:FILE` for a network of the user's.
         features: maximum number of features of an image.
 
     Raises:
-        ValueError: the name is unknown; the message lists the known ones.
+        ValueError: the name is unknown; the message lists the known ones. Or the file holds no usable network.
     """
+    if name.startswith(ONNX):
+        return OnnxFeatures(Path(name.removeprefix(ONNX)), OnnxFeaturesConfig(features))
     if name not in EXTRACTORS:
-        raise ValueError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}")
+        raise ValueError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)} or onnx:FILE")
     return EXTRACTORS[name](features)

@@ -1,4 +1,4 @@
-"""Global descriptors: the contract of a descriptor of a whole image, three of them, and a registry by name.
+"""Global descriptors: the contract of a descriptor of a whole image, three of them, and a registry of all by name.
 
 * `Hog`: histograms of oriented gradients of cells, normalised over blocks of cells (Figure 4.3). Dalal, Triggs,
   'Histograms of Oriented Gradients for Human Detection', CVPR 2005: gradients by [-1, 0, 1], unsigned orientations,
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import check_gray
 from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
+from place_recognition.image_processing.onnx_network import OnnxConfig
+from place_recognition.image_processing.small_cnn import SmallCnn
 
 Floats = NDArray[np.float32]
 
@@ -34,11 +36,17 @@ class GlobalDescriptor(Protocol):
 
     Attributes:
         kind: name of the descriptor with its settings; vectors of two kinds cannot be compared.
+        takes_color: whether it sees colour, and is to be given it where the recording has it.
     """
 
     @property
     def kind(self) -> str:
         """Name of the descriptor, with every setting that makes vectors incomparable."""
+        ...
+
+    @property
+    def takes_color(self) -> bool:
+        """Whether `describe` takes an image (H, W, 3), red first, as well."""
         ...
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -76,6 +84,8 @@ class HogConfig:
 
 class Hog:
     """Describes an image by the directions of its edges (a GlobalDescriptor): 3,780 numbers by default."""
+
+    takes_color = False
 
     def __init__(self, config: HogConfig | None = None) -> None:
         self.config = config or HogConfig()
@@ -178,6 +188,8 @@ def mean_absolute_difference(first: NDArray[np.uint8], second: NDArray[np.uint8]
 class Thumbnail:
     """Describes an image by the pixels of its thumbnail (a GlobalDescriptor)."""
 
+    takes_color = False
+
     def __init__(self, config: ThumbnailConfig | None = None) -> None:
         self.config = config or ThumbnailConfig()
 
@@ -208,6 +220,7 @@ class ColorHistogram:
     """Describes an image by its colours, or a grey one by its intensities (a GlobalDescriptor)."""
 
     kind = "colour-histogram"
+    takes_color = True
 
     def __init__(self, config: ColorHistogramConfig | None = None) -> None:
         self.config = config or ColorHistogramConfig()
@@ -232,21 +245,29 @@ def _bin(channel: NDArray[np.uint8], bins: int) -> NDArray[np.int64]:
     return channel.astype(np.int64) * bins // 256
 
 
+SMALL_CNN = "small-cnn"
+
 GLOBAL_DESCRIPTORS: dict[str, Callable[[], GlobalDescriptor]] = {
     "hog": Hog,
     "thumbnail": Thumbnail,
     "colour-histogram": ColorHistogram,
+    SMALL_CNN: SmallCnn,
 }
 
 
-def make_global_descriptor(name: str) -> GlobalDescriptor:
-    """Make the descriptor of a name; `onnx:FILE` is a learned one.
+def is_learned(name: str) -> bool:
+    """Whether the descriptor of a name comes from a network."""
+    return name == SMALL_CNN or name.startswith(ONNX)
+
+
+def make_global_descriptor(name: str, onnx: OnnxConfig | None = None) -> GlobalDescriptor:
+    """Make the descriptor of a name; `onnx:FILE` is a network of the user's, with what his settings say of its input.
 
     Raises:
         ValueError: the name is unknown, or the file holds no usable network.
     """
     if name.startswith(ONNX):
-        return OnnxDescriptor(Path(name.removeprefix(ONNX)))
+        return OnnxDescriptor(Path(name.removeprefix(ONNX)), onnx)
     if name not in GLOBAL_DESCRIPTORS:
         raise ValueError(
             f"unknown global descriptor '{name}': expected one of {', '.join(GLOBAL_DESCRIPTORS)} or onnx:FILE"

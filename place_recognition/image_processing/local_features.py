@@ -146,6 +146,14 @@ def select_strongest(
     return order[np.sort(np.argsort(crowded, kind="stable")[:count])]
 
 
+def select_spread(features: LocalFeatures, shape: tuple[int, ...], count: int, config: SpreadConfig) -> LocalFeatures:
+    """Keep at most `count` of the strongest features of an image (H, W), evenly spread, strongest first."""
+    kept = select_strongest(features.pixels, features.responses, (shape[0], shape[1]), count, config)
+    return LocalFeatures(
+        features.pixels[kept], features.scales[kept], features.responses[kept], features.descriptors[kept]
+    )
+
+
 @njit(cache=True, nogil=True)
 def _rank_in_square(squares: Indices, count: int) -> Indices:
     """Count for each of squares (N,), numbers below count, the equal ones before it."""

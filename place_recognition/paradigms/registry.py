@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from place_recognition.belief.decisions import GeometricDecision, SmoothedDecision
-from place_recognition.belief.likelihood_ratios import OWN_SCORES
+from place_recognition.belief.likelihood_ratios import LEARNED_SCORE, LEARNED_WEIGHTS, OWN_SCORES
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.extractors import make_extractor
-from place_recognition.image_processing.global_descriptors import make_global_descriptor
+from place_recognition.image_processing.global_descriptors import is_learned, make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
+from place_recognition.image_processing.onnx_network import OnnxConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms import published
@@ -29,6 +30,8 @@ from place_recognition.paradigms.whole_images import (
     GlobalDescriptorMatching,
     PixelSequences,
     PixelSequencesConfig,
+    cosines,
+    distinctness,
 )
 from place_recognition.recognizer import MatrixSink, Proposer, RandomImages
 from place_recognition.staged_recognizer import Decision, ExclusionWindow, RowsById, StagedRecognizer
@@ -51,8 +54,9 @@ class ParadigmsConfig:
             it was trained.
         surf: settings of the default features; for other features only their number counts.
         vocabulary: path of a vocabulary file for the paradigms of sequences; empty for the general vocabulary.
-        descriptor: descriptor of `global-descriptor`: a key of GLOBAL_DESCRIPTORS, such as "hog", or "onnx:FILE" for a
-            learned one.
+        descriptor: descriptor of `global-descriptor`: a key of GLOBAL_DESCRIPTORS, such as "hog" or "small-cnn", or
+            "onnx:FILE" for a network of one's own.
+        onnx: input of such a network, where its file says nothing of it.
         seed: seed of every random generator.
         preset: "default", or "published" for the methods as the papers state them (`with_preset`).
         temporal: whether the images around an image have a say in its answer; False for images without order.
@@ -73,6 +77,7 @@ class ParadigmsConfig:
     surf: SurfConfig = field(default_factory=SurfConfig)
     vocabulary: str = ""
     descriptor: str = "hog"
+    onnx: OnnxConfig = field(default_factory=OnnxConfig)
     seed: int = 0
     preset: str = "default"
     temporal: bool = True
@@ -116,9 +121,10 @@ def _pixel_sequences(history: ImageHistory, kind: str, config: ParadigmsConfig, 
 
 
 def _global_descriptor(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
-    descriptor = make_global_descriptor(config.descriptor)
+    descriptor = make_global_descriptor(config.descriptor, config.onnx)
     descriptor.describe(np.zeros((48, 64), np.uint8))  # reports a network that cannot run now, not midway
-    return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows)
+    score = distinctness if is_learned(config.descriptor) else cosines
+    return GlobalDescriptorMatching(descriptor, config.global_descriptor, rows, score)
 
 
 def _seq_slam(history: ImageHistory, kind: str, config: ParadigmsConfig, rows: MatrixSink) -> Proposer:
@@ -223,7 +229,10 @@ def _stages(
             features, history, window, proposer, published.PublishedDecision(history, thresholds), exact
         )
     decision: Decision = GeometricDecision(history, verification)
-    if config.temporal:
+    is_network = name == "global-descriptor" and is_learned(config.descriptor)
+    if config.temporal and is_network:
+        decision = SmoothedDecision(history, LEARNED_SCORE, config.place_filter, verification, LEARNED_WEIGHTS)
+    elif config.temporal:
         decision = SmoothedDecision(history, OWN_SCORES[name], config.place_filter, verification)
     # A reference is only mapped, unless its own revisits tell which of its images show one place.
     learns_places = config.temporal and name != "random-images"

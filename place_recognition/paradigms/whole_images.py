@@ -13,6 +13,7 @@ Deviations from the paper:
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,6 +39,11 @@ from place_recognition.recognizer import (
 )
 
 Floats = NDArray[np.float32]
+
+_BESIDE_FRAMES = 10  # images around the most similar one, which may show the same
+_MIN_OTHERS = 20  # images from which mean and standard deviation are known well enough
+_MIN_COSINE_STD = 0.02
+_NEUTRAL_SCORE = 3.7  # distinctness at which the likelihood ratio is one
 
 
 @dataclass(frozen=True)
@@ -211,24 +217,55 @@ class GlobalDescriptorConfig:
     min_separation: int = 4
 
 
+def cosines(similarities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cosines (N,) of a query and all images as their scores."""
+    return similarities
+
+
+def distinctness(similarities: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how many standard deviations each cosine (N,) exceeds those of images far from the most similar one.
+
+    In other light all cosines fall, those of revisits as well: what is usual tells more than a threshold. Where images
+    are too few to tell what is usual, the score is one that says nothing.
+    """
+    if len(similarities) == 0:
+        return similarities
+    away = np.abs(np.arange(len(similarities)) - similarities.argmax()) > _BESIDE_FRAMES
+    if np.count_nonzero(away) < _MIN_OTHERS:
+        return np.full(len(similarities), _NEUTRAL_SCORE)
+    others = similarities[away]
+    return (similarities - others.mean()) / max(float(others.std()), _MIN_COSINE_STD)
+
+
 class GlobalDescriptorMatching:
-    """Proposes images by one descriptor per image (a Proposer); the score is its cosine."""
+    """Proposes images by one descriptor per image (a Proposer); the score is its cosine, or how distinct that is."""
 
     def __init__(
-        self, descriptor: GlobalDescriptor, config: GlobalDescriptorConfig | None = None, rows: MatrixSink | None = None
+        self,
+        descriptor: GlobalDescriptor,
+        config: GlobalDescriptorConfig | None = None,
+        rows: MatrixSink | None = None,
+        score: Callable[[NDArray[np.float64]], NDArray[np.float64]] = cosines,
     ) -> None:
         self.config = config or GlobalDescriptorConfig()
-        self._descriptor = descriptor
+        self._descriptor, self._score = descriptor, score
         self._map = DescriptorDatabase()
         self._rows = NullMatrixSink() if rows is None else rows
 
+    @property
+    def takes_color(self) -> bool:
+        """Whether the descriptor sees colour."""
+        return self._descriptor.takes_color
+
     def observe(self, image: ObservedImage) -> list[Proposals]:
         """Propose the most similar images, and add this one to the map."""
-        vector = self._descriptor.describe(image.pixels)
+        color = image.color if self._descriptor.takes_color else None
+        vector = self._descriptor.describe(image.pixels if color is None else color)
         similarities = self._map.similarities(vector, image.last_matchable + 1)
         self._rows.add(image.location, np.arange(len(similarities)), similarities)
         self._map.add(vector)
-        return [propose_best(image, similarities, self.config.max_candidates, self.config.min_separation)]
+        scores = self._score(similarities)
+        return [propose_best(image, similarities, self.config.max_candidates, self.config.min_separation, scores)]
 
     def finish(self) -> list[Proposals]:
         """Return nothing: each image is answered at once."""

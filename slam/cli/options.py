@@ -278,12 +278,16 @@ RunPreset = Annotated[
 ]
 RunFeatures = Annotated[
     str | None,
-    typer.Option(help=f"Local features: {FEATURE_NAMES}.", show_default=DEFAULT_FEATURES, rich_help_panel=RECOGNITION),
+    typer.Option(
+        help=f"Local features: {FEATURE_NAMES}, or onnx:FILE.",
+        show_default=DEFAULT_FEATURES,
+        rich_help_panel=RECOGNITION,
+    ),
 ]
 RunDescriptor = Annotated[
     str | None,
     typer.Option(
-        help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.",
+        help="Image descriptor of the paradigm global-descriptor: hog, small-cnn, or onnx:FILE.",
         show_default="hog",
         rich_help_panel=RECOGNITION,
     ),
@@ -446,11 +450,14 @@ Temporal = Annotated[
     ),
 ]
 PlacesPreset = Annotated[str, typer.Option(help=_PRESET_HELP, rich_help_panel=RECOGNITION)]
-PlacesFeatures = Annotated[str, typer.Option(help=f"Local features: {FEATURE_NAMES}.", rich_help_panel=RECOGNITION)]
+PlacesFeatures = Annotated[
+    str, typer.Option(help=f"Local features: {FEATURE_NAMES}, or onnx:FILE.", rich_help_panel=RECOGNITION)
+]
 PlacesDescriptor = Annotated[
     str,
     typer.Option(
-        help="Image descriptor of the paradigm global-descriptor: hog, or onnx:FILE.", rich_help_panel=RECOGNITION
+        help="Image descriptor of the paradigm global-descriptor: hog, small-cnn, or onnx:FILE.",
+        rich_help_panel=RECOGNITION,
     ),
 ]
 Exclude = Annotated[

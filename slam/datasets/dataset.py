@@ -37,6 +37,7 @@ class Frame:
         mask: which pixels of the left image were left out of them; None until they are extracted.
         depth: (H, W) float32, metres along the optical axis, registered to the left image; NaN where there is no
             measurement. None in a dataset without a depth camera.
+        color: the left image in colour, (H, W, 3) uint8, red first; None where nobody asked, or there is only grey.
     """
 
     index: int
@@ -46,6 +47,7 @@ class Frame:
     features: LocalFeatures | None = None
     mask: ImageMask | None = None
     depth: NDArray[np.float32] | None = None
+    color: NDArray[np.uint8] | None = None
 
     @property
     def usable_pixels(self) -> NDArray[np.uint8] | None:
@@ -109,7 +111,7 @@ class Dataset(Protocol):
 
     def __iter__(self) -> Iterator[Frame]: ...
 
-    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+    def read_color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
         ...
 

@@ -6,7 +6,13 @@ Decision record: docs/decisions/features_on_the_frame.md.
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.dataset import Dataset, Frame
 
 Item = TypeVar("Item")
 ItemRead = TypeVar("ItemRead", covariant=True)
@@ -18,6 +24,46 @@ class Recording(Protocol[ItemRead]):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int, /) -> ItemRead: ...
+
+
+class ColorFrames:
+    """The frames of a dataset with their left images in colour."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
+
+    def __len__(self) -> int:
+        return len(self._dataset)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Read a frame."""
+        return replace(self._dataset[index], color=self._dataset.read_color(index))
+
+
+class ColorImages:
+    """The images of a recording in colour, (H, W, 3) red first, those that are grey as (H, W)."""
+
+    def __init__(self, images: Recording[NDArray[np.uint8]]) -> None:
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        """Read an image: once, where it is in colour."""
+        color = read_color(self._images, index)
+        return self._images[index] if color is None else color
+
+
+def has_color(images: object) -> bool:
+    """Whether the first image of a dataset or recording can be read in colour."""
+    return read_color(images, 0) is not None
+
+
+def read_color(images: object, index: int) -> NDArray[np.uint8] | None:
+    """Read an image (H, W, 3); None if it is grey, or the reader has grey images alone."""
+    read: Callable[[int], NDArray[np.uint8] | None] | None = getattr(images, "read_color", None)
+    return None if read is None else read(index)
 
 
 def prefetch(

@@ -121,7 +121,7 @@ class Video:
         """
         return self._reader.read(index, len(self), self.where, "video")
 
-    def read_colour(self, index: int) -> Image | None:
+    def read_color(self, index: int) -> Image | None:
         """Read image (H, W, 3), RGB; None if it is grey.
 
         Raises:

@@ -53,6 +53,10 @@ class FileRecognizer:
         """Return the beliefs about the images that are still unanswered."""
         return self._answer(None)
 
+    def end_reference(self) -> None:
+        """Raise: a file matches the images of one recording (`slam.apps.places` refuses two)."""
+        raise NotImplementedError
+
     def _answer(self, now: int | None) -> list[Belief]:
         """Answer the queries in order, up to the first that the file answers later than now."""
         beliefs = []

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
-from place_recognition.recognizer import Belief, PlaceRecognizer
+from place_recognition.recognizer import Belief, PlaceRecognizer, takes_color
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.system import Components, LoopCandidate, LoopVerifier
@@ -92,6 +92,11 @@ class SessionRecognizer:
     def __init__(self, recognizer: PlaceRecognizer, loop_closer: LoopVerifier, start: SessionStart) -> None:
         self._recognizer, self._loop_closer, self._start = recognizer, loop_closer, start
         self._inter_session: dict[int, LoopRecord] = {}
+
+    @property
+    def takes_color(self) -> bool:
+        """Whether the map's recogniser sees colour."""
+        return takes_color(self._recognizer)
 
     def observe(self, image_id: int, image: Image, travelled: float) -> list[Belief]:
         """Add a frame of the session; the beliefs about its frames that are ready now."""

@@ -18,6 +18,8 @@ from slam.system import LoopCandidate
 
 Array = NDArray[np.float64]
 
+_SURE = 0.999  # probability of a place from which it is worth saying that only local features do not confirm it
+
 
 class LoopTruth(Protocol):
     """Compares loops with ground truth."""
@@ -98,6 +100,8 @@ def _proposed_row(belief: Belief, match: int, truth: LoopTruth) -> LoopRow:
     reason = "accepted by the recogniser"
     if not belief.verified:
         reason = f"not accepted: {belief.inliers or 0} matches agree with one epipolar geometry, too few"
+        if belief.probability is not None and belief.probability >= _SURE:
+            reason += f"; the place is known without them, probability {belief.probability:.4f}"
     elif not belief.accepted:
         reason = f"not accepted: score {belief.score:.1f} is below the recogniser's threshold"
     is_true = truth.is_true(belief.query, match, None)

@@ -15,11 +15,12 @@ from uuid import uuid4
 from rich.console import Console
 
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder
+from place_recognition.recognizer import takes_color
 from slam.components import build_components, check_files, exclude_by_preset, override_config, read_checked_config
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, DatasetSpec, Frame, thumbnail
 from slam.datasets.formats.registry import open_for_odometry
-from slam.datasets.prefetch import prefetch
+from slam.datasets.prefetch import ColorFrames, has_color, prefetch
 from slam.diagnostics.dataset_checks import inspect_opened
 from slam.diagnostics.findings import Use, remarks_for
 from slam.errors import ConfigError, DataError, UnmeasuredError
@@ -339,7 +340,8 @@ def process_dataset(
     num_restored = recorder.restore(slam, matrix, run_log)
     visualizer.restore(run_log)
     unreadable: list[DataError] = []
-    frames = _until_unreadable(prefetch(dataset, begin=num_restored, prepare=slam.describe), unreadable)
+    shown = ColorFrames(dataset) if takes_color(components.recognizer) and has_color(dataset) else dataset
+    frames = _until_unreadable(prefetch(shown, begin=num_restored, prepare=slam.describe), unreadable)
     alignment: Alignment = "sim3" if config.mono else "se3"
     watched = run_progress(warnings.messages, len(dataset), dataset.ground_truth, alignment)
     with watched as progress, stop_on_interrupt() as stop:

@@ -15,11 +15,10 @@ from place_recognition.evaluation.precision_recall import leave_out_tolerated
 from place_recognition.evaluation.similarity_matrix import MatrixRecorder, SimilarityMatrix
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.static_regions import ImageMasks, MaskedExtractor, StaticRegionConfig
-from place_recognition.paradigms.registry import ParadigmsConfig, make_feature_extractor, with_preset
-from place_recognition.recognizer import Belief, MatrixSink
-from place_recognition.staged_recognizer import StagedRecognizer
-from slam.components import build_control, build_recognizer
-from slam.datasets.prefetch import Recording, prefetch
+from place_recognition.paradigms.registry import ParadigmsConfig, with_preset
+from place_recognition.recognizer import Belief, MatrixSink, TwoRecordingRecognizer, takes_color
+from slam.components import build_control, build_extractor, build_recognizer
+from slam.datasets.prefetch import ColorImages, Recording, has_color, prefetch, read_color
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix
@@ -109,9 +108,9 @@ class SameSizeImages:
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8."""
         if self._shape is None:
-            self._shape = self._images[0].shape
+            self._shape = self._images[0].shape[:2]
         image = self._images[index]
-        if image.shape == self._shape:
+        if image.shape[:2] == self._shape:
             return image
         self.resized.add(index)
         height, width = self._shape
@@ -133,6 +132,11 @@ class JoinedImages:
         """Read image (H, W) uint8."""
         begin = len(self._reference)
         return self._reference[index] if index < begin else self._query[index - begin]
+
+    def read_color(self, index: int) -> Image | None:
+        """Read image (H, W, 3), red first; None if it is grey."""
+        begin = len(self._reference)
+        return read_color(self._reference, index) if index < begin else read_color(self._query, index - begin)
 
 
 class RecognizerFactory:
@@ -165,7 +169,7 @@ class RecognizerFactory:
         self._paradigm, self._config, self._control_seed = paradigm, with_preset(paradigm, config), control_seed
         self._static_regions, self._mask = static_regions, mask
 
-    def make(self, rows: MatrixSink | None = None) -> StagedRecognizer:
+    def make(self, rows: MatrixSink | None = None) -> TwoRecordingRecognizer:
         """Make a new recogniser.
 
         Raises:
@@ -173,7 +177,7 @@ class RecognizerFactory:
         """
         return build_recognizer(self._paradigm, self._make_features(), self._config, rows)
 
-    def make_with_control(self, rows: MatrixSink) -> tuple[StagedRecognizer, StagedRecognizer | None]:
+    def make_with_control(self, rows: MatrixSink) -> tuple[TwoRecordingRecognizer, TwoRecordingRecognizer | None]:
         """Make a new recogniser, and the control with the same features of each image.
 
         Raises:
@@ -187,7 +191,7 @@ class RecognizerFactory:
 
     def _make_features(self) -> FeatureCache:
         self.masks = ImageMasks(self._static_regions, self._mask)
-        extractor = MaskedExtractor(make_feature_extractor(self._config), self.masks)
+        extractor = MaskedExtractor(build_extractor(self._config), self.masks)
         return FeatureCache(TimedExtractor(extractor, self.clock))
 
 
@@ -199,7 +203,7 @@ class ControlRun:
         seconds: time that it took.
     """
 
-    def __init__(self, control: StagedRecognizer | None, clock: StageTimer) -> None:
+    def __init__(self, control: TwoRecordingRecognizer | None, clock: StageTimer) -> None:
         self._control, self._clock = control, clock
         self.beliefs: list[Belief] | None = None if control is None else []
         self.seconds = 0.0
@@ -220,7 +224,7 @@ class ControlRun:
         if self._control is not None:
             self._add(lambda control: control.finish())
 
-    def _add(self, answer: Callable[[StagedRecognizer], list[Belief]]) -> None:
+    def _add(self, answer: Callable[[TwoRecordingRecognizer], list[Belief]]) -> None:
         assert self._control is not None
         assert self.beliefs is not None
         start = time.perf_counter()
@@ -251,10 +255,11 @@ def run_recognizer(
         KeyboardInterrupt: the run was to end before the first image after the reference.
     """
     begin = 0 if reference is None else len(reference)
-    images = SameSizeImages(images if reference is None else JoinedImages(reference, images))
-    _warm_up(images, factory)
     run = PlaceRecognitionRun(reference_images=None if reference is None else begin)
     recognizer, control = factory.make_with_control(run.rows)
+    joined = images if reference is None else JoinedImages(reference, images)
+    images = SameSizeImages(ColorImages(joined) if takes_color(recognizer) and has_color(joined) else joined)
+    _warm_up(images, factory)
     control_run, start = ControlRun(control, factory.clock), time.perf_counter()
     for index, image in enumerate(timed(prefetch(images), factory.clock)):
         if reference is not None and index == begin:
@@ -286,7 +291,7 @@ def run_recognizer(
 
 
 def _end_reference(
-    run: PlaceRecognitionRun, recognizer: StagedRecognizer, control: ControlRun, factory: RecognizerFactory
+    run: PlaceRecognitionRun, recognizer: TwoRecordingRecognizer, control: ControlRun, factory: RecognizerFactory
 ) -> None:
     """Make the images so far the reference, and forget what was answered about them."""
     recognizer.end_reference()

@@ -65,7 +65,7 @@ class ImageSequence:
             raise IndexError(f"expected an image from 0 to {len(self) - 1}, got {index}")
         return read_grey(self.files[index], lambda: self._grey_range)
 
-    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+    def read_color(self, index: int) -> NDArray[np.uint8] | None:
         """Read image (H, W, 3), RGB, 8 bits; None if the file holds grey values, or cannot be read."""
         try:
             check_name(self.files[index])

@@ -91,9 +91,9 @@ class KittiDataset:
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
-    def read_colour(self, index: int) -> NDArray[np.uint8] | None:
+    def read_color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB; None where there is only grey."""
-        return self._images[0].read_colour(index)
+        return self._images[0].read_color(index)
 
     @cached_property
     def _images(self) -> tuple[ImageSequence, ImageSequence | None]:

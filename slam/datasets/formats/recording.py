@@ -47,10 +47,10 @@ class Images(Protocol):
 
 
 @runtime_checkable
-class ColourImages(Protocol):
+class ColorReader(Protocol):
     """Raw images that can be read in colour too; a reader without it has grey images alone."""
 
-    def read_colour(self, index: int, /) -> Image | None:
+    def read_color(self, index: int, /) -> Image | None:
         """Read image (H, W, 3), RGB; None if it is grey."""
         ...
 
@@ -102,10 +102,10 @@ class ImageSubset:
         """Read a selected image (H, W) uint8, grey."""
         return self.images[int(self.indices[index])]
 
-    def read_colour(self, index: int) -> Image | None:
+    def read_color(self, index: int) -> Image | None:
         """Read a selected image (H, W, 3), RGB; None if it is grey."""
         number = int(self.indices[index])
-        return self.images.read_colour(number) if isinstance(self.images, ColourImages) else None
+        return self.images.read_color(number) if isinstance(self.images, ColorReader) else None
 
     def where(self, index: int) -> str:
         """File of a selected image, for error messages."""
@@ -240,9 +240,9 @@ class RectifiedDataset:
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
-    def read_colour(self, index: int) -> Image | None:
+    def read_color(self, index: int) -> Image | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
-        colour = self.left.read_colour(index) if isinstance(self.left, ColourImages) else None
+        colour = self.left.read_color(index) if isinstance(self.left, ColorReader) else None
         if colour is None or colour.shape[:2] != (self.camera.height, self.camera.width):
             return None
         return self.rectification.left(colour)
@@ -308,6 +308,10 @@ class LeftImages:
         """Read image (H, W) uint8, grey."""
         return self.dataset[index].left
 
+    def read_color(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None where there is only grey."""
+        return self.dataset.read_color(index)
+
 
 @dataclass(frozen=True)
 class UncalibratedImages:
@@ -333,6 +337,10 @@ class UncalibratedImages:
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8, grey."""
         return self.images[index]
+
+    def read_color(self, index: int) -> Image | None:
+        """Read image (H, W, 3), RGB; None where there is only grey."""
+        return self.images.read_color(index) if isinstance(self.images, ColorReader) else None
 
 
 def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:

@@ -150,7 +150,7 @@ class BagImages(Generic[Pixels]):
         """
         return self._reader.read(index, len(self), self.where, "bag")
 
-    def read_colour(self, index: int) -> Image | None:
+    def read_color(self, index: int) -> Image | None:
         """Read image (H, W, 3), RGB; None if it is grey.
 
         Raises:

@@ -104,7 +104,7 @@ def open_tum_rgbd(spec: DatasetSpec) -> RectifiedDataset:
             f"{folder / CAMERA_TOML}: expected the calibration, as the folder's name has no freiburg1, 2 or 3, found"
             " none; write one with fx, fy, cx and cy (of OpenLORIS they are in sensors.yaml)"
         )
-    colour = _read_colour(folder, spec.fps or camera.fps)
+    colour = _read_color(folder, spec.fps or camera.fps)
     depth, trouble = (None, ()) if spec.left_only else _read_depth(folder, camera, colour)
     truth, poses_remarks = _read_truth(folder, colour)
     recording = RawRecording(
@@ -122,7 +122,7 @@ def open_tum_rgbd_images(spec: DatasetSpec) -> ImageDataset:
     folder = _folder(spec)
     if _camera(folder) is not None:
         return LeftImages.of(open_tum_rgbd(replace(spec, left_only=True)))
-    stream = _read_colour(folder, spec.fps).stream
+    stream = _read_color(folder, spec.fps).stream
     return UncalibratedImages(folder.absolute().name, stream.images, stream.timestamps, remarks=stream.remarks)
 
 
@@ -151,7 +151,7 @@ def _find_numbered_poses(folder: Path) -> Path | None:
 
 
 @dataclass(frozen=True)
-class _Colour:
+class _ColorList:
     """The colour images of a sequence and the list that names them.
 
     Attributes:
@@ -167,7 +167,7 @@ class _Colour:
     images_per_s: float = 1.0
 
 
-def _read_colour(folder: Path, fps: float | None) -> _Colour:
+def _read_color(folder: Path, fps: float | None) -> _ColorList:
     own = [folder / lists.colour for lists in (_TUM, _OPENLORIS) if (folder / lists.colour).is_file()]
     path = own[0] if own else _find_associations(folder)
     assert path is not None, "a folder that is_tum_rgbd"
@@ -176,10 +176,10 @@ def _read_colour(folder: Path, fps: float | None) -> _Colour:
     times, remarks = images.timestamps, images.remarks
     assert times is not None
     if own or len(times) < 2 or times[0] > len(times) or np.any(times % 1) or np.median(np.diff(times)) != 1:
-        return _Colour(CameraStream(images, times, remarks), path, columns)
+        return _ColorList(CameraStream(images, times, remarks), path, columns)
     rate = fps or _COUNTED_FPS
     remarks += (f"{short_name(path)} counts the images: {rate:g} in a second are assumed; --fps gives another rate",)
-    return _Colour(CameraStream(images, times / rate, remarks), path, columns, rate)
+    return _ColorList(CameraStream(images, times / rate, remarks), path, columns, rate)
 
 
 def _find_columns(path: Path) -> tuple[int, int, int]:
@@ -188,7 +188,7 @@ def _find_columns(path: Path) -> tuple[int, int, int]:
     return (2, 3, 1) if "depth" in first[1].lower() and "depth" not in first[3].lower() else (0, 1, 3)
 
 
-def _read_depth(folder: Path, camera: CameraToml, colour: _Colour) -> tuple[DepthStream | None, tuple[str, ...]]:
+def _read_depth(folder: Path, camera: CameraToml, colour: _ColorList) -> tuple[DepthStream | None, tuple[str, ...]]:
     """Depth images of a sequence; None, with a remark, where they cannot be used."""
     lists = _OPENLORIS if colour.path.name == _OPENLORIS.colour else _TUM
     path = folder / (camera.depth or lists.depth)
@@ -211,7 +211,7 @@ def _read_depth(folder: Path, camera: CameraToml, colour: _Colour) -> tuple[Dept
     return None, ()
 
 
-def _read_truth(folder: Path, colour: _Colour) -> tuple[GroundTruthTrajectory | None, tuple[str, ...]]:
+def _read_truth(folder: Path, colour: _ColorList) -> tuple[GroundTruthTrajectory | None, tuple[str, ...]]:
     """Measured poses of a sequence, if there are any, and a remark about what they may be."""
     path, numbered = folder / "groundtruth.txt", _find_numbered_poses(folder)
     if path.is_file():

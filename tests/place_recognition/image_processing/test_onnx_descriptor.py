@@ -6,7 +6,8 @@ from place_images import textured_world
 
 from place_recognition.image_processing.global_descriptors import make_global_descriptor
 from place_recognition.image_processing.local_features import LocalFeatures
-from place_recognition.image_processing.onnx_descriptor import OnnxConfig, OnnxDescriptor
+from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
+from place_recognition.image_processing.onnx_network import OnnxConfig
 from place_recognition.paradigms.whole_images import GlobalDescriptorMatching
 from place_recognition.recognizer import ObservedImage
 
@@ -20,7 +21,7 @@ IMAGE = textured_world(100, seed=1, height=60)
 def network(tmp_path):
     """Writes a network: its input's shape and type, and the operations from "image" to "out"."""
 
-    def write(shape, operations=(("Flatten", {}),), kind=onnx.TensorProto.FLOAT, name="net.onnx"):
+    def write(shape, operations=(("Flatten", {}),), kind=onnx.TensorProto.FLOAT, name="net.onnx", metadata=None):
         names = ["image", *[f"x{k}" for k in range(len(operations) - 1)], "out"]
         nodes = [
             onnx.helper.make_node(op, [names[k]], [names[k + 1]], **options)
@@ -30,11 +31,15 @@ def network(tmp_path):
         target = onnx.helper.make_tensor_value_info("out", kind, None)
         graph = onnx.helper.make_graph(nodes, "net", [source], [target])
         model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
+        onnx.helper.set_model_props(model, metadata or {})
         onnx.save(model, tmp_path / name)
         return tmp_path / name
 
     return write
 
+
+COLOR = np.random.default_rng(3).integers(0, 256, (6, 10, 3)).astype(np.uint8)
+PLAIN = {"mean": "0", "std": "1"}  # values from 0 to 1
 
 POOLED = (("AveragePool", {"kernel_shape": [4, 4], "strides": [4, 4]}), ("Flatten", {}))
 
@@ -126,3 +131,61 @@ def test_where_the_library_is_missing_its_extra_is_named(network, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
     with pytest.raises(ValueError, match=r"found none: pip install 'revisit-slam\[onnx\]'"):
         OnnxDescriptor(network([1, 3, 8, 8]))
+
+
+def unit(values):
+    return values.ravel() / np.linalg.norm(values)
+
+
+def test_colour_reaches_the_network_red_first_and_grey_is_enough_for_one_channel(network):
+    red_first = COLOR.transpose(2, 0, 1) / 255
+    descriptor = OnnxDescriptor(network([1, 3, 6, 10], metadata=PLAIN))
+    assert descriptor.takes_color
+    np.testing.assert_allclose(descriptor.describe(COLOR), unit(red_first), rtol=1e-5)
+    gray = OnnxDescriptor(network([1, 1, 6, 10], metadata=PLAIN, name="grey.onnx"))
+    assert not gray.takes_color
+    luma = np.tensordot([0.299, 0.587, 0.114], red_first, axes=1)
+    np.testing.assert_allclose(gray.describe(COLOR), unit(luma), atol=1e-3)
+
+
+def test_the_file_says_size_and_normalisation_and_settings_go_before_it(network):
+    said = {"height": "8", "width": "12", "mean": "0.5, 0.25 0", "std": "0.5"}
+    path = network([1, 3, "height", "width"], metadata=said)
+    image = np.full((40, 60), 255, np.uint8)
+    expected = np.repeat([(1 - 0.5) / 0.5, (1 - 0.25) / 0.5, 1 / 0.5], 8 * 12)
+    np.testing.assert_allclose(OnnxDescriptor(path).describe(image), unit(expected), rtol=1e-5)
+    config = OnnxConfig(height=4, mean=(0.0,), deviation=(1.0, 2.0, 4.0))
+    expected = np.repeat([1, 1 / 2, 1 / 4], 4 * 12)
+    np.testing.assert_allclose(OnnxDescriptor(path, config).describe(image), unit(expected), rtol=1e-5)
+
+
+def test_an_image_of_another_aspect_is_stretched_or_loses_its_borders_as_the_file_says(network):
+    image = np.zeros((6, 30), np.uint8)
+    image[:, 10:20] = 255
+    cropped = OnnxDescriptor(network([1, 1, 6, 10], metadata=PLAIN | {"crop": "1"})).describe(image)
+    np.testing.assert_allclose(cropped, unit(np.ones(60)), rtol=1e-5)
+    stretched = OnnxDescriptor(network([1, 1, 6, 10], metadata=PLAIN, name="whole.onnx")).describe(image)
+    assert stretched.reshape(6, 10)[:, [0, 9]].max() == 0 < stretched.reshape(6, 10)[:, 5].min()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "message"),
+    [
+        ({"mean": "a b c"}, r"net\.onnx: expected 1 or 3 numbers as metadata 'mean', found 'a b c': export"),
+        ({"std": "1 1"}, r"expected 1 or 3 numbers as metadata 'std', found '1 1'"),
+        ({"std": "0"}, r"expected standard deviations above 0, found \(0\.0,\)"),
+        ({"height": "nan"}, r"expected 1 numbers as metadata 'height'"),
+    ],
+)
+def test_metadata_that_are_no_numbers_are_named(network, metadata, message):
+    with pytest.raises(ValueError, match=message):
+        OnnxDescriptor(network([1, 3, 6, 10], metadata=metadata))
+
+
+def test_a_network_of_several_outputs_is_no_descriptor(network):
+    path = network([1, 3, 6, 10], (("Abs", {}), ("Flatten", {})))
+    model = onnx.load(path)
+    model.graph.output.append(onnx.helper.make_tensor_value_info("x0", onnx.TensorProto.FLOAT, None))
+    onnx.save(model, path)
+    with pytest.raises(ValueError, match=r"expected a network with one output, the descriptor, found out, x0: export"):
+        OnnxDescriptor(path)

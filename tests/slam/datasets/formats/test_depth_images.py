@@ -406,7 +406,7 @@ def test_settings_of_orb_slam_give_camera_and_scale(tmp_path: Path, ideal: Taken
 def test_colour_is_read_where_it_is_asked_for(tmp_path: Path, bent: Taken) -> None:
     folder = write_rgbd(tmp_path / "room", bent, 4000.0, depth_scale=4000)
     grey = open_dataset(folder)
-    shown = grey.read_colour(2)
+    shown = grey.read_color(2)
     assert shown is not None
     left = grey[2].left
     np.testing.assert_array_equal(shown, np.dstack([left] * 3))  # colour files of grey values
@@ -414,14 +414,14 @@ def test_colour_is_read_where_it_is_asked_for(tmp_path: Path, bent: Taken) -> No
         image = cv2.imread(str(file))
         image[..., 1:] //= 2  # blue is the strongest
         cv2.imwrite(str(file), image)
-    colour = open_dataset(folder).read_colour(2)
+    colour = open_dataset(folder).read_color(2)
     assert colour is not None
     assert (colour.shape, colour.dtype) == ((240, 320, 3), np.uint8)
     np.testing.assert_array_equal(colour[..., 2], left)  # RGB, in the pixels of the rectified image
     assert (colour[..., 0] < colour[..., 2]).mean() > 0.99
     for file in (folder / "rgb").iterdir():
         cv2.imwrite(str(file), cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
-    assert open_dataset(folder).read_colour(2) is None
+    assert open_dataset(folder).read_color(2) is None
 
 
 def test_colour_of_a_video(tmp_path: Path, ideal: Taken) -> None:
@@ -429,7 +429,7 @@ def test_colour_of_a_video(tmp_path: Path, ideal: Taken) -> None:
     (tmp_path / CAMERA_TOML).write_text(camera_toml(ideal.rig, pair=False))
     drive = open_dataset(tmp_path)
     for index in (1, 2, 0):
-        colour = drive.read_colour(index)
+        colour = drive.read_color(index)
         assert colour is not None
         assert np.abs(colour.mean(axis=2) - drive[index].left).mean() < 2
 

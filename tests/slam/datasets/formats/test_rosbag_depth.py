@@ -230,8 +230,8 @@ def test_colour_of_a_bag_is_read_beside_its_grey_images(tmp_path: Path) -> None:
         messages.add(COLOUR, raw_image(colour, START + 0.1 * k, "rgb8"))
     drive = open_dataset(messages.write(tmp_path / "drive.bag"))
     for k in (0, 2, 1):
-        np.testing.assert_array_equal(drive.read_colour(k), colours[k])
+        np.testing.assert_array_equal(drive.read_color(k), colours[k])
         assert drive[k].left.ndim == 2
     grey = open_dataset(write(tmp_path / "grey.bag", {}))
-    assert grey.read_colour(1) is None
-    assert grey.read_colour(2) is None
+    assert grey.read_color(1) is None
+    assert grey.read_color(2) is None
