@@ -285,7 +285,8 @@ def _run(
     factory = RecognizerFactory(options.paradigm, config, control_seed, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
-        run = run_recognizer(images, factory, progress, lambda: stop.requested, reference)
+        recognize = run_recognizer if reference is None else partial(run_recognizer, reference=reference)
+        run = recognize(images, factory, progress, lambda: stop.requested)
     if run.interrupted:
         messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
     if reference is not None:
