@@ -179,22 +179,21 @@ def _likeness(image: Image, other: Image) -> float:
 
 
 def _locate(image: Image, frame: MapFrame, lens: LensDistortion) -> Array | None:
-    """Pose T_frame_camera (4, 4) of an image by descriptors of a frame's landmarks; None if too few agree."""
-    orb = cv2.ORB_create(nfeatures=_MAX_CORNERS, nlevels=1)
+    """Pose T_frame_camera (4, 4) of an image by upright descriptors of a frame's landmarks; None if too few agree."""
+    orb = cv2.ORB.create(nfeatures=_MAX_CORNERS, nlevels=1)
     corners = orb.detect(image, None)
     landmarks = [cv2.KeyPoint(float(x), float(y), _PATCH_PX, 0.0, 0.0, 0, k) for k, (x, y) in enumerate(frame.pixels)]
-    corners = [cv2.KeyPoint(*corner.pt, _PATCH_PX, 0.0) for corner in corners]  # upright, as cameras mostly are
-    (corners, seen), (landmarks, known) = (
-        orb.compute(each, keypoints) for each, keypoints in ((image, corners), (frame.image, landmarks))
-    )
+    corners = [cv2.KeyPoint(corner.pt[0], corner.pt[1], _PATCH_PX, 0.0) for corner in corners]
+    corners_seen, seen = orb.compute(image, corners)
+    landmarks_known, known = orb.compute(frame.image, landmarks)
     if seen is None or known is None:
         return None
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(known, seen)
-    which = np.array([landmarks[match.queryIdx].class_id for match in matches], dtype=np.int64)
+    which = np.array([landmarks_known[match.queryIdx].class_id for match in matches], dtype=np.int64)
     if len(which) < _MIN_LANDMARKS:
         return None
     points = lens.rays(frame.pixels[which]) / frame.inverse_depth[which, None]
-    slopes = lens.rays(np.array([corners[match.trainIdx].pt for match in matches]))[:, :2]
+    slopes = lens.rays(np.array([corners_seen[match.trainIdx].pt for match in matches]))[:, :2]
     try:
         found, w, t, agree = cv2.solvePnPRansac(
             points, slopes, np.eye(3), None, iterationsCount=_SAMPLES,

@@ -3,7 +3,7 @@
 What was tried and why these thresholds: docs/decisions/mono_initialization.md.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from odometry.camera import triangulate
 from odometry.distortion import LensDistortion
 from odometry.mono.mono_bundle_adjustment import MonoBundle
 from odometry.mono.mono_frontend import MonoTracks
+from odometry.mono.rotation_estimation import estimate_rotation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -21,7 +22,8 @@ Mask = NDArray[np.bool_]
 _AGREEMENT_PX = 1.0  # epipolar error of a point that agrees; what is left of the distortion must fit
 _ROUNDS = 1000  # samples at most
 MIN_NOISE_PX = 0.2  # noise level of tracks that is assumed at least where parallax is looked for
-_MIN_PARALLAX = 10.0  # median parallax, in noise levels, that shows depths
+# Median parallax that no rotation explains: an essential matrix of a turn has a wrong rotation and looks like parallax.
+_MIN_UNEXPLAINED_PX = 4.0 * MIN_NOISE_PX
 _MIN_SCALE_POINTS = 8  # points of known depth that carry the scale on to new ones
 _NO_DEPTH = "the camera has not moved far enough to see depth"
 
@@ -86,6 +88,9 @@ def initialize(lens: LensDistortion, first: Array, second: Array, config: Initia
     T, inliers = found
     if inliers.sum() < max(config.min_points, config.min_inlier_ratio * len(first)):
         return f"only {inliers.sum()} of {len(first)} points agree on one motion"
+    turned = estimate_rotation(lens, first[inliers], second[inliers], 1.0)
+    if float(np.sqrt(np.median(turned.chi2))) < _MIN_UNEXPLAINED_PX:
+        return _NO_DEPTH
     parallax = float(np.median(_angles(rays[0][inliers], rays[1][inliers] @ T[:3, :3].T)))
     if parallax < config.min_parallax_rad:
         return _NO_DEPTH
@@ -98,8 +103,6 @@ def find_depths(bundle: MonoBundle, tracks: MonoTracks, config: InitializationCo
     The camera has turned to where no depth is known. The scale of its first step comes from the points of known depth
     that are left, else the median depth of what it sees stays as it was.
     """
-    noise_rad = max(bundle.noise_px, MIN_NOISE_PX) / bundle.lens.camera.fx
-    config = replace(config, min_parallax_rad=min(config.min_parallax_rad, _MIN_PARALLAX * noise_rad))
     found = initialize(bundle.lens, tracks.reference_pixels, tracks.pixels, config)
     if isinstance(found, str):
         return found

@@ -36,6 +36,8 @@ _NEW_MAP = "lost; a new map goes on at the speed before"
 _NEW_DEPTHS = "turned away from all known depths; the median depth of the scene stays as before"
 _TOO_FAR = "all that is followed is too far away to tell how far the camera moved"
 _STOPPING_S = 0.5  # seconds after a loss before which a camera that moved is not taken to stand
+# Points of known depth that measure a translation, and its distance from none: a step before a wall looks like a turn.
+_MIN_SURE, _TRANSLATION_SIGMAS = 50, 5.0
 # A rotation may leave this residual, in noise levels, to all but a few tracks: what is near shows a translation first.
 _MAX_HIDDEN, _MIN_TURNED = 4.0, 0.8
 
@@ -128,7 +130,7 @@ class MonoOdometry:
             moved = self._find_depths(located.followed.tracks, expected)
             if moved is not None:
                 return self._accept_depths(self._reference, located.followed, moved)
-            again = self._relocalize(self._reference, image)
+            again = self._relocalize(self._reference, image, motion)
             if again is not None:
                 return again
         if self._candidate is not None:
@@ -138,12 +140,21 @@ class MonoOdometry:
             reason = reason or begun
         return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
 
-    def _relocalize(self, reference: Reference[MonoTracks], image: Image) -> Motion | None:
-        """Find a lost camera again in the map; None if it is not lost, or nowhere to be found."""
+    def _relocalize(self, reference: Reference[MonoTracks], image: Image, motion: Array) -> Motion | None:
+        """Find a lost camera again in the map, not too far from where it would be by its last motion (4, 4).
+
+        None if it is not lost, or nowhere to be found.
+        """
         recognized = self._map.recognize(image) if self._unmeasured > 1 else None
         if recognized is None:
             return None
         view, T_view_camera = recognized
+        T_expected = self._T_map_reference @ reference.T_reference_previous @ motion
+        checks, patience = self._config.motion_checks, 2 * self._unmeasured
+        if jump_reason(
+            view.T_map_camera @ T_view_camera, T_expected, checks, patience
+        ):  # another shelf of the same kind
+            return None
         located = self._tracker.track(view, image, MotionPrediction(T_view_camera))
         if located.estimate is None or located.reason or self._weakness(located.estimate):
             return None
@@ -165,14 +176,22 @@ class MonoOdometry:
         """Rotation since the last reference frame, where that explains all that is seen; else None."""
         if located.estimate is None:
             return None
-        tracks, points = located.followed.tracks, self.bundle.points.select(located.followed.tracks.ids)
-        found = estimate_rotation(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._map.median_depth)
+        tracks = located.followed.tracks
         noise_px = max(located.estimate.noise_px, self.bundle.noise_px, MIN_NOISE_PX)
-        unknown = int(np.sum(~points.is_sure(noise_px)))
-        if not explains_as_well(found, located.estimate, noise_px, unknown):
+        sure = int(self.bundle.points.select(tracks.ids).is_sure(noise_px).sum())
+        if not located.reason and sure >= _MIN_SURE and self._shows_translation(located.estimate):
+            return None
+        found = estimate_rotation(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._map.median_depth)
+        if not explains_as_well(found, located.estimate, noise_px, len(tracks) - sure):
             return None
         T_first_second = se3.inverse(self._T_map_reference) @ self.bundle.poses[-1] @ found.T_first_second
         return self._check_turn(replace(found, T_first_second=T_first_second), predicted)
+
+    def _shows_translation(self, estimate: PoseEstimate) -> bool:
+        """Whether a pose is away from the last reference frame by far more than its uncertainty."""
+        T = se3.inverse(self.bundle.poses[-1]) @ self._T_map_reference @ estimate.T_first_second
+        moved, covariance = T[:3, :3].T @ T[:3, 3], self._config.covariance_scale * estimate.covariance[3:, 3:]
+        return float(moved @ np.linalg.solve(covariance, moved)) > _TRANSLATION_SIGMAS**2
 
     def _check_turn(self, found: PoseEstimate, predicted: MotionPrediction | None) -> PoseEstimate | None:
         """Reject a rotation that hides parallax, or a translation that cannot have ended."""
