@@ -40,7 +40,7 @@ def test_turning_away_from_all_known_depths_and_back_keeps_the_scale(camera, wor
     before = np.mean([length(m) for m in motions[5:9]])
     after = np.mean([length(m) for m in motions[-4:]])
     assert after == pytest.approx(before, rel=0.05)
-    assert sum(length(m) for m in motions[9:49]) < 0.3 * before
+    assert sum(length(m) for m in motions[9:49]) < 0.03 * before
     T = chain([m.T_previous_current for m in motions[1:]])[-1]
     assert se3.angle(se3.inverse(poses[-1]) @ T) < 5e-3
 
