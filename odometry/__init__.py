@@ -6,7 +6,8 @@ from odometry.camera import StereoCamera
 from odometry.motion import Motion
 
 if TYPE_CHECKING:
-    from odometry.mono.mono_odometry import MonoOdometry, MonoOdometryConfig
+    from odometry.mono.mono_config import MonoOdometryConfig
+    from odometry.mono.mono_odometry import MonoOdometry
     from odometry.stereo.stereo_odometry import StereoOdometry, StereoOdometryConfig
 
 __all__ = [

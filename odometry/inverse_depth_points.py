@@ -14,6 +14,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _DEFAULT_INVERSE_DEPTH = 1.0 / 15.0  # while nothing is known; the unit of a map is at first such that this is so
+_MAX_DEPTH_SIGMA = 0.3  # largest standard deviation of a depth that is known, as a share of it
 _FIELDS = ("ids", "frame", "anchor_pixel", "inverse_depth", "information")  # of `Points`
 
 
@@ -106,6 +107,10 @@ class Points:
         known = self.information > 0
         return float(np.median(self.inverse_depth[known])) if known.any() else _DEFAULT_INVERSE_DEPTH
 
+    def is_sure(self, noise_px: float) -> Mask:
+        """Which of the points (N,) have a depth that is known well enough to carry the scale on."""
+        return self.information * (_MAX_DEPTH_SIGMA * self.inverse_depth) ** 2 > noise_px**2
+
     def select(self, ids: Indices) -> "Points":
         """Points of these numbers (M,), in this order; unknown ones have no information and the median depth."""
         index = np.searchsorted(self.ids, ids).clip(0, max(len(self) - 1, 0))
@@ -119,23 +124,29 @@ class Points:
             np.where(known, self.information[index], 0.0),
         )  # fmt: skip
 
-    def append(self, other: "Points") -> "Points":
-        """These points and others with larger numbers."""
-        return Points(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _FIELDS))
+    def merge(self, other: "Points") -> "Points":
+        """These points and others, which take the place of any of the same number."""
+        kept = ~np.isin(self.ids, other.ids)
+        order = np.argsort(np.concatenate([self.ids[kept], other.ids]), kind="stable")
+        return Points(*(np.concatenate([getattr(self, name)[kept], getattr(other, name)])[order] for name in _FIELDS))
 
     def rescale(self, factor: float) -> "Points":
         """Make the map larger by a factor."""
         return replace(self, inverse_depth=self.inverse_depth / factor, information=self.information * factor**2)
 
-    def reanchor(self, observations: ObservationTable, poses: Array, lens: LensDistortion) -> "Points":
+    def reanchor(
+        self, observations: ObservationTable, poses: Array, lens: LensDistortion, leaving: int = 0
+    ) -> "Points":
         """Anchor points in the frames that see them first now.
 
         Args:
-            observations: observations without those of the frame that has left; frames are counted from the next one.
-            poses: (K, 4, 4) T_map_frame, beginning with the frame that has left.
+            observations: observations without those of the frame that leaves.
+            poses: (K, 4, 4) T_map_frame, the frame that leaves included.
             lens: of the camera.
+            leaving: the frame that leaves; those after it are counted from one less.
         """
-        old, anchor = self.select(observations.ids), observations.anchor + 1
+        old = self.select(observations.ids)
+        anchor = observations.anchor + (observations.anchor >= leaving)
         T = se3.inverse(poses[anchor]) @ poses[old.frame]
         ray = lens.rays(old.anchor_pixel)
         seen = np.einsum("nij,nj->ni", T[:, :3, :3], ray) + T[:, :3, 3] * old.inverse_depth[:, None]

@@ -56,7 +56,7 @@ def check_paradigm(name: str) -> None:
 
 def check_features(name: str) -> None:
         known = ", ".join(EXTRACTORS)
-        raise ConfigError(f"local features: expected one of {known}, found '{name}'; a network of your own is onnx:FILE")
+        raise ConfigError(f"unknown local features '{name}': expected one of {known}, found none; or name onnx:FILE")
     if not is_extractor(name):
         raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}, found neither these nor onnx:FILE")
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tomli_w
 
-from odometry.mono.mono_odometry import MonoOdometryConfig
+from odometry.mono.mono_config import MonoOdometryConfig
 from odometry.stereo.rgbd_odometry import RgbdOdometryConfig
 from odometry.stereo.stereo_odometry import StereoOdometryConfig
 from place_recognition.image_processing.static_regions import StaticRegionConfig

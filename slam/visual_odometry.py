@@ -21,6 +21,9 @@ Depths = NDArray[np.float32]
 # Depth from motion is used where the camera has moved by this share of the pair's baseline: it is then about as
 # accurate as depth from the pair.
 _MIN_BASELINE_SHARE = 0.5
+# It is also used where the parallax is this large, so that the depth is known to a quarter of itself, however near the
+# scene is: loops measure what noise these depths have. A camera in a hand moves by centimetres.
+_MIN_PARALLAX_PX = 2.0
 
 
 class StereoVisualOdometry:
@@ -97,9 +100,10 @@ class MonocularVisualOdometry:
         return self._odometry.track(frame.left, frame.timestamp, frame.usable_pixels)
 
     def disparity(self, left: Image, right: Image | None, pixels: Array) -> Array:
-        """Disparity (N,) by depth from motion, where that is about as accurate as a pair's."""
+        """Disparity (N,) by depth from motion, where that is about as accurate as a pair's or its parallax is large."""
         depths, camera = self._odometry.depths(left, pixels), self._camera
-        accurate = depths.baseline >= _MIN_BASELINE_SHARE * camera.baseline
+        parallax_px = camera.fx * depths.baseline * depths.inverse
+        accurate = (depths.baseline >= _MIN_BASELINE_SHARE * camera.baseline) | (parallax_px >= _MIN_PARALLAX_PX)
         return np.where(accurate, camera.fx * camera.baseline * depths.inverse, np.nan)
 
     def array_bytes(self) -> int:

@@ -6,7 +6,7 @@ that saw it first is anchored in the next one. Memory is bounded by the window, 
 docs/decisions/no_marginalisation.md. Residuals and Jacobians: docs/math.md, section "Monocular bundle".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,10 @@ from odometry.distortion import NUM_COEFFICIENTS, LensDistortion, LensDistortion
 from odometry.inverse_depth_points import FrameObservations, ObservationTable, Points, clamp_points
 from odometry.kernels.mono_bundle_equations import build_normal_equations
 from odometry.kernels.schur import FIXED
+from odometry.mono.local_map import MapFrame
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -62,40 +64,81 @@ class MonoBundle:
         lens: the camera and its distortion as learned so far.
         poses: (K, 4, 4) T_map_frame.
         points: points of the window.
+        numbers: numbers of its frames, growing.
         noise_px: standard deviation of a measurement, pixels.
     """
 
     def __init__(self, lens: LensDistortion, config: MonoBundleConfig, lens_config: LensDistortionConfig) -> None:
         self._config, self._lens_config = config, lens_config
         self._frames: list[FrameObservations] = []
+        self.numbers: list[int] = []
         self.lens, self.poses, self.points = lens, np.zeros((0, 4, 4)), Points.empty()
         self.noise_px = _NOISE_AT_FIRST
 
     def initialize(self, first: FrameObservations, second: FrameObservations, T_first_second: Array) -> Mask:
         """Begin a new map with two frames, the first at its origin; return which of the second's points agree (N,)."""
-        self._frames, self.points = [first, second], Points.empty()
+        self._frames, self.points, self.numbers = [first, second], Points.empty(), self._name(2)
         self.poses = np.stack([np.eye(4), T_first_second])
         return self._adjust(1, _STEPS_AT_FIRST)
 
+    @property
+    def is_full(self) -> bool:
+        """Whether the window holds as many frames as it may."""
+        return len(self._frames) >= self._config.max_frames
+
     def add(self, seen: FrameObservations, T_map_frame: Array) -> Mask:
         """Add a frame near its measured pose (4, 4) and adjust; return which of its points agree (N,)."""
-        if len(self._frames) >= self._config.max_frames:
-            self._frames = self._frames[1:]
-            self.points = self.points.reanchor(ObservationTable.from_frames(self._frames), self.poses, self.lens)
-            self.poses = self.poses[1:]
-        self._frames.append(seen)
-        self.poses = np.concatenate([self.poses, T_map_frame[None]])
+        self.add_turned(seen, T_map_frame)
         return self._adjust(min(self._config.max_free_frames, len(self.poses) - 2), self._config.iterations)
+
+    def add_turned(self, seen: FrameObservations, T_map_frame: Array) -> None:
+        """Add a frame without parallax at its measured pose (4, 4): it has nothing to say about any depth."""
+        if self.is_full:
+            self.remove(0)
+        self._frames.append(seen)
+        self.numbers += self._name(1)
+        self.poses = np.concatenate([self.poses, T_map_frame[None]])
+
+    def remove(self, place: int) -> None:
+        """Forget a frame of the window."""
+        del self._frames[place], self.numbers[place]
+        table = ObservationTable.from_frames(self._frames)
+        self.points = self.points.reanchor(table, self.poses, self.lens, place)
+        self.poses = np.delete(self.poses, place, axis=0)
+
+    def revisit(self, frame: MapFrame) -> None:
+        """Take back a frame of the local map, as the window's oldest, with its landmarks as they were."""
+        self._frames.insert(0, FrameObservations(frame.ids, frame.pixels))
+        self.numbers.insert(0, frame.number)
+        self.poses = np.concatenate([frame.T_map_camera[None], self.poses])
+        old = replace(self.points, frame=self.points.frame + 1)
+        anchor = np.zeros(len(frame.ids), np.int64)
+        self.points = old.merge(Points(frame.ids, anchor, frame.pixels, frame.inverse_depth, frame.information))
+
+    def landmarks_of(self, place: int, image: Image) -> MapFrame:
+        """A frame of the window for the local map, with its points of known depth."""
+        seen, T = self._frames[place], self.poses[place]
+        points, there = self.points.select(seen.ids), self.in_camera(seen.ids, T)
+        depth = there[:, 3] / np.where(there[:, 2] > 0, there[:, 2], np.inf)
+        sure = (depth > _MIN_INVERSE_DEPTH) & points.is_sure(self.noise_px)
+        information = points.information * (points.inverse_depth / np.maximum(depth, _MIN_INVERSE_DEPTH)) ** 2
+        return MapFrame(
+            self.numbers[place], image, T, seen.ids[sure], seen.pixels[sure], depth[sure], information[sure]
+        )
+
+    def _name(self, count: int) -> list[int]:
+        """Numbers for new frames."""
+        begin = self.numbers[-1] + 1 if self.numbers else 0
+        return list(range(begin, begin + count))
 
     def replace_newest(self, seen: FrameObservations) -> None:
         """Replace the newest frame's observations: outliers are gone and new points are there."""
         self._frames[-1] = seen
-        known = self.points.ids
-        new = seen.ids > (known[-1] if len(known) else -1)
+        new = ~np.isin(seen.ids, self.points.ids)
         unknown = np.zeros(int(new.sum()))
         frame = np.full(len(unknown), len(self._frames) - 1)
         fresh = Points(seen.ids[new], frame, seen.pixels[new], unknown + self.points.median_inverse_depth, unknown)
-        self.points = self.points.append(fresh)
+        self.points = self.points.merge(fresh)
 
     def rescale(self, factor: float) -> None:
         """Make the map larger by a factor around the newest frame, which no image contradicts."""
@@ -165,6 +208,7 @@ class MonoBundle:
             "lens_coefficients": self.lens.coefficients,
             "lens_covariance": self.lens.covariance,
             "poses": self.poses,
+            "numbers": list(self.numbers),
             "points": dict(vars(self.points)),
             "noise_px": self.noise_px,
         }
@@ -174,6 +218,7 @@ class MonoBundle:
         self._frames = [FrameObservations(**frame) for frame in state["frames"]]
         self.lens = LensDistortion(self.lens.camera, state["lens_coefficients"], state["lens_covariance"])
         self.poses, self.points = state["poses"], Points(**state["points"])
+        self.numbers = list(state["numbers"])
         self.noise_px = state["noise_px"]
 
 

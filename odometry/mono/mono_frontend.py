@@ -31,6 +31,7 @@ class MonoTracks:
         pixels: (N, 2) places of the points in the image.
         reference_pixels: (N, 2) their places in the last reference frame.
         reference_image: (H, W) uint8, image of the last reference frame.
+        reference_count: points that the last reference frame showed.
     """
 
     image: Image
@@ -38,6 +39,7 @@ class MonoTracks:
     pixels: Array
     reference_pixels: Array
     reference_image: Image
+    reference_count: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -46,6 +48,16 @@ class MonoTracks:
         """Return some of the points, chosen by (N,) bool."""
         return replace(
             self, ids=self.ids[chosen], pixels=self.pixels[chosen], reference_pixels=self.reference_pixels[chosen]
+        )
+
+    def merge(self, ids: Indices, pixels: Array) -> "MonoTracks":
+        """These points and others (M,) at pixels (M, 2), in the order of their numbers."""
+        order = np.argsort(np.concatenate([self.ids, ids]), kind="stable")
+        return replace(
+            self,
+            ids=np.concatenate([self.ids, ids])[order],
+            pixels=np.concatenate([self.pixels, pixels])[order],
+            reference_pixels=np.concatenate([self.reference_pixels, pixels])[order],
         )
 
 
@@ -81,7 +93,7 @@ class MonoFrontEnd:
         pixels = np.concatenate([pixels, corners])
         self._count += len(corners)
         image = image.copy()  # callers may use one buffer for all images
-        return MonoTracks(image, ids, pixels, pixels, image)
+        return MonoTracks(image, ids, pixels, pixels, image, len(ids))
 
     def follow(self, tracks: MonoTracks, image: Image, ahead: Array, wide: bool = False) -> FollowedTracks:
         """Look for points in the next image near where they are expected, pixels (N, 2), NaN where that is unknown."""
@@ -91,9 +103,7 @@ class MonoFrontEnd:
         lit = match_brightness(tracks.image, image) if wide else image
         pixels = track_points((tracks.image, lit), tracks.pixels, start, config)
         found = np.isfinite(pixels[:, 0]) & is_unmasked(pixels, self.mask)
-        there = MonoTracks(
-            image.copy(), tracks.ids[found], pixels[found], tracks.reference_pixels[found], tracks.reference_image
-        )
+        there = replace(tracks.select(found), image=image.copy(), pixels=pixels[found])
         return FollowedTracks(there, tracks.pixels[found])
 
     def state(self) -> dict[str, Any]:

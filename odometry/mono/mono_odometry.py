@@ -9,7 +9,7 @@ There is one finite motion for every image. Where the images do not allow a meas
 """
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,69 +17,29 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import PinholeCamera
-from odometry.distortion import LensDistortion, LensDistortionConfig
-from odometry.inverse_depth_points import FrameObservations
-from odometry.klt_tracking import TrackingConfig
-from odometry.mono.ground_plane_scale import GroundPlaneConfig, GroundPlaneScale, NullScaleCorrection, ScaleCorrection
-from odometry.mono.mono_bundle_adjustment import MonoBundle, MonoBundleConfig
+from odometry.mono.mono_config import MonoOdometryConfig
 from odometry.mono.mono_frontend import FollowedTracks, MonoFrontEnd, MonoTracks
-from odometry.mono.mono_initialization import Initialization, InitializationConfig, initialize
-from odometry.mono.mono_tracking import MonoTracker, PosedTracks
-from odometry.mono.motion_only_bundle_adjustment import PoseEstimate, PoseEstimationConfig
-from odometry.mono.motion_stereo import Depths, MotionStereoConfig, PosedImage, estimate_depths, select_earlier_image
+from odometry.mono.mono_initialization import MIN_NOISE_PX, Initialization, NewDepths, find_depths, initialize
+from odometry.mono.mono_map import MonoMap
+from odometry.mono.mono_tracking import MonoTracker, MonoTrackingResult, PosedTracks
+from odometry.mono.motion_only_bundle_adjustment import PoseEstimate
+from odometry.mono.motion_stereo import Depths, PosedImage, estimate_depths, select_earlier_image
+from odometry.mono.rotation_estimation import estimate_rotation, explains_as_well
 from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
-from odometry.motion_checks import MotionCheckConfig, MotionPrediction, jump_reason
+from odometry.motion_checks import MotionPrediction, jump_reason, stops_implausibly
 from odometry.reference_frame import Reference
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _NEW_MAP = "lost; a new map goes on at the speed before"
-
-
-@dataclass(frozen=True)
-class MonoOdometryConfig:
-    """All settings of the odometry; the defaults serve any camera without much distortion.
-
-    Attributes:
-        tracking: choice and tracking of corners.
-        initialization: what the first two images must show.
-        bundle: adjustment of the last reference frames.
-        pose_estimation: motion-only adjustment of each image.
-        lens: prior of the lens distortion.
-        motion_stereo: depth of any pixels of an image.
-        motion_checks: checks that a motion must pass.
-        ground_plane: how the road is found that gives the scale.
-        camera_height_m: height of the camera above the road, metres; 0 if unknown: then the unit is free, and as long
-            as a metre only if the median depth in the first images is 15 m.
-        reference_parallax_px: median parallax to the last reference frame at which an image becomes one, pixels.
-        min_tracked_ratio: share of the reference frame's points below which an image becomes the next one.
-        covariance_scale: how many times more variance motions have, as parts of a stretch, than their points would
-            have if these erred independently in every image: tracks keep their errors while they live.
-        extrapolation_sigma_rad: standard deviation of the change of rotation from one image to the next, radians.
-        extrapolation_sigma_m: standard deviation of the change of translation from one image to the next, metres.
-    """
-
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    initialization: InitializationConfig = field(default_factory=InitializationConfig)
-    bundle: MonoBundleConfig = field(default_factory=MonoBundleConfig)
-    pose_estimation: PoseEstimationConfig = field(default_factory=PoseEstimationConfig)
-    lens: LensDistortionConfig = field(default_factory=LensDistortionConfig)
-    motion_stereo: MotionStereoConfig = field(default_factory=MotionStereoConfig)
-    motion_checks: MotionCheckConfig = field(default_factory=MotionCheckConfig)
-    ground_plane: GroundPlaneConfig = field(default_factory=GroundPlaneConfig)
-    camera_height_m: float = 0.0
-    reference_parallax_px: float = 4.0
-    min_tracked_ratio: float = 0.8
-    covariance_scale: float = 9.0
-    extrapolation_sigma_rad: float = 0.02
-    extrapolation_sigma_m: float = 0.2
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.camera_height_m) and self.camera_height_m >= 0):
-            raise ValueError(
-                f"camera_height_m: expected metres above the road, or 0 for unknown, got {self.camera_height_m}"
-            )
+_NEW_DEPTHS = "turned away from all known depths; the median depth of the scene stays as before"
+_TOO_FAR = "all that is followed is too far away to tell how far the camera moved"
+_STOPPING_S = 0.5  # seconds after a loss before which a camera that moved is not taken to stand
+# Points of known depth that measure a translation, and its distance from none: a step before a wall looks like a turn.
+_MIN_SURE, _TRANSLATION_SIGMAS = 50, 5.0
+# A rotation may leave this residual, in noise levels, to all but a few tracks: what is near shows a translation first.
+_MAX_HIDDEN, _MIN_TURNED = 4.0, 0.8
 
 
 class MonoOdometry:
@@ -93,14 +53,9 @@ class MonoOdometry:
         self._camera, self._config = camera, config or MonoOdometryConfig()
         settings = self._config
         self._front_end = MonoFrontEnd(settings.tracking)
-        self.bundle = MonoBundle(LensDistortion.unknown(camera, settings.lens), settings.bundle, settings.lens)
+        self._map = MonoMap(camera, settings, self._front_end)
+        self.bundle = self._map.bundle
         self._tracker = MonoTracker(self._front_end, self.bundle, settings.pose_estimation, settings.motion_checks)
-        self._scale_correction: ScaleCorrection = (
-            GroundPlaneScale(settings.camera_height_m, settings.ground_plane)
-            if settings.camera_height_m
-            else NullScaleCorrection()
-        )
-        self._images: deque[Image] = deque(maxlen=settings.bundle.max_frames)  # of the bundle's frames
         self._frame_counter = FrameCounter()
         self._T_map_reference = np.eye(4)
         self._reference: Reference[MonoTracks] | None = None  # the last image whose pose in the map is known
@@ -108,6 +63,7 @@ class MonoOdometry:
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
+        self._has_begun = False
 
     def track(self, image: Image, timestamp: float | None = None, mask: Image | None = None) -> Motion:
         """Measure the motion since the previous image.
@@ -123,8 +79,9 @@ class MonoOdometry:
         self._check(image)
         self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
-        first, self._unmeasured = self._unmeasured == 0 and self._reference is None, self._unmeasured + steps
-        if first:
+        self._unmeasured += steps
+        if not self._has_begun:
+            self._has_begun = True
             self._propose(image)
             return Motion(np.eye(4), FIRST_VARIANCE * np.eye(6), False, "")
         motion = np.eye(4) if self._velocity is None else se3.exp(self._velocity * steps)
@@ -137,12 +94,12 @@ class MonoOdometry:
 
         For other stages. Nothing is known of an image whose motion was predicted.
         """
-        if self._reference is None or self._unmeasured or not len(pixels):
+        if self._reference is None or self._reference.age_frames or not len(pixels):
             return Depths.unknown(len(pixels))
         tracks, points = self._reference.view, self.bundle.points
-        shots = [PosedImage(*shot) for shot in zip(self._images, self.bundle.poses, strict=True)]
+        shots = self._map.posed_images()
         now = PosedImage(image, self._T_map_reference)
-        then = select_earlier_image(shots, now, 1.0 / points.median_inverse_depth, self._config.motion_stereo)
+        then = select_earlier_image(shots, now, self._map.median_depth, self._config.motion_stereo)
         seen = self.bundle.in_camera(tracks.ids, self._T_map_reference)
         known = (points.select(tracks.ids).information > 0) & (seen[:, 2] > 0)
         if then is None or not known.any():
@@ -162,10 +119,20 @@ class MonoOdometry:
         reason = None
         if self._reference is not None:
             known = PosedTracks(self._reference.view, self._T_map_reference)
-            located = self._tracker.track(known, image, self._expect(self._reference, image, motion))
+            expected = self._expect(self._reference, image, motion)
+            located = self._tracker.track(known, image, expected)
+            turned = self._turn(located, expected)
+            if turned is not None:
+                return self._accept(self._reference, located.followed, turned, adjust=False)
             reason = located.reason or self._weakness(located.estimate)
             if located.estimate is not None and not reason:
                 return self._accept(self._reference, located.followed, located.estimate)
+            moved = self._find_depths(located.followed.tracks, expected)
+            if moved is not None:
+                return self._accept_depths(self._reference, located.followed, moved)
+            again = self._relocalize(self._reference, image, motion)
+            if again is not None:
+                return again
         if self._candidate is not None:
             begun = self._begin(self._candidate, image, motion)
             if isinstance(begun, Motion):
@@ -173,13 +140,93 @@ class MonoOdometry:
             reason = reason or begun
         return self._extrapolate(image, motion, reason or "the images before showed nothing to follow")
 
+    def _relocalize(self, reference: Reference[MonoTracks], image: Image, motion: Array) -> Motion | None:
+        """Find a lost camera again in the map, not too far from where it would be by its last motion (4, 4).
+
+        None if it is not lost, or nowhere to be found.
+        """
+        recognized = self._map.recognize(image) if self._unmeasured > 1 else None
+        if recognized is None:
+            return None
+        view, T_view_camera = recognized
+        T_expected = self._T_map_reference @ reference.T_reference_previous @ motion
+        checks, patience = self._config.motion_checks, 2 * self._unmeasured
+        if jump_reason(
+            view.T_map_camera @ T_view_camera, T_expected, checks, patience
+        ):  # another shelf of the same kind
+            return None
+        located = self._tracker.track(view, image, MotionPrediction(T_view_camera))
+        if located.estimate is None or located.reason or self._weakness(located.estimate):
+            return None
+        T_view_previous = se3.inverse(view.T_map_camera) @ self._T_map_reference @ reference.T_reference_previous
+        self._T_map_reference = view.T_map_camera
+        covariance = reference.covariance_previous
+        back = Reference(view.tracks, T_view_previous, T_view_previous, covariance, reference.age_frames)
+        return self._accept(back, located.followed, located.estimate)
+
     def _weakness(self, estimate: PoseEstimate | None) -> str | None:
         """Reason why a measurement is less certain than an extrapolation would be, or None if it is more certain."""
         if estimate is None:
             return None
         variance = self._config.covariance_scale * float(np.trace(estimate.covariance[3:, 3:]))
         limit = float(np.trace(self._extrapolation_covariance(1)[3:, 3:]))
-        return None if variance < limit else "all that is followed is too far away to tell how far the camera moved"
+        return None if variance < limit else _TOO_FAR
+
+    def _turn(self, located: MonoTrackingResult, predicted: MotionPrediction | None) -> PoseEstimate | None:
+        """Rotation since the last reference frame, where that explains all that is seen; else None."""
+        if located.estimate is None:
+            return None
+        tracks = located.followed.tracks
+        noise_px = max(located.estimate.noise_px, self.bundle.noise_px, MIN_NOISE_PX)
+        sure = int(self.bundle.points.select(tracks.ids).is_sure(noise_px).sum())
+        if not located.reason and sure >= _MIN_SURE and self._shows_translation(located.estimate):
+            return None
+        found = estimate_rotation(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._map.median_depth)
+        if not explains_as_well(found, located.estimate, noise_px, len(tracks) - sure):
+            return None
+        T_first_second = se3.inverse(self._T_map_reference) @ self.bundle.poses[-1] @ found.T_first_second
+        return self._check_turn(replace(found, T_first_second=T_first_second), predicted)
+
+    def _shows_translation(self, estimate: PoseEstimate) -> bool:
+        """Whether a pose is away from the last reference frame by far more than its uncertainty."""
+        T = se3.inverse(self.bundle.poses[-1]) @ self._T_map_reference @ estimate.T_first_second
+        moved, covariance = T[:3, :3].T @ T[:3, 3], self._config.covariance_scale * estimate.covariance[3:, 3:]
+        return float(moved @ np.linalg.solve(covariance, moved)) > _TRANSLATION_SIGMAS**2
+
+    def _check_turn(self, found: PoseEstimate, predicted: MotionPrediction | None) -> PoseEstimate | None:
+        """Reject a rotation that hides parallax, or a translation that cannot have ended."""
+        checks = self._config.motion_checks
+        limit_px = _MAX_HIDDEN * max(self.bundle.noise_px, MIN_NOISE_PX)
+        agree = int(np.sum(found.chi2 < limit_px**2))
+        if agree < max(checks.min_tracks, _MIN_TURNED * len(found.chi2)):
+            return None
+        if predicted is not None and stops_implausibly(found.T_first_second, predicted, checks):
+            return None
+        return found
+
+    def _find_depths(self, tracks: MonoTracks, predicted: MotionPrediction | None) -> NewDepths | None:
+        """Find depths anew where no known ones are in view; None if there is no parallax or an impossible motion."""
+        found = find_depths(self.bundle, tracks, self._config.initialization)
+        if isinstance(found, str):
+            return None
+        T = se3.inverse(self._T_map_reference) @ self.bundle.poses[-1] @ found.T_first_second
+        checks = self._config.motion_checks
+        if predicted is not None and (
+            stops_implausibly(T, predicted, checks)
+            or jump_reason(T, predicted.T_reference_current, checks, self._unmeasured)
+        ):
+            return None
+        return replace(found, T_first_second=T)
+
+    def _accept_depths(self, reference: Reference[MonoTracks], followed: FollowedTracks, found: NewDepths) -> Motion:
+        """Accept a motion to where depths are found anew; with a guessed scale it counts as predicted."""
+        noise_px, covariance = self.bundle.noise_px, self._extrapolation_covariance(1)
+        if found.is_scale_known:
+            covariance = covariance / self._config.covariance_scale
+        chi2 = np.full(len(found.inliers), noise_px**2)
+        placed = PoseEstimate(found.T_first_second, covariance, found.inliers, noise_px, noise_px, chi2)
+        motion = self._accept(reference, followed, placed)
+        return motion if found.is_scale_known else replace(motion, predicted=True, reason=_NEW_DEPTHS)
 
     def _expect(self, reference: Reference[MonoTracks], image: Image, motion: Array) -> MotionPrediction | None:
         """Predict the pose from the motion (4, 4) since the previous image; None before the first measurement."""
@@ -193,15 +240,15 @@ class MonoOdometry:
             T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, distance_m
         )
 
-    def _accept(self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate) -> Motion:
+    def _accept(
+        self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate, adjust: bool = True
+    ) -> Motion:
         """Accept a measured pose; an image far enough from the last reference frame of the bundle is added to it."""
         T_map_camera = se3.orthonormalize(self._T_map_reference @ placed.T_first_second)
         tracks = followed.tracks.select(placed.inliers)
-        if self._is_far_from_reference(tracks, reference.view, T_map_camera):
-            agree = self.bundle.add(FrameObservations(tracks.ids, tracks.pixels), T_map_camera)
-            self._images.append(tracks.image)
-            self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
-            tracks, T_map_camera = self._renew(tracks.select(agree)), self.bundle.poses[-1]
+        if self._map.is_far_from_reference(tracks, T_map_camera):
+            tracks = self._map.add(tracks, T_map_camera, adjust)
+            T_map_camera = self.bundle.poses[-1]
         T_reference_current = se3.inverse(self._T_map_reference) @ T_map_camera
         T_previous_current = se3.inverse(reference.T_reference_previous) @ T_reference_current
         Ad = se3.adjoint(se3.inverse(T_previous_current))
@@ -218,20 +265,6 @@ class MonoOdometry:
         self._speeds.append(float(np.linalg.norm(velocity[3:])))
         self._T_map_reference, self._reference, self._candidate = T_map_camera, Reference(tracks), None
 
-    def _is_far_from_reference(self, tracks: MonoTracks, before: MonoTracks, T_map_camera: Array) -> bool:
-        """Whether an image at (4, 4) has enough parallax to the last reference frame to add to it."""
-        lens, R = self.bundle.lens, T_map_camera[:3, :3].T @ self.bundle.poses[-1][:3, :3]
-        turned = lens.pixels(lens.rays(tracks.reference_pixels) @ R.T)
-        parallax = tracks.pixels - turned  # what turning does not explain
-        flow = float(np.nanmedian(np.linalg.norm(parallax, axis=1)))
-        return flow > self._config.reference_parallax_px or len(tracks) < self._config.min_tracked_ratio * len(before)
-
-    def _renew(self, tracks: MonoTracks) -> MonoTracks:
-        """Add new corners to the newest frame of the bundle."""
-        renewed = self._front_end.observe(tracks.image, tracks)
-        self.bundle.replace_newest(FrameObservations(renewed.ids, renewed.pixels))
-        return renewed
-
     def _propose(self, image: Image) -> None:
         """Make this image the candidate for a new map if it shows enough points."""
         tracks = self._front_end.observe(image)
@@ -246,9 +279,53 @@ class MonoOdometry:
             found = self._check_prediction(found, candidate.T_reference_previous @ motion)
         if isinstance(found, Initialization):
             return self._restart(candidate, followed, found, motion)
+        turned = self._turn_before_map(candidate, followed, motion)
+        if turned is not None:
+            return turned
         enough = len(tracks) >= self._config.initialization.min_points
         self._candidate = replace(candidate, view=tracks) if enough else None
         return found
+
+    def _turn_before_map(
+        self, candidate: Reference[MonoTracks], followed: FollowedTracks, motion: Array
+    ) -> Motion | None:
+        """Measure a rotation since the candidate for a new map, where that explains what is seen."""
+        tracks, settings = followed.tracks, self._config
+        if len(tracks) < settings.initialization.min_points or not self._may_stand(candidate):
+            return None
+        found = estimate_rotation(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._map.median_depth)
+        expected = candidate.T_reference_previous @ motion
+        predicted = MotionPrediction(
+            expected, candidate.age_frames, self._unmeasured, self._frame_counter.interval_s,
+            candidate.age_frames * min(self._speeds, default=0.0),
+        )  # fmt: skip
+        turned = self._check_turn(found, predicted if self._velocity is not None else None)
+        if turned is None:
+            return None
+        T_previous_current = se3.inverse(candidate.T_reference_previous) @ turned.T_first_second
+        Ad = se3.adjoint(se3.inverse(T_previous_current))
+        covariance = turned.covariance + Ad @ candidate.covariance_previous @ Ad.T
+        self._unmeasured = 0
+        if self._velocity is not None:
+            self._velocity = np.concatenate([se3.log(T_previous_current)[:3], np.zeros(3)])
+            self._speeds.append(0.0)
+        self._reference = self._reference and self._reference.extend(T_previous_current, covariance)
+        self._candidate = (
+            Reference(self._front_end.observe(tracks.image, tracks))
+            if len(tracks) < settings.min_tracked_ratio * tracks.reference_count
+            else replace(
+                candidate, view=tracks, T_reference_previous=turned.T_first_second, covariance_previous=np.zeros((6, 6))
+            )
+        )
+        return Motion(
+            T_previous_current, covariance, False, "",
+            followed.before, followed.tracks.pixels, turned.inliers, turned.residual_px,
+        )  # fmt: skip
+
+    def _may_stand(self, candidate: Reference[MonoTracks]) -> bool:
+        """Whether the camera may have come to a stand: it was not moving, or has been out of sight for a while."""
+        moving = self._velocity is not None and bool(self._velocity[3:].any())
+        return not moving or candidate.age_frames * self._frame_counter.interval_s >= _STOPPING_S
 
     def _check_prediction(self, found: Initialization, T_expected: Array) -> Initialization | str:
         """Reject an initialization far from the predicted motion (4, 4), farther the longer nothing was measured."""
@@ -262,20 +339,11 @@ class MonoOdometry:
         self, candidate: Reference[MonoTracks], followed: FollowedTracks, found: Initialization, motion: Array
     ) -> Motion:
         """Begin a new map in a unit such that the camera goes on as fast as before, by the motion (4, 4)."""
-        tracks, before = followed.tracks.select(found.inliers), self.bundle.points.median_inverse_depth
-        agree = self.bundle.initialize(
-            FrameObservations(tracks.ids, tracks.reference_pixels),
-            FrameObservations(tracks.ids, tracks.pixels),
-            found.T_first_second,
-        )
-        self._images.clear()
-        self._images.extend([tracks.reference_image, tracks.image])
         distance = float(np.linalg.norm((candidate.T_reference_previous @ motion)[:3, 3]))
         moving = distance > self._config.motion_checks.min_moving_m
-        by_depth = self.bundle.points.median_inverse_depth / before
-        self.bundle.rescale(distance / self._initial_distance() if moving else by_depth)
-        self.bundle.rescale(self._scale_correction.update(self.bundle.visible()))
-        tracks = self._renew(tracks.select(agree))
+        tracks = self._map.begin(
+            followed.tracks.select(found.inliers), found.T_first_second, distance if moving else None
+        )
         T_candidate_current = se3.inverse(self.bundle.poses[0]) @ self.bundle.poses[1]
         T_previous_current = se3.inverse(candidate.T_reference_previous) @ T_candidate_current
         reason = "" if self._velocity is None else _NEW_MAP
@@ -284,10 +352,6 @@ class MonoOdometry:
             T_previous_current, self._extrapolation_covariance(1), bool(reason), reason,
             followed.before, followed.tracks.pixels, found.inliers,
         )  # fmt: skip
-
-    def _initial_distance(self) -> float:
-        """Distance between the first two frames of a map, in its unit."""
-        return max(float(np.linalg.norm(self.bundle.poses[1, :3, 3] - self.bundle.poses[0, :3, 3])), 1e-9)
 
     def _extrapolation_covariance(self, images: int) -> Array:
         """Covariance (6, 6) of a motion that was not measured for a number of images."""
@@ -313,9 +377,7 @@ class MonoOdometry:
         )
         return {
             "front_end": self._front_end.state(),
-            "map": self.bundle.state(),
-            "scale_correction": self._scale_correction.state(),
-            "map_images": list(self._images),
+            "map": self._map.state(),
             "frame_counter": self._frame_counter.state(),
             "T_map_reference": self._T_map_reference,
             "reference": reference,
@@ -323,6 +385,7 @@ class MonoOdometry:
             "velocity": self._velocity,
             "speeds": list(self._speeds),
             "frames_unmeasured": self._unmeasured,
+            "has_begun": self._has_begun,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -332,14 +395,13 @@ class MonoOdometry:
             KeyError, TypeError, ValueError: the state is of another odometry.
         """
         self._front_end.restore(state["front_end"])
-        self.bundle.restore(state["map"])
-        self._scale_correction.restore(state["scale_correction"])
-        self._images = deque(state["map_images"], maxlen=self._images.maxlen)
+        self._map.restore(state["map"])
         self._frame_counter.restore(state["frame_counter"])
         self._T_map_reference = state["T_map_reference"]
         self._reference = self._restored_reference(state["reference"])
         self._candidate = self._restored_reference(state["candidate"])
         self._velocity, self._unmeasured = state["velocity"], state["frames_unmeasured"]
+        self._has_begun = state["has_begun"]
         self._speeds = deque(state["speeds"], maxlen=self._speeds.maxlen)
 
     def _restored_reference(self, state: dict[str, Any] | None) -> Reference[MonoTracks] | None:

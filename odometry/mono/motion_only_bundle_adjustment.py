@@ -52,6 +52,7 @@ class PoseEstimate:
         inliers: (N,) bool, the tracks that agree.
         noise_px: standard deviation of a measurement, pixels.
         residual_px: root mean square of the inliers' residuals, pixels.
+        chi2: (N,) squared residuals of the tracks, pixels squared.
     """
 
     T_first_second: Array
@@ -59,6 +60,7 @@ class PoseEstimate:
     inliers: Mask
     noise_px: float
     residual_px: float
+    chi2: Array
 
 
 def estimate_pose(
@@ -80,7 +82,7 @@ def estimate_pose(
     problem.step(T, sigma)
     inliers = problem.chi2 < _LIMIT * sigma**2
     residual = float(np.sqrt(problem.chi2[inliers].mean() / 2)) if inliers.any() else float("nan")
-    return PoseEstimate(se3.inverse(T_map_first) @ T, problem.covariance(), inliers, sigma, residual)
+    return PoseEstimate(se3.inverse(T_map_first) @ T, problem.covariance(), inliers, sigma, residual, problem.chi2)
 
 
 class _PoseProblem:

@@ -17,6 +17,7 @@ from slam.loop_closing.relative_pose import (
     RelativePoseConfig,
     ScaleRatio,
     estimate_relative_scale,
+    measure_depth_noise,
     relative_pose,
 )
 
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 # Camera, points (K, 3) of the match and of the query, settings -> scale of the query in that of the match
 ScaleEstimator = Callable[[StereoCamera, Array, Array, RelativePoseConfig], ScaleRatio]
+# The same -> settings with the noise of these landmarks
+NoiseEstimator = Callable[[StereoCamera, Array, Array, RelativePoseConfig], RelativePoseConfig]
 
 _GRID = 4  # cells of the query image in each direction, over which inliers must be spread
 
@@ -31,6 +34,13 @@ _GRID = 4  # cells of the query image in each direction, over which inliers must
 def fixed_scale(camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig) -> ScaleRatio:
     """Scale of two stereo images: both measure metres."""
     return UNIT_SCALE
+
+
+def pair_noise(
+    camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig
+) -> RelativePoseConfig:
+    """Noise of the landmarks of two stereo images: that of any pair."""
+    return config
 
 
 class DepthSource(Protocol):
@@ -151,6 +161,7 @@ class LoopCloser:
         self._camera, self._features = camera, features
         self._config = config or LoopCloserConfig()
         self._depth = depth
+        self._measure_noise: NoiseEstimator = pair_noise if depth.has_metric_scale else measure_depth_noise
         self._estimate_scale: ScaleEstimator = fixed_scale if depth.has_metric_scale else estimate_relative_scale
         self._landmarks: dict[int, FrameLandmarks] = {}
 
@@ -192,8 +203,9 @@ class LoopCloser:
         scale = self._estimate_scale(self._camera, points_match, points_query, self._config.relative_pose)
         points_query *= scale.ratio
         # Both directions: the matches of a false loop seldom give one pose and its inverse.
-        forward = relative_pose(self._camera, points_match, points_query, self._config.relative_pose)
-        backward = relative_pose(self._camera, points_query, points_match, self._config.relative_pose)
+        noise = self._measure_noise(self._camera, points_match, points_query, self._config.relative_pose)
+        forward = relative_pose(self._camera, points_match, points_query, noise)
+        backward = relative_pose(self._camera, points_query, points_match, noise)
         reason = self._rejection_reason(forward, backward, now.pixels[pairs[:, 1]])
         agreeing = pairs[:0] if forward is None else pairs[forward.inliers]
         pixels_query, pixels_match = now.pixels[agreeing[:, 1]], then.pixels[agreeing[:, 0]]

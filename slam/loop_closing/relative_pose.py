@@ -4,7 +4,7 @@ Errors are in stereo pixels: (u, v) of the left image and the disparity d, each 
 Residuals and Jacobians: docs/math.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -115,18 +115,44 @@ def estimate_relative_scale(
     The pose of b in a follows from a's landmarks and b's pixels, which do not depend on b's scale. The depths of a's
     landmarks in b, over those that b itself has, then give the scale. `UNIT_SCALE` if they do not agree on a pose.
     """
+    logs = _log_depth_ratios(camera, points_a, points_b, config)
+    if len(logs) < MIN_LANDMARKS:
+        return UNIT_SCALE
+    middle, spread = _middle_and_spread(logs)
+    return ScaleRatio(middle, float(np.hypot(spread / np.sqrt(len(logs)), config.systematic_log_scale)))
+
+
+def measure_depth_noise(
+    camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig
+) -> RelativePoseConfig:
+    """Settings with the noise that the depths of matched landmarks (K, 3) have, at least that of a stereo pair.
+
+    Depths from motion are as good as the parallax that the camera happened to have. How far the depths of two images
+    differ shows it, and stands in the settings as the noise of a disparity.
+    """
+    logs = _log_depth_ratios(camera, points_a, points_b, config)
+    if len(logs) < MIN_LANDMARKS:
+        return config
+    disparity_px = float(np.median(_stereo_pixels(camera, points_a)[:, 2]))
+    noise_px = disparity_px * _middle_and_spread(logs)[1] / np.sqrt(2.0)  # half of the variance comes from each image
+    return replace(config, sigma_disparity_px=max(config.sigma_disparity_px, noise_px))
+
+
+def _middle_and_spread(values: Array) -> tuple[float, float]:
+    """Median of values (N,) and their standard deviation by the median deviation."""
+    middle = float(np.median(values))
+    return middle, _MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
+
+
+def _log_depth_ratios(camera: StereoCamera, points_a: Array, points_b: Array, config: RelativePoseConfig) -> Array:
+    """Log (M,) of the depths of a's landmarks in b over b's own, of those that agree on a pose by their pixels."""
     T_a_b = _initial_pose(camera, points_a, points_b, config)
     if T_a_b is None:
-        return UNIT_SCALE
+        return np.zeros(0)
     seen = se3.transform(se3.inverse(T_a_b), points_a)
     off = _stereo_pixels(camera, seen)[:, :2] - _stereo_pixels(camera, points_b)[:, :2]
     good = (np.linalg.norm(off, axis=1) < config.ransac_error_px) & (seen[:, 2] > 0)
-    if good.sum() < MIN_LANDMARKS:
-        return UNIT_SCALE
-    logs = np.log(seen[good, 2] / points_b[good, 2])
-    middle = float(np.median(logs))
-    spread = _MAD_TO_SIGMA * float(np.median(np.abs(logs - middle)))
-    return ScaleRatio(middle, float(np.hypot(spread / np.sqrt(good.sum()), config.systematic_log_scale)))
+    return np.asarray(np.log(seen[good, 2] / points_b[good, 2]))
 
 
 def pnp_ransac(camera: PinholeCamera, points: Array, pixels: Array, error_px: float, iterations: int) -> Array | None:

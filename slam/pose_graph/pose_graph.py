@@ -19,7 +19,12 @@ from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, ch
 from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
 from slam.pose_graph.optimization.edges import from_measurements
 from slam.pose_graph.optimization.marginals import marginal_covariances
-from slam.pose_graph.optimization.sim3 import estimate_log_scales, in_common_scale, refine_sim3
+from slam.pose_graph.optimization.sim3 import (
+    estimate_log_scales,
+    in_common_scale,
+    refine_sim3,
+    scale_variances,
+)
 from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
 
@@ -177,7 +182,8 @@ class PoseGraph:
     def _scales(self) -> Array:
         """Scale (N,) of each frame in that of the first, by the loops that measure it."""
         steps = np.array([np.linalg.norm(T[:3, 3]) for T, _ in self._edges])
-        return np.exp(estimate_log_scales(steps, self._loops, self.config.scale_drift))
+        drift = self.config.scale_drift
+        return np.exp(estimate_log_scales(steps, self._loops, drift, scale_variances(self._edges, drift)))
 
     def _refine_scales(self, result: back_ends.BackEndResult, scales: Array) -> tuple[Array, Array]:
         """Poses and scales refined together in Sim(3) by the kept loops; unchanged where scale does not drift."""

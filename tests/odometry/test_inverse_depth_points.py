@@ -48,10 +48,10 @@ def test_without_any_point_the_median_depth_is_fifteen():
     assert 1.0 / empty.select(np.array([3])).inverse_depth[0] == pytest.approx(15.0)
 
 
-def test_points_are_appended_in_order():
-    both = points(1, 2).append(points(5, depth=0.5))
-    np.testing.assert_array_equal(both.ids, [1, 2, 5])
-    np.testing.assert_allclose(both.inverse_depth, [0.1, 0.1, 0.5])
+def test_points_are_merged_in_order_and_the_later_ones_win():
+    both = points(1, 2, 7).merge(points(2, 5, depth=0.5))
+    np.testing.assert_array_equal(both.ids, [1, 2, 5, 7])
+    np.testing.assert_allclose(both.inverse_depth, [0.1, 0.5, 0.5, 0.1])
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0])

@@ -25,6 +25,10 @@ Motion = tuple[Array, Array]  # (4, 4) and its covariance (6, 6)
 _PRIOR_SIGMA = 1e-6  # of the first node, which is held: rad, m, log scale
 _MIN_STEP = 1e-3  # path length of a camera that stands still: its scale must have a finite information
 _UNKNOWN_SIGMA = 10.0  # of the log scale of a loop that does not measure it: e^10 leaves the scale free
+_MAX_LOG_CHANGE = 3.0  # of a scale in the refinement, which starts from scales that are nearly right: a factor of 20
+# The odometry of one camera states at least this variance, summed over the axes, of a translation that it did not
+# measure, and a smaller one of any that it did. The scale may change by half then, as the depth of scenes does.
+_GUESSED_VARIANCE, _JUMP_SIGMA = 0.9 * 3 * 0.2**2, 0.5
 _ITERATIONS = 20  # of reweighting
 _KERNEL_CHI2 = 9.0  # chi-square of a loop at which its weight is a quarter: three sigmas
 
@@ -54,13 +58,30 @@ def with_scale_variance(covariance: Array, sigma: float) -> Array:
     return out
 
 
-def estimate_log_scales(steps: Array, loops: Sequence[LoopClosure], drift: float) -> Array:
+def scale_variances(motions: Sequence[Motion], drift: float) -> Array:
+    """Variance (N - 1,) of the log scale's change in each motion.
+
+    Scale drifts over the path. Where a motion was not measured, or depths had to be found anew, it may jump.
+
+    Args:
+        motions: (N - 1) motions from each frame to the next.
+        drift: standard deviation of the log scale's change over a path of one.
+    """
+    steps = np.array([max(float(np.linalg.norm(T[:3, 3])), _MIN_STEP) for T, _ in motions])
+    guessed = np.array([np.trace(covariance[3:, 3:]) > _GUESSED_VARIANCE for _, covariance in motions], dtype=bool)
+    return np.asarray(drift**2 * steps + np.where(guessed, _JUMP_SIGMA**2, 0.0))
+
+
+def estimate_log_scales(
+    steps: Array, loops: Sequence[LoopClosure], drift: float, variances: Array | None = None
+) -> Array:
     """Logarithm (N,) of each frame's scale in that of the first frame.
 
     Args:
         steps: (N - 1,) path length from each frame to the next.
         loops: loops, with the relative scale of their frames where that was measured (sigma above 0).
         drift: standard deviation of the log scale's change over a path of one; 0: the scale never changes.
+        variances: (N - 1,) variance of the log scale's change in each step; None for drift alone.
     """
     count = len(steps) + 1
     measuring = [loop for loop in loops if loop.scale.sigma > 0]
@@ -69,7 +90,7 @@ def estimate_log_scales(steps: Array, loops: Sequence[LoopClosure], drift: float
     match, query = np.array([(loop.match, loop.query) for loop in measuring]).T
     measured = np.array([loop.scale.log for loop in measuring])
     information = 1.0 / np.square([loop.scale.sigma for loop in measuring])
-    chain = 1.0 / (drift**2 * np.maximum(steps, _MIN_STEP))
+    chain = 1.0 / (drift**2 * np.maximum(steps, _MIN_STEP) if variances is None else variances)
     before = np.arange(count - 1)
     logs, weights = np.zeros(count), _initial_weights(match, query, steps, drift, measured, information)
     for _ in range(_ITERATIONS):
@@ -139,9 +160,8 @@ def refine_sim3(
         drift: standard deviation of the log scale over a path of one; it grows with the root of the path.
     """
     edges = []
-    for k, (T, covariance) in enumerate(motions):
-        step = max(float(np.linalg.norm(T[:3, 3])), _MIN_STEP)
-        edges.append(_edge(k, k + 1, T, 0.0, covariance, drift * np.sqrt(step)))
+    for k, (motion, variance) in enumerate(zip(motions, scale_variances(motions, drift), strict=True)):
+        edges.append(_edge(k, k + 1, motion[0], 0.0, motion[1], float(np.sqrt(variance))))
     for loop in loops:
         sigma = loop.scale.sigma or _UNKNOWN_SIGMA
         edges.append(_edge(loop.match, loop.query, loop.T_match_query, loop.scale.log, loop.covariance, sigma))
@@ -159,6 +179,9 @@ def optimize_sim3(edges: Sequence[SimilarityEdge], poses: Array, scales: Array) 
         edges: measured similarities; a node without any edge stays where it is.
         poses: (N, 4, 4) poses to start with.
         scales: (N,) scales to start with.
+
+    Returns:
+        The start where the system cannot be solved, or where a scale runs away.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     held = gtsam.noiseModel.Diagonal.Sigmas(np.full(7, _PRIOR_SIGMA))
@@ -169,9 +192,20 @@ def optimize_sim3(edges: Sequence[SimilarityEdge], poses: Array, scales: Array) 
         graph.add(gtsam.BetweenFactorSimilarity3(edge.first, edge.second, measured, noise))
     for node, (pose, scale) in enumerate(zip(poses, scales, strict=True)):
         values.insert(node, _similarity(pose, scale))
-    found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
+    try:
+        found = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
+    except RuntimeError:  # an indeterminate system: steps of very different lengths leave a scale free
+        return poses, scales
     nodes = [found.atSimilarity3(node) for node in range(len(poses))]
-    return np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
+    refined = np.array([_pose(node) for node in nodes]), np.array([node.scale() for node in nodes])
+    return refined if _is_plausible(*refined, scales) else (poses, scales)
+
+
+def _is_plausible(poses: Array, scales: Array, start: Array) -> bool:
+    """Whether poses (N, 4, 4) are finite and no scale (N,) has run away from where it started (N,)."""
+    if not (np.isfinite(poses).all() and np.isfinite(scales).all() and (scales > 0).all()):
+        return False
+    return bool(np.abs(np.log(scales / start)).max() < _MAX_LOG_CHANGE)
 
 
 def _similarity(T: Array, scale: float) -> gtsam.Similarity3:

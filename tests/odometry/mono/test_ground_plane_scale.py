@@ -11,7 +11,7 @@ from odometry.mono.ground_plane_scale import (
     NullScaleCorrection,
     estimate_camera_height,
 )
-from odometry.mono.mono_odometry import MonoOdometryConfig
+from odometry.mono.mono_config import MonoOdometryConfig
 
 
 def street(rng, height=1.65, pitch=0.0, noise=0.01):

@@ -145,6 +145,31 @@ def test_points_stay_where_they_are_when_the_frame_that_saw_them_first_leaves(ca
     np.testing.assert_allclose(after[:, :3] / after[:, 3:], before[:, :3] / before[:, 3:], rtol=0.02, atol=0.02)
 
 
+@pytest.mark.parametrize("place", [0, 2, 5])
+def test_points_stay_where_they_are_whichever_frame_leaves(camera, place):
+    bundle, _, seen = driven(camera, MonoBundleConfig(), count=6)
+    others = [frame.ids for k, frame in enumerate(seen) if k != place]
+    ids = np.intersect1d(others[0], others[-1])
+    before = bundle.in_camera(ids, bundle.poses[1])
+    origin = bundle.poses[1]
+    bundle.remove(place)
+    after = bundle.in_camera(ids, origin)
+    np.testing.assert_allclose(after[:, :3] / after[:, 3:], before[:, :3] / before[:, 3:], rtol=0.02, atol=0.02)
+
+
+def test_a_frame_that_comes_back_brings_its_landmarks_with_their_depths(camera):
+    bundle = driven(camera, MonoBundleConfig(), count=6)[0]
+    image = np.zeros((camera.height, camera.width), np.uint8)
+    frame = bundle.landmarks_of(0, image)
+    before = bundle.in_camera(frame.ids, bundle.poses[-1])
+    origin = bundle.poses[-1]
+    bundle.remove(0)
+    bundle.revisit(frame)
+    assert bundle.numbers[0] == frame.number
+    after = bundle.in_camera(frame.ids, origin)
+    np.testing.assert_allclose(after[:, :3] / after[:, 3:], before[:, :3] / before[:, 3:], rtol=0.02, atol=0.02)
+
+
 def test_an_image_is_placed_by_points_of_known_depth(camera):
     bundle, truth, seen = driven(camera, MonoBundleConfig(), count=10)
     there = truth[-1] @ STEP

@@ -344,3 +344,27 @@ def test_no_scale_is_measured_between_different_places() -> None:
     rng = np.random.default_rng(4)
     one, other = (rng.uniform([-10, -4, 4], [10, 2, 40], (4, 3)) for _ in range(2))
     assert estimate_relative_scale(CAMERA, one, other, RelativePoseConfig()) == UNIT_SCALE
+
+
+def test_depths_from_little_parallax_close_a_loop_of_one_camera_and_are_weighted_by_their_noise() -> None:
+    """A scene two units deep, seen with a baseline of a few hundredths: disparities of 200 px that err by 20 px."""
+    scene = world()
+    scene.points /= 10.0
+    step = se3.exp(np.array([0.02, -0.08, 0.01, 0.04, -0.01, 0.12]))
+
+    def depths_from_motion(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
+        disparity = scene.disparity(left, left, pixels)
+        return disparity * np.exp(scene.rng.normal(0, 0.1, len(disparity)))
+
+    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_from_motion, has_metric_scale=False))
+    for index, pose in enumerate([np.eye(4), step]):
+        closer.add_frame(index, scene.look(pose), None)
+    loop = closer.verify(1, 0)
+    assert isinstance(loop, LoopClosure)
+    error = se3.log(se3.inverse(step) @ loop.T_match_query)
+    assert np.abs(error).max() < 0.03
+    assert error @ np.linalg.solve(loop.covariance, error) < 30.0
+    as_a_pair = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_from_motion))
+    for index in range(2):
+        as_a_pair.restore_frame(index, closer._landmarks[index])
+    assert as_a_pair.verify(1, 0).inliers < 0.5 * loop.inliers

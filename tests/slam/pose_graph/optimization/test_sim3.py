@@ -10,7 +10,13 @@ from slam.evaluation.trajectory_errors import absolute_trajectory_error
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.loop_closing.relative_pose import ScaleRatio
 from slam.pose_graph.odometry_chain import OdometryDriftModel, chain_motions
-from slam.pose_graph.optimization.sim3 import SimilarityEdge, estimate_log_scales, optimize_sim3, with_scale_variance
+from slam.pose_graph.optimization.sim3 import (
+    SimilarityEdge,
+    estimate_log_scales,
+    optimize_sim3,
+    scale_variances,
+    with_scale_variance,
+)
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 LAP, COUNT = 100, 200
@@ -128,3 +134,24 @@ def test_a_node_without_edges_stays_where_it_is():
     poses, scales = optimize_sim3([edge], np.array([T, T, away]), np.array([1.0, 1.0, 2.0]))
     np.testing.assert_allclose(poses[2], away, atol=1e-9)
     assert scales[2] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_a_scale_that_runs_away_gives_the_start_back(scale):
+    edge = SimilarityEdge(0, 1, np.eye(4), float(np.log(scale)), with_scale_variance(1e-4 * np.eye(6), 1e-3))
+    start = np.array([np.eye(4), se3.exp(np.array([0.0, 0.1, 0.0, 1.0, 0.0, 0.0]))])
+    poses, scales = optimize_sim3([edge], start, np.ones(2))
+    np.testing.assert_array_equal(poses, start)
+    np.testing.assert_array_equal(scales, 1.0)
+
+
+def test_the_scale_may_jump_where_a_motion_was_not_measured_and_nowhere_else():
+    """One camera turned away from all it knew at step 60: its unit is another one from there on."""
+    logs = np.where(np.arange(COUNT) > 60, np.log(0.7), 0.0)
+    guess = np.diag([4e-4] * 3 + [4e-2] * 3)
+    motions = [(STEP, guess if k == 60 else MOTION_COVARIANCE) for k in range(COUNT - 1)]
+    loops = [loop(TRUTH, logs, query, query - LAP) for query in range(LAP + 10, LAP + 60, 4)]
+    found = estimate_log_scales(np.ones(COUNT - 1), loops, 0.01, scale_variances(motions, 0.01))
+    np.testing.assert_allclose(found - found[0], logs, atol=0.03)
+    without = estimate_log_scales(np.ones(COUNT - 1), loops, 0.01)
+    assert np.abs(without - without[0] - logs).max() > 0.1
