@@ -55,10 +55,10 @@ def check_paradigm(name: str) -> None:
 
 
 def check_features(name: str) -> None:
+    """Raise ConfigError for unknown local features; the message lists the known ones."""
+    if not is_extractor(name):
         known = ", ".join(EXTRACTORS)
         raise ConfigError(f"unknown local features '{name}': expected one of {known}, found none; or name onnx:FILE")
-    if not is_extractor(name):
-        raise ConfigError(f"unknown local features '{name}': expected one of {', '.join(EXTRACTORS)}, found neither these nor onnx:FILE")
 
 
 def check_preset(name: str) -> None:
