@@ -15,7 +15,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pyorbslam3
 from orb_slam3 import SETTINGS
 
 FEATURES = 1000  # of ORB-SLAM3's own settings for TUM RGB-D
@@ -55,6 +54,8 @@ def main() -> None:
     parser.add_argument("--sensor", choices=("mono", "depth"), required=True)
     parser.add_argument("--vocabulary", type=Path, required=True)
     given = parser.parse_args()
+    import pyorbslam3
+
     camera = tomllib.loads((given.folder / "camera.toml").read_text())
     times, images = read_list(given.folder / "rgb.txt")
     first = cv2.imread(str(images[0]), cv2.IMREAD_GRAYSCALE)

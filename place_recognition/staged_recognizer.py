@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.image_processing.local_features import FeatureCache, check_gray
-from place_recognition.image_processing.onnx_network import convert_channels
+from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.onnx_network import check_image, convert_channels
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import (
     Belief,
@@ -109,8 +109,8 @@ class StagedRecognizer:
 
     def observe(self, image_id: int, image: NDArray[np.uint8], distance_travelled_m: float) -> list[Belief]:
         """Add an image and return the beliefs that are ready now (`PlaceRecognizer.observe`)."""
+        check_image(image)
         gray = convert_channels(image, 1)
-        check_gray(gray)
         features = self._features.get(image_id, gray)
         location = self._history.add(image_id, features, distance_travelled_m)
         color = image if image.ndim == 3 else None

@@ -83,7 +83,9 @@ class TrackedWords:
         """Add an image, whose features may become words later, and propose locations for it."""
         self._words.add(self._tracks.advance(image.pixels, image.features))
         by_tracks = image.location - self.config.exclusion_track_lengths * self._tracks.max_length_frames
-        last_matchable = min(image.last_matchable, max(by_tracks, self._reference_end - 1))
+        if self._reference_end:  # tracks say nothing about images of another recording
+            by_tracks = max(by_tracks, self._reference_end - 1)
+        last_matchable = min(image.last_matchable, by_tracks)
         self._words.activate_until(last_matchable)  # words of later images are not hit yet
         votes = count_votes(self._words.lookup(self._tracks.descriptors), self._words, self.config.distinct_votes)
         self._rows.add(image.location, votes.locations, votes.votes.astype(np.float64))

@@ -256,10 +256,10 @@ def run_recognizer(
     """
     begin = 0 if reference is None else len(reference)
     run = PlaceRecognitionRun(reference_images=None if reference is None else begin)
-    recognizer, control = factory.make_with_control(run.rows)
     joined = images if reference is None else JoinedImages(reference, images)
-    images = SameSizeImages(ColorImages(joined) if takes_color(recognizer) and has_color(joined) else joined)
-    _warm_up(images, factory)
+    _warm_up(joined, factory)
+    recognizer, control = factory.make_with_control(run.rows)
+    images = _as_seen(joined, recognizer)
     control_run, start = ControlRun(control, factory.clock), time.perf_counter()
     for index, image in enumerate(timed(prefetch(images), factory.clock)):
         if reference is not None and index == begin:
@@ -323,9 +323,15 @@ def stage_times(run: PlaceRecognitionRun) -> dict[str, Array]:
 def _warm_up(images: Recording[Image], factory: RecognizerFactory) -> None:
     """Compile all kernels on a second recogniser, so that the timer measures recognition alone."""
     recognizer = factory.make()
-    for index in range(min(_WARM_UP_IMAGES, len(images))):
-        recognizer.observe(index, images[index], float("nan"))
+    seen = _as_seen(images, recognizer)
+    for index in range(min(_WARM_UP_IMAGES, len(seen))):
+        recognizer.observe(index, seen[index], float("nan"))
     factory.clock.lap()
+
+
+def _as_seen(images: Recording[Image], recognizer: TwoRecordingRecognizer) -> SameSizeImages:
+    """Return the images in one size, in colour where the recogniser sees it and the recording has it."""
+    return SameSizeImages(ColorImages(images) if takes_color(recognizer) and has_color(images) else images)
 
 
 def _subtract_features(spent: dict[str, float]) -> dict[str, float]:

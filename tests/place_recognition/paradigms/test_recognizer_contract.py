@@ -162,6 +162,14 @@ def test_ids_that_do_not_increase_are_refused(make, images):
         recognizer.observe(4, images[1], 0.0)
 
 
-def test_images_in_colour_are_refused(make):
-    with pytest.raises(ValueError, match="expected a grey image"):
-        make().observe(0, np.zeros((60, 80, 3), np.uint8), 0.0)
+@pytest.mark.parametrize("image", [np.zeros((60, 80, 2), np.uint8), np.zeros((60, 80)), np.zeros(60, np.uint8)])
+def test_what_is_no_image_is_refused(make, image):
+    with pytest.raises(ValueError, match="expected an image"):
+        make().observe(0, image, 0.0)
+
+
+def test_an_image_in_colour_counts_as_its_grey_image_where_no_colour_is_seen(make, images):
+    grey, colour = make(), make()
+    for index, image in enumerate(images[:3]):
+        expected = grey.observe(index, image, 0.0)
+        assert colour.observe(index, np.repeat(image[:, :, None], 3, axis=2), 0.0) == expected

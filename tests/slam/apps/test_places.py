@@ -195,7 +195,7 @@ class CountingExtractor:
 
 def test_the_control_shares_the_features_of_each_image(monkeypatch: pytest.MonkeyPatch) -> None:
     extractor = CountingExtractor()
-    monkeypatch.setattr(places_drive, "make_feature_extractor", lambda config: extractor)
+    monkeypatch.setattr(places_drive, "build_extractor", lambda config: extractor)
     monkeypatch.setattr(places_drive, "_WARM_UP_IMAGES", 0)
     factory = places_drive.RecognizerFactory("tracked-words", ParadigmsConfig(), 0)
     places_drive.run_recognizer(LoadedImages(views(3)), factory, lambda *_: None, lambda: False)

@@ -123,6 +123,7 @@ def test_the_page_sorts_by_its_headings_and_loads_nothing(tmp_path: Path):
 def test_a_row_takes_its_numbers_from_the_metrics(tmp_path: Path):
     class Named:
         name, source_name, paradigm, robust, seed, preset = "one", "street", "p", "gnc", 3, None
+        odometry = "file:results/orbslam.txt"
 
     class Done:
         error = ""
@@ -131,4 +132,5 @@ def test_a_row_takes_its_numbers_from_the_metrics(tmp_path: Path):
     Done.metrics["preset"] = "published"
     made = make_row(Named, Done)  # type: ignore[arg-type]
     assert made.preset == "published"
+    assert made.method == "file-orbslam, p, published"
     assert (made.frames, made.odometry_ate_m, made.ate_m, made.loops_false, made.loops_kept) == (9, 2.0, 1.0, 0, None)

@@ -1,0 +1,1 @@
+"""Parts of other programs in the chain: odometry and matches from files."""
