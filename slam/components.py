@@ -26,7 +26,7 @@ from place_recognition.paradigms.registry import (
     with_exclusion,
     with_preset,
 )
-from place_recognition.recognizer import MatrixSink, TwoRecordingRecognizer
+from place_recognition.recognizer import MatrixSink, PlaceRecognizer, TwoRecordingRecognizer
 from slam.config import RunConfig, read_config
 from slam.datasets.dataset import Dataset
 from slam.datasets.formats.image_sequence import read_grey
@@ -194,11 +194,21 @@ def build_recognizer(
     """
     matches = path_of(name)
     if matches is not None:
-        return FileRecognizer(read_proposed_loops(matches).by_query)
+        return FileRecognizer(read_proposed_loops(matches).best)
     try:
         return make_recognizer(name, features, config, rows)
     except (OSError, ValueError) as error:  # place_recognition raises no RevisitError
         raise DataError(str(error)) from error
+
+
+def _build_loop_recognizer(
+    name: str, features: FeatureCache, config: ParadigmsConfig, rows: MatrixSink | None
+) -> PlaceRecognizer:
+    """Build the recogniser of a run, in which each match of a file goes through the geometry."""
+    matches = path_of(name)
+    if matches is not None:
+        return FileRecognizer(read_proposed_loops(matches).by_query)
+    return build_recognizer(name, features, config, rows)
 
 
 def build_control(features: FeatureCache, config: ParadigmsConfig, seed: int) -> TwoRecordingRecognizer:
@@ -225,7 +235,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         odometry=odometry,
         masks=ImageMasks(config.static_regions, mask),
         features=features,
-        recognizer=build_recognizer(config.paradigm, features, places, rows),
+        recognizer=_build_loop_recognizer(config.paradigm, features, places, rows),
         loop_closer=build_loop_verifier(LoopCloser(camera, features, odometry, config.loop_closing), config),
         graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames_for_camera()),

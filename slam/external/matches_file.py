@@ -36,10 +36,11 @@ def short_name(name: str) -> str:
 class FileRecognizer:
     """Proposes the matches of a file (a PlaceRecognizer). It looks at no image.
 
-    A match is proposed with its query image, or with the image of the column answered_at.
+    A match is proposed with its query image, or with the image of the column answered_at. A query with several matches
+    gets a belief for each, the surest first; one whose matches are missing gets one without a match.
     """
 
-    def __init__(self, loops: dict[int, ProposedLoop]) -> None:
+    def __init__(self, loops: dict[int, tuple[ProposedLoop, ...]]) -> None:
         self._loops = loops
         self._next = 0  # the first query that is unanswered
         self._latest = -1  # the last image that was observed
@@ -61,11 +62,11 @@ class FileRecognizer:
         """Answer the queries in order, up to the first that the file answers later than now."""
         beliefs = []
         while self._next <= self._latest:
-            loop = self._loops.get(self._next)
-            belief = Belief(self._next, None, 0.0, accepted=False) if loop is None else loop.belief
-            if now is not None and (belief.answered_at or self._next) > now:
+            loops = self._loops.get(self._next, (ProposedLoop(Belief(self._next, None, 0.0, accepted=False)),))
+            ready_at = max(loop.belief.answered_at or self._next for loop in loops)
+            if now is not None and ready_at > now:
                 break
-            beliefs.append(belief)
+            beliefs += [loop.belief for loop in loops]
             self._next += 1
         return beliefs
 
@@ -84,7 +85,7 @@ class TrustedLoopVerifier:
     Loops without a pose in the file are verified by another verifier, which also keeps the landmarks.
     """
 
-    def __init__(self, loops: dict[int, ProposedLoop], verifier: LoopVerifier) -> None:
+    def __init__(self, loops: dict[int, tuple[ProposedLoop, ...]], verifier: LoopVerifier) -> None:
         self._loops, self._verifier = loops, verifier
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
@@ -97,10 +98,10 @@ class TrustedLoopVerifier:
 
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Relative pose of two frames by the file, else by the landmarks, or why there is none."""
-        loop = self._loops.get(query)
-        if loop is None or loop.belief.match != match or loop.T_match_query is None:
-            return self._verifier.verify(query, match)
-        return LoopClosure(query, match, loop.T_match_query, _covariance(loop.T_match_query), inliers=0)
+        for loop in self._loops.get(query, ()):
+            if loop.belief.match == match and loop.T_match_query is not None:
+                return LoopClosure(query, match, loop.T_match_query, _covariance(loop.T_match_query), inliers=0)
+        return self._verifier.verify(query, match)
 
 
 def _covariance(T_match_query: Array) -> Array:
@@ -122,7 +123,7 @@ def check_matches_file(path: Path, num_images: int, trust_poses: bool = False) -
             f"{path}: expected queries below {num_images}, the number of images, found {beyond[0]}; export the matches "
             "of this drive, counted from 0"
         )
-    if trust_poses and all(loop.T_match_query is None for loop in found.by_query.values()):
+    if trust_poses and all(loop.T_match_query is None for loops in found.by_query.values() for loop in loops):
         raise DataError(
             f"{path}: expected relative poses (x, y, z, qx, qy, qz, qw), found none; leave out --trust-poses"
         )

@@ -55,12 +55,17 @@ class ProposedLoops:
     """The loops of a file.
 
     Attributes:
-        by_query: the best loop of each query, in the order of the queries.
+        by_query: the loops of each query, the surest first, in the order of the queries.
         remarks: what was left out or assumed, a sentence each.
     """
 
-    by_query: dict[int, ProposedLoop]
+    by_query: dict[int, tuple[ProposedLoop, ...]]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> dict[int, tuple[ProposedLoop, ...]]:
+        """The surest loop of each query alone."""
+        return {query: loops[:1] for query, loops in self.by_query.items()}
 
 
 def write_matches(path: Path, beliefs: Iterable[Belief]) -> None:
@@ -121,25 +126,22 @@ def read_proposed_loops(path: Path) -> ProposedLoops:
     """Read the loops that another program proposes, in any order.
 
     A table with the columns query and match, and perhaps score, and the pose of the query camera in the match camera's
-    frame as x, y, z, qx, qy, qz, qw. Of several lines for one query that with the best score counts. A matches.csv of
-    `revisit` may be given as well: what it does not accept is not proposed.
+    frame as x, y, z, qx, qy, qz, qw. A query may have several lines. A matches.csv of `revisit` may be given as well:
+    what it does not accept is not proposed.
 
     Raises:
         DataError: as `read_matches`, or a pose is incomplete or no pose.
     """
-    best: dict[int, ProposedLoop] = {}
+    found: dict[int, list[ProposedLoop]] = {}
     rows, has_score = _rows(path, MATCH_COLUMNS[:2]), False
     for number, row in rows:
         where = f"{path}, line {number}"
         has_score = has_score or bool(row.get("score"))
         loop = ProposedLoop(_belief(where, row | {"score": row.get("score") or "1"}), _pose(where, row))
-        known = best.get(loop.belief.query)
-        if known is None or loop.belief.score > known.belief.score:
-            best[loop.belief.query] = loop
+        found.setdefault(loop.belief.query, []).append(loop)
     remarks = [] if has_score or not rows else ["no column score: all proposals count as equally sure"]
-    if len(best) < len(rows):
-        remarks.append(f"{len(rows) - len(best)} lines are a query's second proposals and are left out")
-    return ProposedLoops({q: best[q] for q in sorted(best)}, tuple(f"{path}: {remark}" for remark in remarks))
+    by_query = {query: tuple(sorted(found[query], key=lambda loop: -loop.belief.score)) for query in sorted(found)}
+    return ProposedLoops(by_query, tuple(f"{path}: {remark}" for remark in remarks))
 
 
 def _pose(where: str, row: dict[str, str]) -> NDArray[np.float64] | None:

@@ -327,7 +327,11 @@ def _map_metrics(merge: MergeResult | None) -> dict[str, object]:
 
 
 def _beliefs(result: PipelineResult) -> list[Belief]:
-    return [candidate.belief for candidate in result.run_log.candidates]
+    """Return one belief for each frame, the surest where a file of matches gave several."""
+    best: dict[int, Belief] = {}
+    for candidate in result.run_log.candidates:
+        best.setdefault(candidate.belief.query, candidate.belief)
+    return list(best.values())
 
 
 def _places(result: PipelineResult, timestamps: Array, ground_truth: Array | None) -> PlaceMetrics:

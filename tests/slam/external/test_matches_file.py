@@ -34,10 +34,11 @@ def test_each_image_gets_one_belief_in_order_and_a_match_is_accepted(tmp_path: P
     assert [(b.query, b.match, b.score) for b in beliefs if b.accepted] == [(30, 2, 0.7), (40, 3, 0.9)]
 
 
-def test_of_several_proposals_for_a_query_the_best_counts_and_the_file_says_so(tmp_path: Path):
+def test_each_of_several_proposals_for_a_query_is_proposed_the_surest_first(tmp_path: Path):
     path = written(tmp_path, "query,match,score\n40,3,0.5\n40,4,0.9\n40,5,0.6\n")
-    assert [b.match for b in recognize(path, 41) if b.accepted] == [4]
-    assert check_matches_file(path, 41) == (f"{path}: 2 lines are a query's second proposals and are left out",)
+    assert [b.match for b in recognize(path, 41) if b.accepted] == [4, 5, 3]
+    assert [loop.belief.match for loop in read_proposed_loops(path).best[40]] == [4]
+    assert check_matches_file(path, 41) == ()
 
 
 def test_scores_may_be_missing(tmp_path: Path):
