@@ -15,15 +15,15 @@ from command_line import run_script
 from odometry_drives import Drive, StageTimes, chain_poses, end_error, measure, path_length_m
 
 from odometry import Motion, StereoOdometry, se3
-from odometry.stereo import stereo_frontend, stereo_tracking
+from odometry.stereo import second_view, stereo_frontend, stereo_tracking
 from odometry.stereo.sliding_window import SlidingWindow
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel
 
 STAGES = (
     (stereo_frontend, "detect_corners", "detection"),
-    (stereo_frontend, "match_right", "left to right, new"),
+    (second_view, "match_right", "left to right, new"),
     (stereo_frontend, "track_points", "following"),
-    (stereo_frontend, "refine_right", "left to right, old"),
+    (second_view, "refine_right", "left to right, old"),
     (stereo_tracking, "estimate_motion", "motion"),
     (SlidingWindow, "refine", "window"),
     (stereo_tracking, "ransac_motion", "ransac"),
