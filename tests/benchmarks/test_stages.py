@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SCRIPTS = sorted(path.stem for path in BENCHMARKS.glob("*.py") if "\nSTAGES = (" in path.read_text())
+SCRIPTS = ("mono_odometry", "odometry_drift", "places_speed")
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
