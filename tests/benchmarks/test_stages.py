@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SCRIPTS = ("mono_odometry", "odometry_drift", "places_speed")
+SCRIPTS = ("mono_odometry", "odometry_drift")
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
