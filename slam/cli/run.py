@@ -164,10 +164,11 @@ def run(
     topics = tuple(image_topic or ())
     recording = RunOptions(source=source, sequence=sequence, out=out, format=dataset_format, fps=fps, topics=topics)
     options = replace(recording, view=view, overwrite=overwrite, resume=resume, map_file=map_file, config=config)
-    settings: dict[str, object] = {"paradigm": option.choose_paradigm(paradigm, matches), "preset": preset}
+    chosen = _absolute_file_of(option.choose_paradigm(paradigm, matches))
+    settings: dict[str, object] = {"paradigm": chosen, "preset": preset}
     settings |= {"odometry_file": _absolute(odometry), "odometry_covariance": _absolute_covariance(odometry_covariance)}
     settings |= {"trust_poses": trust_poses or None}
-    settings |= {"features": features, "descriptor": _absolute_descriptor(descriptor)}
+    settings |= {"features": _absolute_file_of(features), "descriptor": _absolute_file_of(descriptor)}
     settings |= {"vocabulary": _absolute(vocabulary), "robust": robust, "seed": seed}
     settings |= {"mask": _absolute(mask)}
     settings |= {"mono": mono or None, "camera_height": camera_height}
@@ -185,7 +186,8 @@ def _absolute_covariance(value: str | None) -> str | None:
     return str(Path(value).absolute()) if value and Path(value).is_file() else value
 
 
-def _absolute_descriptor(name: str | None) -> str | None:
+def _absolute_file_of(name: str | None) -> str | None:
+    """A name such as `onnx:FILE` or `file:FILE` with the path absolute, any other name as it is."""
     kind, separator, file = (name or "").partition(":")
     return f"{kind}:{Path(file).absolute()}" if separator and file else name
 

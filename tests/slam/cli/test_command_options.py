@@ -184,6 +184,18 @@ def test_options_of_a_run_arrive(calls: Callable[..., list[Call]], tmp_path: Pat
     assert (changed["mono"], changed["camera_height"]) == (True, 1.5)
 
 
+def test_named_files_are_found_from_any_folder_when_a_run_is_resumed(
+    calls: Callable[..., list[Call]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    made = calls(slam.pipeline.pipeline, "run_pipeline", False)
+    names = ("--paradigm", "file:m.csv", "--features", "onnx:f.onnx", "--descriptor", "onnx:d.onnx")
+    run("run", tmp_path, "--out", tmp_path / "out", *names)
+    settings = made[0][0][1]
+    assert settings["paradigm"] == f"file:{tmp_path / 'm.csv'}"
+    assert (settings["features"], settings["descriptor"]) == (f"onnx:{tmp_path}/f.onnx", f"onnx:{tmp_path}/d.onnx")
+
+
 def test_what_a_run_does_not_write_is_switched_off(calls: Callable[..., list[Call]], tmp_path: Path) -> None:
     made = calls(slam.pipeline.pipeline, "run_pipeline", False)
     run("run", tmp_path, "--out", tmp_path / "out", "--no-record")
