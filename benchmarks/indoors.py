@@ -18,7 +18,7 @@ import numpy as np
 from command_line import existing, run_script
 from rich.console import Console
 
-from slam.evaluation.trajectory_errors import Alignment, trajectory_errors
+from slam.evaluation.trajectory_errors import Alignment, path_length, trajectory_errors
 from slam.io.metrics import read_metrics
 from slam.io.trajectory_reader import read_trajectory
 from slam.pipeline.pipeline import RunOptions, run_pipeline
@@ -52,7 +52,6 @@ def orb_slam3(folder: Path, sensor: str, out: Path, python: Path, vocabulary: Pa
         )
     truth = read_trajectory(folder / "groundtruth.txt")
     alignment: Alignment = "sim3" if sensor == "mono" else "se3"
-    path_length_m = float(np.linalg.norm(np.diff(truth.poses[:, :3, 3], axis=0), axis=1).sum())
     errors = []
     for name in ("tracked.tum", "key_frames.tum"):
         found = read_trajectory(out / name)
@@ -60,7 +59,13 @@ def orb_slam3(folder: Path, sensor: str, out: Path, python: Path, vocabulary: Pa
         errors.append(trajectory_errors(found.poses, truth.poses[nearest], alignment).ate_m)
     spent = np.loadtxt(out / "milliseconds.txt")
     tracked = len(read_trajectory(out / "tracked.tum").poses)
-    return [f"{100 * tracked / len(spent):.1f} %", *_errors(errors, path_length_m), "-", "-", f"{np.mean(spent):.0f}"]
+    return [
+        f"{100 * tracked / len(spent):.1f} %",
+        *_errors(errors, path_length(truth.poses)),
+        "-",
+        "-",
+        f"{np.mean(spent):.0f}",
+    ]
 
 
 def _share(measured: list[bool]) -> str:

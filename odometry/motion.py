@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FIRST_VARIANCE = 1e-12  # rad², m²: the pose of the first image is exact by definition
+# Standard deviation of the change of an unmeasured motion from one image to the next.
+EXTRAPOLATION_SIGMA_RAD, EXTRAPOLATION_SIGMA_M = 0.02, 0.2
 _MAX_INTERVALS = 15  # intervals whose median is the camera's
 _DEFAULT_INTERVAL_S = 0.1  # that of most recordings
 

@@ -5,7 +5,7 @@ A paradigm is a proposer: a map of its own, and a score of its own. What follows
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -88,6 +88,13 @@ class Belief:
         A probability holds what the images around say too; geometry of the image alone may fail.
         """
         return self.match is not None and (self.verified or self.probability is not None)
+
+    def keep_images(self, is_kept: Callable[[int], bool]) -> "Belief":
+        """Return the belief without the match and the candidates that are not kept."""
+        stages = self.stages.renumber(lambda image: image if is_kept(image) else None)
+        if self.match is None or is_kept(self.match):
+            return replace(self, stages=stages)
+        return Belief(self.query, None, 0.0, False, stages=stages, answered_at=self.answered_at)
 
 
 class MatrixSink(Protocol):

@@ -11,6 +11,7 @@ from odometry.mono.mono_bundle_adjustment import MonoBundleConfig
 from odometry.mono.mono_initialization import InitializationConfig
 from odometry.mono.motion_only_bundle_adjustment import PoseEstimationConfig
 from odometry.mono.motion_stereo import MotionStereoConfig
+from odometry.motion import EXTRAPOLATION_SIGMA_M, EXTRAPOLATION_SIGMA_RAD
 from odometry.motion_checks import MotionCheckConfig
 
 
@@ -49,8 +50,8 @@ class MonoOdometryConfig:
     reference_parallax_px: float = 4.0
     min_tracked_ratio: float = 0.8
     covariance_scale: float = 9.0
-    extrapolation_sigma_rad: float = 0.02
-    extrapolation_sigma_m: float = 0.2
+    extrapolation_sigma_rad: float = EXTRAPOLATION_SIGMA_RAD
+    extrapolation_sigma_m: float = EXTRAPOLATION_SIGMA_M
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.camera_height_m) and self.camera_height_m >= 0):

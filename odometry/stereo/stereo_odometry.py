@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.camera import StereoCamera
 from odometry.klt_tracking import TrackingConfig
-from odometry.motion import FIRST_VARIANCE, FrameCounter, Motion, extrapolation_covariance
+from odometry.motion import (
+    EXTRAPOLATION_SIGMA_M,
+    EXTRAPOLATION_SIGMA_RAD,
+    FIRST_VARIANCE,
+    FrameCounter,
+    Motion,
+    extrapolation_covariance,
+)
 from odometry.motion_checks import MotionCheckConfig, MotionPrediction
 from odometry.reference_frame import Reference
 from odometry.stereo.second_view import Pair, RightImage, SecondView
@@ -73,8 +80,8 @@ class StereoOdometryConfig:
     max_earlier_references: int = 0
     max_lost_frames: int = 50
     covariance_scale: float = 9.0
-    extrapolation_sigma_rad: float = 0.02
-    extrapolation_sigma_m: float = 0.2
+    extrapolation_sigma_rad: float = EXTRAPOLATION_SIGMA_RAD
+    extrapolation_sigma_m: float = EXTRAPOLATION_SIGMA_M
 
 
 class StereoOdometry:

@@ -6,7 +6,7 @@ with neither counts for nothing.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,15 +132,8 @@ def leave_out_tolerated(beliefs: Sequence[Belief], tolerated: Truth | None) -> l
     """
     if tolerated is None:
         return list(beliefs)
-    kept = []
-    for belief in beliefs:
-        row = tolerated[belief.query]
-        stages = belief.stages.renumber(lambda image, row=row: None if row[image] else image)  # type: ignore[misc]
-        if belief.match is not None and row[belief.match]:
-            kept.append(Belief(belief.query, None, 0.0, False, stages=stages, answered_at=belief.answered_at))
-        else:
-            kept.append(replace(belief, stages=stages))
-    return kept
+    counted = ~tolerated
+    return [belief.keep_images(counted[belief.query].item) for belief in beliefs]
 
 
 def _check_query(belief: Belief, shape: tuple[int, ...]) -> None:

@@ -29,6 +29,7 @@ from place_recognition.image_processing.local_features import (
     select_spread,
 )
 from place_recognition.image_processing.onnx_features import OnnxFeatures, OnnxFeaturesConfig
+from place_recognition.image_processing.onnx_network import ONNX
 from place_recognition.image_processing.surf import Surf, SurfConfig
 
 Floats = NDArray[np.float32]
@@ -247,9 +248,6 @@ EXTRACTORS: dict[str, Callable[[int], FeatureExtractor]] = {
     "orb": lambda features: Orb(OrbConfig(features)),
     "brief": lambda features: Brief(BriefConfig(features)),
 }
-
-
-ONNX = "onnx:"  # first letters of the name of learned features, before the path of their file
 
 
 def is_extractor(name: str) -> bool:

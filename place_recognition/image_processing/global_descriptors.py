@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import check_gray
 from place_recognition.image_processing.onnx_descriptor import OnnxDescriptor
-from place_recognition.image_processing.onnx_network import OnnxConfig
+from place_recognition.image_processing.onnx_network import ONNX, OnnxConfig
 from place_recognition.image_processing.small_cnn import SmallCnn
 
 Floats = NDArray[np.float32]
 
-ONNX = "onnx:"  # first letters of the name of a learned descriptor, before the path of its file
 HOG_CLIP = 0.2  # maximum share of one gradient in its block (L2-Hys, section 6.4)
 HOG_BLOCK = 2  # cells along each side of a block
 MIDDLE = 128  # grey level of a pixel as bright as its patch, in a thumbnail

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
+ONNX = "onnx:"  # first letters of the name of a learned descriptor or learned features, before the path of the file
 # Keys of the metadata of a file: numbers, those of several channels apart by spaces or commas.
 HEIGHT, WIDTH, MEAN, DEVIATION, CROP = "height", "width", "mean", "std", "crop"
 

@@ -34,7 +34,7 @@ from place_recognition.paradigms.whole_images import (
     distinctness,
 )
 from place_recognition.recognizer import MatrixSink, Proposer, RandomImages
-from place_recognition.staged_recognizer import Decision, ExclusionWindow, RowsById, StagedRecognizer
+from place_recognition.staged_recognizer import Decision, RowsById, StagedRecognizer
 from place_recognition.verification.candidate_verification import MINIMAL_SAMPLE, CandidateVerificationConfig
 from place_recognition.verification.present_view import FixedPast, FixedWindow, PresentView, PresentViewConfig
 from place_recognition.vocabulary.vocabulary import (
@@ -223,8 +223,7 @@ def _stages(
         thresholds = published.DECISIONS.get(name, published.CONTROL)
         if not config.temporal:
             thresholds = replace(thresholds, min_consistent_frames=1)
-        window: ExclusionWindow = FixedWindow(history, config.view.exclusion_frames)
-        window = FixedPast(-1) if config.reference else window
+        window = FixedPast(-1) if config.reference else FixedWindow(history, config.view.exclusion_frames)
         return StagedRecognizer(
             features, history, window, proposer, published.PublishedDecision(history, thresholds), exact
         )

@@ -12,12 +12,11 @@ from place_recognition.evaluation.precision_recall import PrecisionRecall, preci
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule
 from place_recognition.recognizer import Belief
 from slam.datasets.formats.euroc import read_sensor_yaml
-from slam.datasets.time_sync import MAX_GAP_S
+from slam.datasets.time_sync import MAX_GAP_S, MAX_TIME_DIFFERENCE_S
 from slam.errors import ConfigError, DataError
 from slam.evaluation.place_metrics import COMMON_TOLERANCE_IMAGES, measure_scores
 from slam.evaluation.revisit_truth_files import RevisitTruth, describe_remarks, read_revisit_truth
 from slam.evaluation.trajectory_errors import (
-    MAX_TIME_DIFFERENCE_S,
     PosePairs,
     TrajectoryErrors,
     pair_by_time,

@@ -248,17 +248,10 @@ def drop_recent_matches(beliefs: Sequence[Belief], images: ImageDataset, min_age
     if min_age_s is None or times is None:
         return list(beliefs)
 
-    def old_enough(query: int, match: int) -> int | None:
-        return match if times[query] - times[match] >= min_age_s else None
+    def is_old_enough(query: int, match: int) -> bool:
+        return bool(times[query] - times[match] >= min_age_s)
 
-    kept = []
-    for belief in beliefs:
-        stages = belief.stages.renumber(partial(old_enough, belief.query))
-        if belief.match is None or old_enough(belief.query, belief.match) is not None:
-            kept.append(replace(belief, stages=stages))
-        else:
-            kept.append(Belief(belief.query, None, 0.0, False, stages=stages, answered_at=belief.answered_at))
-    return kept
+    return [belief.keep_images(partial(is_old_enough, belief.query)) for belief in beliefs]
 
 
 def _drive_data(images: ImageDataset, truth: RevisitTruth) -> DriveData:
@@ -285,8 +278,7 @@ def _run(
     factory = RecognizerFactory(options.paradigm, config, control_seed, mask=mask)
     cv2.setRNGSeed(options.seed)
     with progress_bar(messages, "Recognising places") as progress, stop_on_interrupt() as stop:
-        recognize = run_recognizer if reference is None else partial(run_recognizer, reference=reference)
-        run = recognize(images, factory, progress, lambda: stop.requested)
+        run = run_recognizer(images, factory, progress, lambda: stop.requested, reference)
     if run.interrupted:
         messages.print(f"Interrupted: finishing with the {run.images} images seen so far.")
     if reference is not None:

@@ -212,3 +212,9 @@ def is_same_image(known: object, image: NDArray[np.uint8]) -> bool:
         return True
     there, here = (np.frombuffer(bytes.fromhex(text), np.uint8).astype(int) for text in (known, thumbnail(image)))
     return int(np.abs(there - here).max()) <= _MAX_GREY_DIFFERENCE
+
+
+def read_color(images: object, index: int) -> NDArray[np.uint8] | None:
+    """Read an image (H, W, 3), RGB; None if it is grey, or its reader has grey images alone."""
+    read: Callable[[int], NDArray[np.uint8] | None] | None = getattr(images, "read_color", None)
+    return None if read is None else read(index)

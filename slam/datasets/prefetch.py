@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.dataset import Dataset, Frame
+from slam.datasets.dataset import Dataset, Frame, read_color
 
 Item = TypeVar("Item")
 ItemRead = TypeVar("ItemRead", covariant=True)
@@ -58,12 +58,6 @@ class ColorImages:
 def has_color(images: object) -> bool:
     """Whether the first image of a dataset or recording can be read in colour."""
     return read_color(images, 0) is not None
-
-
-def read_color(images: object, index: int) -> NDArray[np.uint8] | None:
-    """Read an image (H, W, 3); None if it is grey, or the reader has grey images alone."""
-    read: Callable[[int], NDArray[np.uint8] | None] | None = getattr(images, "read_color", None)
-    return None if read is None else read(index)
 
 
 def prefetch(

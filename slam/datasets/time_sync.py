@@ -19,6 +19,7 @@ _MIN_DIFFERENT_SHARE = 0.5  # of the time stamps; with fewer, the clock is too c
 _MAX_DELAY_S = 1.0  # of a message that arrives late; stamps that go back farther may be those of a clock that was set
 _MIN_REPEATED_IMAGES = 3  # whose times were there before the clock was set back
 _MAX_PAUSE_S = 86400.0
+MAX_TIME_DIFFERENCE_S = 0.01  # between a time and that of a pose which is taken for it without interpolation
 MAX_GAP_S = 0.5  # between measured poses: across a longer gap, interpolation is no ground truth
 
 _TICKS_PER_SECOND = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}

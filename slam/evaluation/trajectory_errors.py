@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from slam.datasets.time_sync import MAX_GAP_S
+from slam.datasets.time_sync import MAX_GAP_S, MAX_TIME_DIFFERENCE_S
 from slam.errors import DataError
 from slam.io.trajectory_reader import Trajectory
 from slam.pose_graph.optimization.planar_or_spatial import SE3, inverse
@@ -33,7 +33,6 @@ Alignment = Literal["se3", "sim3"]
 # Lengths and step of the segments as in the devkit of the KITTI odometry benchmark.
 SEGMENT_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 SEGMENT_STEP_FRAMES = 10  # frames between the starts of segments
-MAX_TIME_DIFFERENCE_S = 0.01  # between two poses that are compared without interpolation
 # Poses 1 to 10 s apart may be 1 to 10 ms apart: only the other trajectory tells.
 _UNCLEAR_STEPS_S = (0.9, 10.5)
 _MAX_WRONG_SHARE, _MIN_RIGHT_SHARE = 0.2, 0.5  # of the poses that have a partner, as read and divided

@@ -14,10 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from odometry.motion import FIRST_VARIANCE, Motion, extrapolation_covariance
+from odometry.motion import (
+    EXTRAPOLATION_SIGMA_M,
+    EXTRAPOLATION_SIGMA_RAD,
+    FIRST_VARIANCE,
+    Motion,
+    extrapolation_covariance,
+)
 from odometry.stereo.stereo_self_calibration import Calibration
 from slam.datasets.dataset import Dataset, Frame
-from slam.datasets.time_sync import MAX_GAP_S
+from slam.datasets.time_sync import MAX_GAP_S, MAX_TIME_DIFFERENCE_S
 from slam.errors import ConfigError, DataError
 from slam.io.files import read_lines
 from slam.io.trajectory_reader import read_trajectory
@@ -26,12 +32,9 @@ from slam.system import VisualOdometry
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_MAX_TIME_DIFFERENCE_S = 0.01  # between a frame and a pose that is taken for it without interpolation
 _MAX_COMPARED = 100  # motions, over which the two odometries are compared
 _MIN_COMPARED = 10  # fewer differences say too little about their spread
 _CHI2_MEDIAN = 0.455  # of one degree of freedom
-# Change of a motion that was not measured, from one frame to the next, as in the odometries of the system.
-_EXTRAPOLATION_SIGMA_RAD, _EXTRAPOLATION_SIGMA_M = 0.02, 0.2
 _SIGMA_COLUMNS, _MATRIX_COLUMNS = 6, 36
 _MIN_MOVING_RATIO = 1e-3  # of the path of the file: a camera at rest shows no ratio of units
 
@@ -91,14 +94,14 @@ class FileTrajectory:
         if self._times is None:
             return PlacedFrame(self._poses[min(index, len(self._poses) - 1)], "")
         after = int(np.searchsorted(self._times, timestamp))
-        nearest = min(max(after, 0), len(self._times) - 1)
+        nearest = min(after, len(self._times) - 1)
         if after and abs(self._times[after - 1] - timestamp) <= abs(self._times[nearest] - timestamp):
             nearest = after - 1
         if self._times[nearest] == timestamp:
             return PlacedFrame(self._poses[nearest], "")
         if 0 < after < len(self._times):
             return self._between(after, timestamp)
-        if abs(self._times[nearest] - timestamp) <= _MAX_TIME_DIFFERENCE_S:
+        if abs(self._times[nearest] - timestamp) <= MAX_TIME_DIFFERENCE_S:
             return PlacedFrame(self._poses[nearest], "")
         return PlacedFrame(self._poses[nearest], f"{self.path.name} has no pose at that time")
 
@@ -109,7 +112,7 @@ class FileTrajectory:
         twist = se3.log(se3.inverse(self._poses[after - 1]) @ self._poses[after])
         T = self._poses[after - 1] @ se3.exp(twist * (timestamp - start) / (end - start))
         gap_s = float(end - start)
-        is_near = min(timestamp - start, end - timestamp) <= _MAX_TIME_DIFFERENCE_S
+        is_near = min(timestamp - start, end - timestamp) <= MAX_TIME_DIFFERENCE_S
         reason = "" if gap_s <= MAX_GAP_S or is_near else f"{self.path.name} has no pose for {gap_s:.1f} s"
         return PlacedFrame(T, reason)
 
@@ -217,7 +220,7 @@ class FileOdometry:
             return Motion(np.eye(4), FIRST_VARIANCE * np.eye(6), bool(placed.reason), placed.reason)
         T_previous_current = se3.orthonormalize(se3.inverse(previous) @ placed.T_world_camera)
         if placed.reason:
-            covariance = extrapolation_covariance(_EXTRAPOLATION_SIGMA_RAD, _EXTRAPOLATION_SIGMA_M, self._unmeasured)
+            covariance = extrapolation_covariance(EXTRAPOLATION_SIGMA_RAD, EXTRAPOLATION_SIGMA_M, self._unmeasured)
             return Motion(T_previous_current, covariance, True, placed.reason)
         if not measured.predicted:
             paths = (T_previous_current, measured.T_previous_current)

@@ -78,7 +78,7 @@ class TsdfVolume:
             RevisitError: Open3D cannot be loaded.
         """
         self._config, self._empty = config, True
-        self._o3d = _open3d()
+        self._o3d = load_open3d()
         kind = self._o3d.core.float32
         self._grid = self._o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight", "color"),
@@ -114,7 +114,8 @@ class TsdfVolume:
         return _in_order(Surface(mesh.vertex.positions.numpy(), grey, mesh.triangle.indices.numpy()))
 
 
-def _open3d() -> Any:  # its stubs know no numpy
+def load_open3d() -> Any:  # its stubs know no numpy
+    """Import Open3D, or raise RevisitError."""
     try:
         import open3d
     except (ImportError, OSError) as error:  # on a bare server its wheel misses libraries

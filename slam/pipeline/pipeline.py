@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from uuid import uuid4
 
@@ -170,12 +171,8 @@ class Pipeline:
         config = resolve_config(options, settings, stopped.config)
         dataset = open_for_odometry(options.recording, config.mono)
         config = config.with_depth_of(dataset.has_depth)
-
-        def open_folder() -> RunFolder:
-            check_same(stopped, dataset, config)
-            check_files(config, dataset)
-            return reopen_run_folder(stopped, options.out)
-
+        check_same(stopped, dataset, config)
+        open_folder = partial(reopen_run_folder, stopped, options.out)
         return cls(options=options, dataset=dataset, config=config, run_id=stopped.run_id, open_folder=open_folder)
 
     @classmethod
@@ -212,7 +209,6 @@ class Pipeline:
     @classmethod
     def _new(cls, options: RunOptions, config: RunConfig) -> "Pipeline":
         def open_folder() -> RunFolder:
-            check_files(config, dataset)
             if not options.overwrite:
                 check_unfinished(options.out)
             return RunFolder.create(options.out, options.overwrite)
@@ -229,10 +225,12 @@ class Pipeline:
             UnmeasuredError: hardly any motion was measured; the results are written.
             OutputError: some results could not be written; the others are.
         """
+        remarks = check_files(self.config, self.dataset)
         # A part of a run does not take the place of earlier results. (A name that is no path is refused next.)
         replaces = os.access(self.options.out, os.F_OK)
         with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
             warnings = RunWarnings(messages, folder.path)
+            warnings.extend((*remarks, *self._inspect(messages)))
             record, unreadable = self._process(folder, warnings, keep_partial=not replaces)
             folder.commit()
         if unreadable is not None:
@@ -248,8 +246,7 @@ class Pipeline:
     def _process(
         self, folder: RunFolder, warnings: RunWarnings, keep_partial: bool
     ) -> tuple[RunRecord, DataError | None]:
-        """Check the dataset, process its frames and write the results; the record, and the error of a frame."""
-        warnings.extend((*check_files(self.config, self.dataset), *self._inspect(warnings.messages)))
+        """Process the frames and write the results; the record, and the error of a frame that cannot be read."""
         origin = self._provenance()
         info = SessionInfo(self.dataset.name, self.dataset.camera, origin | {"run": self.run_id}, self.prior_map)
         recording = folder.path / "recording.rrd" if self.config.save_recording else None

@@ -18,7 +18,8 @@ from place_recognition.image_processing.static_regions import ImageMasks, Masked
 from place_recognition.paradigms.registry import ParadigmsConfig, with_preset
 from place_recognition.recognizer import Belief, MatrixSink, TwoRecordingRecognizer, takes_color
 from slam.components import build_control, build_extractor, build_recognizer
-from slam.datasets.prefetch import ColorImages, Recording, has_color, prefetch, read_color
+from slam.datasets.dataset import read_color
+from slam.datasets.prefetch import ColorImages, Recording, has_color, prefetch
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.revisit_truth_files import RevisitTruth
 from slam.io.matches import write_curve, write_matches, write_matrix

@@ -8,13 +8,13 @@ calibrated (`LeftImages`) or not (`UncalibratedImages`).
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
-from slam.datasets.dataset import Frame
+from slam.datasets.dataset import Frame, read_color
 from slam.datasets.depth_units import Depth
 from slam.datasets.formats.depth_images import DEPTH_UNUSED, DepthImages, DepthStream, match_depth
 from slam.datasets.formats.ground_truth import GroundTruthTrajectory, read_pose_file
@@ -43,15 +43,6 @@ class Images(Protocol):
 
     def where(self, index: int) -> str:
         """File of an image and its position in the file, for error messages."""
-        ...
-
-
-@runtime_checkable
-class ColorReader(Protocol):
-    """Raw images that can be read in colour too; a reader without it has grey images alone."""
-
-    def read_color(self, index: int, /) -> Image | None:
-        """Read image (H, W, 3), RGB; None if it is grey."""
         ...
 
 
@@ -104,8 +95,7 @@ class ImageSubset:
 
     def read_color(self, index: int) -> Image | None:
         """Read a selected image (H, W, 3), RGB; None if it is grey."""
-        number = int(self.indices[index])
-        return self.images.read_color(number) if isinstance(self.images, ColorReader) else None
+        return read_color(self.images, int(self.indices[index]))
 
     def where(self, index: int) -> str:
         """File of a selected image, for error messages."""
@@ -242,7 +232,7 @@ class RectifiedDataset:
 
     def read_color(self, index: int) -> Image | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
-        colour = self.left.read_color(index) if isinstance(self.left, ColorReader) else None
+        colour = read_color(self.left, index)
         if colour is None or colour.shape[:2] != (self.camera.height, self.camera.width):
             return None
         return self.rectification.left(colour)
@@ -340,7 +330,7 @@ class UncalibratedImages:
 
     def read_color(self, index: int) -> Image | None:
         """Read image (H, W, 3), RGB; None where there is only grey."""
-        return self.images.read_color(index) if isinstance(self.images, ColorReader) else None
+        return read_color(self.images, index)
 
 
 def build_dataset(recording: RawRecording, rectify: Callable[[Size], Rectification]) -> RectifiedDataset:

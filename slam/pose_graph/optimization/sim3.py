@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
+from odometry.motion import EXTRAPOLATION_SIGMA_M
 from slam.loop_closing.loop_closer import LoopClosure
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ _UNKNOWN_SIGMA = 10.0  # of the log scale of a loop that does not measure it: e^
 _MAX_LOG_CHANGE = 3.0  # of a scale in the refinement, which starts from scales that are nearly right: a factor of 20
 # The odometry of one camera states at least this variance, summed over the axes, of a translation that it did not
 # measure, and a smaller one of any that it did. The scale may change by half then, as the depth of scenes does.
-_GUESSED_VARIANCE, _JUMP_SIGMA = 0.9 * 3 * 0.2**2, 0.5
+_GUESSED_VARIANCE, _JUMP_SIGMA = 0.9 * 3 * EXTRAPOLATION_SIGMA_M**2, 0.5
 _ITERATIONS = 20  # of reweighting
 _KERNEL_CHI2 = 9.0  # chi-square of a loop at which its weight is a quarter: three sigmas
 

@@ -7,14 +7,13 @@ the window that the cell sees, and what the room reflects, which is less where t
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
-from slam.errors import RevisitError
+from slam.mapping.tsdf import load_open3d
 
 Array = NDArray[np.float64]
 
@@ -98,16 +97,9 @@ def bake_light(occluders: Array, sources: list[LightSource], floors: Array, heig
     return LightVolume(np.asarray(low, np.float64), _CELL_M, np.ascontiguousarray(light, dtype=np.float32))
 
 
-def _open3d() -> Any:  # its stubs know no numpy
-    try:
-        return import_module("open3d")
-    except (ImportError, OSError) as error:
-        raise RevisitError(f"open3d: expected a library that loads, {error}; type: revisit doctor") from error
-
-
 def _ray_caster(triangles: Array) -> tuple[Any, Callable[[Array, Array], Any]]:
     """Scene of Open3D, and a function that makes its rays of origins and directions (N, 3)."""
-    o3d = _open3d()
+    o3d = load_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
     numbers = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)

@@ -17,6 +17,8 @@ FORMAT = 3  # raised whenever the same configuration gives other files
 _KITTI_WIDTH, _KITTI_HEIGHT = 1241, 376
 _KITTI_FOCAL, _KITTI_CX, _KITTI_CY, _KITTI_BASELINE = 718.856, 607.1928, 185.2157, 0.54
 
+Ranges = tuple[tuple[str, float, float], ...]  # names of fields with their smallest and largest values
+
 
 @dataclass(frozen=True)
 class Difficulty:
@@ -131,17 +133,12 @@ class SimulationConfig:
             raise ConfigError(
                 f"difficulty of a simulated drive: expected {', '.join(DIFFICULTIES)}, got {self.difficulty!r}"
             )
-        for name, low, high in _RANGES:
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and low <= value <= high):
-                raise ConfigError(f"{name} of a simulated drive: expected {low:g} to {high:g}, got {value:g}")
+        check_ranges(self, _RANGES, "drive")
 
     @property
     def conditions(self) -> Difficulty:
         """What the difficulty stands for, with the errors that this configuration names itself."""
-        level = DIFFICULTIES[self.difficulty]
-        named = {field.name: getattr(self, field.name, None) for field in fields(level)}
-        return replace(level, **{name: value for name, value in named.items() if value is not None})
+        return with_named_errors(DIFFICULTIES[self.difficulty], self)
 
     @property
     def from_file(self) -> bool:
@@ -160,10 +157,33 @@ class SimulationConfig:
 
     def rng(self, *purpose: int) -> np.random.Generator:
         """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
-        return np.random.default_rng(np.random.SeedSequence([self.seed, *purpose]))
+        return random_generator(self.seed, *purpose)
 
 
-_RANGES: tuple[tuple[str, float, float], ...] = (
+def with_named_errors(level: Difficulty, config: object) -> Difficulty:
+    """Return a difficulty with the errors that a configuration names itself."""
+    named = {field.name: getattr(config, field.name, None) for field in fields(level)}
+    return replace(level, **{name: value for name, value in named.items() if value is not None})
+
+
+def random_generator(seed: int, *purpose: int) -> np.random.Generator:
+    """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
+    return np.random.default_rng(np.random.SeedSequence([seed, *purpose]))
+
+
+def check_ranges(config: object, ranges: Ranges, kind: str) -> None:
+    """Check that fields of a configuration are finite and in their ranges, or None.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    for name, low, high in ranges:
+        value = getattr(config, name)
+        if value is not None and not (math.isfinite(value) and low <= value <= high):
+            raise ConfigError(f"{name} of a simulated {kind}: expected {low:g} to {high:g}, got {value:g}")
+
+
+_RANGES: Ranges = (
     ("laps", 1, 1000),
     ("length_m", 150.0, 20000.0),
     ("seed", 0, 2**31),

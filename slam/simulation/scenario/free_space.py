@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 Array = NDArray[np.float64]
 
 CELL_M = 0.05
-_STEP_M = 0.02  # between the points of a path
+STEP_M = 0.02  # between the points of a smoothed path
 _SMOOTHING_M = (0.3, 0.2, 0.12, 0.06, 0.0)  # of paths, the first that keeps the clearance
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -76,10 +76,10 @@ class FreeSpace:
         """Return a closed path (P, 2), resampled to about 2 cm and rounded as far as its clearance allows."""
         loop = np.vstack([path, path[:1]])
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
-        at = np.arange(0.0, s[-1], _STEP_M)
+        at = np.arange(0.0, s[-1], STEP_M)
         fine = np.stack([np.interp(at, s, loop[:, k]) for k in (0, 1)], axis=1)
         for sigma in _SMOOTHING_M:
-            smooth = gaussian_filter1d(fine, sigma / _STEP_M, axis=0, mode="wrap") if sigma else fine
+            smooth = gaussian_filter1d(fine, sigma / STEP_M, axis=0, mode="wrap") if sigma else fine
             if self.clearance_at(smooth).min() >= min_clearance_m - 0.02:
                 break
         return np.asarray(smooth)
@@ -122,10 +122,10 @@ def find_free_space(floors: Array, obstacles: Array, low_z: float, high_z: float
     origin = floors[:, :2].min(axis=0) - CELL_M
     shape = (np.ceil((floors[:, 2:].max(axis=0) + CELL_M - origin) / CELL_M).astype(int) + 1)[::-1]
     x, y = origin[0] + CELL_M * np.arange(shape[1]), origin[1] + CELL_M * np.arange(shape[0])
-    is_floor, free = np.zeros(shape, bool), np.zeros(shape, bool)
+    is_floor = np.zeros(shape, bool)
     for x0, y0, x1, y1 in floors:
         is_floor |= ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
-    free |= is_floor
+    free = is_floor.copy()
     for (x0, y0, z0), (x1, y1, z1) in obstacles:
         if z0 < high_z and z1 > low_z:
             free &= ~(

@@ -1,14 +1,13 @@
 """Configuration of a simulated room: it determines every pixel."""
 
-import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from odometry.camera import StereoCamera
 from slam.errors import ConfigError
-from slam.simulation.scenario.config import Difficulty
+from slam.simulation.scenario.config import Difficulty, Ranges, check_ranges, random_generator, with_named_errors
 
 ROOM = "room"  # the word in place of the shape of a route
 MOTIONS = ("hand", "robot")
@@ -64,10 +63,7 @@ class RoomConfig:
                 raise ConfigError(
                     f"{name} of a simulated room: expected {', '.join(known)}, got {getattr(self, name)!r}"
                 )
-        for name, low, high in _RANGES:
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and low <= value <= high):
-                raise ConfigError(f"{name} of a simulated room: expected {low:g} to {high:g}, got {value:g}")
+        check_ranges(self, _RANGES, "room")
         if self.pure_rotation_s and self.motion != "hand":
             raise ConfigError("pure_rotation_s of a simulated room: expected 0, as a robot turns on the spot anyway; "
                               "leave it out or use the motion hand")  # fmt: skip
@@ -80,9 +76,7 @@ class RoomConfig:
     @property
     def conditions(self) -> Difficulty:
         """What the difficulty stands for, with the errors that this configuration names itself."""
-        level = ROOM_DIFFICULTIES[self.difficulty]
-        named = {field.name: getattr(self, field.name, None) for field in fields(level)}
-        return replace(level, **{name: value for name, value in named.items() if value is not None})
+        return with_named_errors(ROOM_DIFFICULTIES[self.difficulty], self)
 
     @property
     def camera(self) -> StereoCamera:
@@ -101,10 +95,10 @@ class RoomConfig:
 
     def rng(self, *purpose: int) -> np.random.Generator:
         """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
-        return np.random.default_rng(np.random.SeedSequence([self.seed, *purpose]))
+        return random_generator(self.seed, *purpose)
 
 
-_RANGES: tuple[tuple[str, float, float], ...] = (
+_RANGES: Ranges = (
     ("seed", 0, 2**31),
     ("duration_s", 1.0, 3600.0),
     ("pure_rotation_s", 0.0, 600.0),

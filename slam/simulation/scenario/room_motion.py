@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from slam.simulation.scenario.free_space import FreeSpace, find_free_space
+from slam.simulation.scenario.free_space import STEP_M, FreeSpace, find_free_space
 from slam.simulation.scenario.room_config import RoomConfig
 from slam.simulation.scenario.vehicle_path import camera_poses
 
@@ -123,10 +123,10 @@ def _walk(config: RoomConfig, space: FreeSpace, tour: _Tour, time: Array) -> tup
     rng = config.rng(1)
     keep = MIN_CLEARANCE_M + _HAND_MARGIN_M
     path = space.smooth(np.vstack(space.route(tour.stops(space, keep, rng), keep)), keep)
-    length = len(path) * 0.02
+    length = len(path) * STEP_M
     speed = np.clip(0.6 + _waves(rng, time, 6.0, 0.2), _MIN_SPEED, _MAX_SPEED) * _walking(config, time)
     s = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 / _RATE_HZ)])
-    grid = np.arange(len(path) + 1) * 0.02
+    grid = np.arange(len(path) + 1) * STEP_M
     ahead = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     side = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.maximum(
         np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9
@@ -169,7 +169,7 @@ def _look(config: RoomConfig, space: FreeSpace, tour: _Tour, path: Array, walk: 
     time, s, positions = walk
     rng = config.rng(2)
     targets = _choose_targets(rng, space, tour.sights, path)
-    leg_m = len(path) * 0.02 / len(targets)
+    leg_m = len(path) * STEP_M / len(targets)
     shift = np.column_stack([_waves(rng, time, 3.0, 0.15) for _ in range(3)])
     to = targets[np.int64(s / leg_m) % len(targets)] + shift - positions
     yaw = np.arctan2(to[:, 1], to[:, 0])
@@ -188,7 +188,7 @@ def _look(config: RoomConfig, space: FreeSpace, tour: _Tour, path: Array, walk: 
 
 def _choose_targets(rng: np.random.Generator, space: FreeSpace, sights: Array, path: Array) -> Array:
     """Choose what is looked at (G, 3) on each stretch of the path: in sight from its end, not too near."""
-    count = max(3, round(len(path) * 0.02 / _GAZE_M))
+    count = max(3, round(len(path) * STEP_M / _GAZE_M))
     targets = []
     for k in range(count):
         at = path[int((k + 0.7) * len(path) / count) % len(path)]
@@ -253,7 +253,7 @@ def _straighten(space: FreeSpace, legs: list[Array], min_clearance_m: float) -> 
 
 def _is_free(space: FreeSpace, ends: Array, min_clearance_m: float) -> bool:
     """Whether the straight line between two points (2, 2) keeps the clearance."""
-    count = int(np.linalg.norm(ends[1] - ends[0]) / 0.02) + 2
+    count = int(np.linalg.norm(ends[1] - ends[0]) / STEP_M) + 2
     line = ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
     return bool(space.clearance_at(line).min() >= min_clearance_m - 0.02)
 

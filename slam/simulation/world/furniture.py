@@ -264,7 +264,7 @@ def sofa(rng: np.random.Generator) -> Piece:
         pillow = RoomSurface.RUG if rng.random() < 0.5 else RoomSurface.PICTURE + int(rng.integers(PICTURES))
         face = np.array([corner])
         parts.append(quads(face, np.array([[[0, 0], [1, 0], [1, 1], [0, 1]]]), pillow))
-        sides = [face[0][[0, 3]] + [0, 0, 0], face[0][[1, 2]]]
+        sides = [face[0][[0, 3]], face[0][[1, 2]]]
         for low, high in sides:
             wedge = np.array([[low, high, [low[0], depth - 0.2, 0.8], [low[0], depth - 0.2, 0.44]]])
             parts.append(quads(wedge, np.array([[[0, 0], [0, 0.4], [0.2, 0.4], [0.2, 0]]]), cloth, tint * 0.8))

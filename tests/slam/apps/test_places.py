@@ -327,12 +327,12 @@ def test_black_images_and_changing_sizes_stop_nothing(tmp_path: Path, paradigm: 
 def test_an_interruption_keeps_what_there_is(
     two_laps: Path, truth: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupting(images, factory, show_progress, should_stop):  # type: ignore[no-untyped-def]
+    def interrupting(images, factory, show_progress, should_stop, reference):  # type: ignore[no-untyped-def]
         def interrupt_at_40(done: int, total: int) -> None:
             if done == 40:
                 os.kill(os.getpid(), signal.SIGINT)
 
-        return places_drive.run_recognizer(images, factory, interrupt_at_40, should_stop)
+        return places_drive.run_recognizer(images, factory, interrupt_at_40, should_stop, reference)
 
     monkeypatch.setattr("slam.apps.places.run_recognizer", interrupting)
     assert places(two_laps, tmp_path / "out", "--ground-truth", truth) == 130
