@@ -20,6 +20,7 @@ from odometry import se3
 from odometry.camera import StereoCamera
 from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
 from slam.errors import OutputError
+from slam.simulation.rendering.depth_camera import encode_depth
 from slam.simulation.rendering.renderer import (
     Daylight,
     LitScene,
@@ -180,7 +181,7 @@ class _DatasetWriter:
                 exposure = exposure_gain(self.config, light, float(self.trajectory.timestamps[frame]))
             self._save(f"image_{side}", frame, sensor.expose(light, depth, motion, exposure, frame))
             if side == 0 and self.config.depth:
-                self._save("depth", frame, _encode_depth(depth))
+                self._save("depth", frame, encode_depth(depth, DEPTH_SCALE))
 
     def _save(self, name: str, frame: int, image: NDArray[np.generic]) -> None:
         save_png(self.sequence / name / f"{frame:06d}.png", image)
@@ -209,12 +210,6 @@ def write_kitti_tables(folder: Path, T_world_camera: Array, timestamps: Array, c
     np.savetxt(folder / "poses" / f"{SEQUENCE}.txt", T_world_camera[:, :3].reshape(-1, 12), fmt="%.9e")
     np.savetxt(sequence / "times.txt", timestamps, fmt="%.6e")
     (sequence / "calib.txt").write_text(_format_calibration(camera))
-
-
-def _encode_depth(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Encode depth in units of 1/256 m; depths beyond 16 bits (256 m) and the sky are 0."""
-    scaled = np.rint(depth * DEPTH_SCALE)
-    return np.where(scaled < 2**16, scaled, 0).astype(np.uint16)
 
 
 def _format_calibration(camera: StereoCamera) -> str:

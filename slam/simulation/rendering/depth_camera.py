@@ -42,9 +42,10 @@ def measure_depth(depth: Image, returns: NDArray[np.bool_], camera: StereoCamera
     return np.where(seen, measured, 0.0).astype(np.float32)
 
 
-def encode_depth(depth: Image) -> NDArray[np.uint16]:
-    """Encode depth, metres, in units of 1/5000 m; 0 for none."""
-    return np.rint(np.where(np.isfinite(depth), depth, 0.0) * DEPTH_SCALE).clip(0, 2**16 - 1).astype(np.uint16)
+def encode_depth(depth: Image, scale: float = DEPTH_SCALE) -> NDArray[np.uint16]:
+    """Encode depth, metres, in units of 1 / scale; 0 for none and for depths beyond 16 bits."""
+    scaled = np.rint(depth * scale)
+    return np.where(scaled < 2**16, scaled, 0).astype(np.uint16)
 
 
 def _is_in_shadow(disparity: Image, camera: StereoCamera) -> NDArray[np.bool_]:

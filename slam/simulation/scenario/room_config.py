@@ -12,7 +12,7 @@ from slam.simulation.scenario.config import Difficulty, Ranges, check_ranges, ra
 ROOM = "room"  # the word in place of the shape of a route
 MOTIONS = ("hand", "robot")
 SENSORS = ("mono", "stereo", "depth")
-ROOM_FORMAT = 1  # raised whenever the same configuration gives other files
+ROOM_FORMAT = 2  # raised whenever the same configuration gives other files
 
 # The depth cameras of the TUM benchmark: 640 x 480 pixels, 525 pixels of focal length.
 _WIDTH, _HEIGHT, _FOCAL = 640, 480, 525.0

@@ -78,6 +78,6 @@ def test_surfaces_at_grazing_angles_have_no_depth():
 
 
 def test_depth_is_stored_in_5000ths_of_a_metre():
-    stored = encode_depth(np.array([[1.0, 0.0, np.inf, 2.00009]], np.float32))
+    stored = encode_depth(np.array([[1.0, 0.0, np.inf, 2.00009, 20.0]], np.float32))
     assert stored.dtype == np.uint16
-    assert stored.tolist() == [[int(DEPTH_SCALE), 0, 0, 10000]]
+    assert stored.tolist() == [[int(DEPTH_SCALE), 0, 0, 10000, 0]]
