@@ -5,7 +5,7 @@ change no pose. A loop that is removed leaves no trace but the points of lineari
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -45,43 +45,53 @@ class IncrementalPoseGraph:
         self._graph.add(factors.prior_factor(np.eye(4)))
         self._values.insert(0, gtsam.Pose3())
         self._estimate = gtsam.Values(self._values)
-        self._newest = 0
-        self._registered: dict[int, gtsam.BetweenFactorPose3] = {}
-        self._factor_indices: dict[int, int] = {}  # iSAM2's index of each loop in use
-        self._pending_loops: list[tuple[int, int]] = []  # loop and its index in the new graph
+        self._num_nodes = 1
+        # iSAM2's index of each loop in use, and of the motion to each node; of new ones their index in the new graph.
+        self._loops, self._motions = _FactorIndices(), _FactorIndices()
+        self._factors: dict[int, gtsam.BetweenFactorPose3] = {}  # of the loops in use, without Huber's kernel
         self._removed: list[int] = []
-
-    @property
-    def T_world_newest(self) -> Array:
-        """T_world_node (4, 4) of the newest node."""
-        return self.pose(self._newest)
+        self._poses: Array | None = None
 
     @property
     def used(self) -> tuple[int, ...]:
         """Numbers of the loops in use, sorted."""
-        return tuple(sorted([*self._factor_indices, *(loop for loop, _ in self._pending_loops)]))
+        return tuple(sorted([*self._loops.known, *self._loops.new]))
 
-    def add_node(self, T_previous_node: Array, covariance: Array) -> None:
-        """Add the next node by its motion (4, 4) and covariance (6, 6)."""
-        pose = gtsam.Pose3(self.T_world_newest @ T_previous_node)
-        self._newest += 1
-        self._graph.add(factors.odometry_factor(self._newest - 1, self._newest, T_previous_node, covariance))
-        self._values.insert(self._newest, pose)
-        self._estimate.insert(self._newest, pose)
+    @property
+    def has_loops(self) -> bool:
+        """Whether a loop is in use."""
+        return bool(self._loops.known or self._loops.new)
 
-    def register_loop(self, number: int, loop: LoopClosure) -> None:
-        """Register a loop between nodes for `chi2` and `add_loops`, without using it yet."""
-        self._registered[number] = factors.loop_factor(loop)
+    def uses(self, number: int) -> bool:
+        """Whether a loop is in use."""
+        return number in self._loops.known or number in self._loops.new
+
+    def add_node(self, previous: int, T_previous_node: Array, covariance: Array) -> None:
+        """Add the next node by its motion (4, 4) from an earlier one, and its covariance (6, 6)."""
+        node, self._num_nodes = self._num_nodes, self._num_nodes + 1
+        pose = gtsam.Pose3(self.pose(previous) @ T_previous_node)
+        self._values.insert(node, pose)
+        self._estimate.insert(node, pose)
+        self._add_motion(previous, node, T_previous_node, covariance)
+        self._poses = None
+
+    def replace_motion(self, previous: int, node: int, T_previous_node: Array, covariance: Array) -> None:
+        """Join a node to another one than before, by a motion (4, 4) with covariance (6, 6)."""
+        self._flush()
+        self._removed.append(self._motions.known.pop(node))
+        self._add_motion(previous, node, T_previous_node, covariance)
 
     def add_loops(self, loops: Mapping[int, LoopClosure]) -> None:
-        """Use registered loops from the next `step` on."""
+        """Use loops between nodes, by their numbers, from the next `step` on."""
         for number, loop in loops.items():
-            self._pending_loops.append((number, self._graph.size()))
+            self._loops.new[number], self._factors[number] = self._graph.size(), factors.loop_factor(loop)
             self._graph.add(factors.huber_factor(loop, self._config.huber_width_sigma))
 
     def remove_loops(self, numbers: Iterable[int]) -> None:
         """Stop using loops from the next `step` on; their effect is undone."""
-        self._removed += [self._factor_indices.pop(number) for number in numbers]
+        for number in numbers:
+            self._removed.append(self._loops.known.pop(number))
+            del self._factors[number]
 
     def step(self) -> bool:
         """Do one step of optimisation.
@@ -91,22 +101,12 @@ class IncrementalPoseGraph:
         """
         is_changed = self._flush() if self._graph.size() or self._removed else False
         result = self._isam.update()
-        self._estimate = self._isam.calculateEstimate()
+        self._estimate, self._poses = self._isam.calculateEstimate(), None
         return not is_changed and not result.getVariablesRelinearized()
 
-    def _flush(self) -> bool:
-        """Pass new nodes and changes of loops to iSAM2; whether there were changes of loops."""
-        is_changed = bool(self._pending_loops or self._removed)
-        removed, self._removed = self._removed, []
-        result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))
-        indices = result.getNewFactorsIndices()
-        self._factor_indices |= {number: indices[index] for number, index in self._pending_loops}
-        self._graph, self._values, self._pending_loops = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-        return is_changed
-
     def chi2(self, numbers: Sequence[int]) -> Array:
-        """(L,) chi-square of registered loops at the map, by their own covariance alone."""
-        return np.array([2.0 * self._registered[number].error(self._estimate) for number in numbers])
+        """(L,) chi-square of loops in use at the map, by their own covariance alone."""
+        return np.array([2.0 * self._factors[number].error(self._estimate) for number in numbers])
 
     def predictive_chi2(self, loop: LoopClosure, bias: Array) -> float:
         """Chi-square of a loop that is not in use against the map, by the covariances of both.
@@ -123,9 +123,48 @@ class IncrementalPoseGraph:
         """T_world_node (4, 4) of a node."""
         return self._estimate.atPose3(node).matrix()
 
+    def poses_of(self, nodes: Iterable[int]) -> Array:
+        """T_world_node (M, 4, 4) of some nodes."""
+        return np.array([self.pose(node) for node in nodes])
+
     def poses(self) -> Array:
-        """T_world_node (K, 4, 4) of all nodes."""
-        return factors.to_poses(self._estimate)
+        """T_world_node (K, 4, 4) of all nodes; not to be changed."""
+        if self._poses is None:
+            self._poses = factors.to_poses(self._estimate)
+        return self._poses
+
+    def _flush(self) -> bool:
+        """Pass new nodes and changes of loops to iSAM2; whether there were changes of loops."""
+        is_changed = bool(self._loops.new or self._removed)
+        removed, self._removed = self._removed, []
+        result = self._isam.update(self._graph, self._values, removed, force_relinearize=bool(removed))
+        indices = result.getNewFactorsIndices()
+        for factor_indices in (self._loops, self._motions):
+            factor_indices.settle(indices)
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        return is_changed
+
+    def _add_motion(self, previous: int, node: int, T_previous_node: Array, covariance: Array) -> None:
+        self._motions.new[node] = self._graph.size()
+        self._graph.add(factors.odometry_factor(previous, node, T_previous_node, covariance))
+
+
+@dataclass
+class _FactorIndices:
+    """Indices of factors by the number of what they measure.
+
+    Attributes:
+        new: index in the graph that iSAM2 has not seen yet.
+        known: index in iSAM2.
+    """
+
+    new: dict[int, int] = field(default_factory=dict)
+    known: dict[int, int] = field(default_factory=dict)
+
+    def settle(self, indices: Sequence[int]) -> None:
+        """Take the indices (M,) that iSAM2 has given to the new factors."""
+        self.known |= {number: indices[index] for number, index in self.new.items()}
+        self.new = {}
 
 
 def _isam(config: IncrementalConfig) -> gtsam.ISAM2:

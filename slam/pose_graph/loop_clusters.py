@@ -58,12 +58,12 @@ class ClusteredLoop:
 
     Attributes:
         loop: the loop between frames.
-        between_nodes: the same loop between nodes of the online graph.
+        covariance: (6, 6) covariance of the loop and of the odometry to the nodes of its frames.
         cluster: number of the cluster's first loop.
     """
 
     loop: LoopClosure
-    between_nodes: LoopClosure
+    covariance: Array
     cluster: int
 
 
@@ -74,6 +74,7 @@ class LoopClusters:
         self._chain, self._config = chain, config
         self._loops: dict[int, ClusteredLoop] = {}
         self._members: dict[int, list[int]] = {}
+        self._by_cell: dict[tuple[int, int], list[int]] = {}  # loops by the path length up to match and query
 
     def __getitem__(self, number: int) -> ClusteredLoop:
         return self._loops[number]
@@ -92,24 +93,27 @@ class LoopClusters:
         """Numbers of the loops of a cluster, in the order in which they came."""
         return self._members[cluster]
 
-    def add(self, number: int, loop: LoopClosure, between_nodes: LoopClosure) -> list[int]:
+    def add(self, number: int, loop: LoopClosure, covariance: Array) -> list[int]:
         """Add a loop to the cluster of the latest loop that agrees with it, or begin a new cluster.
 
         Args:
             number: number of the loop.
             loop: the loop between frames.
-            between_nodes: the same loop between nodes of the online graph.
+            covariance: (6, 6) covariance of the loop and of the odometry to the nodes of its frames.
 
         Returns:
             Loops of that cluster nearby, the latest first; empty where the loop begins a cluster.
         """
-        latest_first = reversed(self._loops.items())
-        nearby = (k for k, known in latest_first if self._is_same_stretch(known.loop, loop))
+        row, column = self._cell(loop)
+        cells = ((row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        latest_first = sorted((k for cell in cells for k in self._by_cell.get(cell, ())), reverse=True)
+        nearby = (k for k in latest_first if self._is_same_stretch(self._loops[k].loop, loop))
         near = list(islice(nearby, _MAX_COMPARED))
         agreeing = (k for k in near if self._cycle_chi2(self._loops[k].loop, loop) <= self._config.max_agreement_chi2)
         first = next(agreeing, None)
         cluster = number if first is None else self._loops[first].cluster
-        self._loops[number] = ClusteredLoop(loop, between_nodes, cluster)
+        self._loops[number] = ClusteredLoop(loop, covariance, cluster)
+        self._by_cell.setdefault((row, column), []).append(number)
         self._members.setdefault(cluster, []).append(number)
         return [k for k in near if self._loops[k].cluster == cluster]
 
@@ -124,6 +128,11 @@ class LoopClusters:
         query = self._loops[number].loop.query
         nearest = min(held, key=lambda frame: (abs(frame - query), frame), default=0)
         return self._chain.bias_covariance(nearest, query)
+
+    def _cell(self, loop: LoopClosure) -> tuple[int, int]:
+        """Cell of a loop in a grid, whose neighbours hold all loops of its stretch."""
+        size, path_length = self._config.max_distance_m, self._chain.path_length_m
+        return int(path_length(loop.match) // size), int(path_length(loop.query) // size)
 
     def _is_same_stretch(self, a: LoopClosure, b: LoopClosure) -> bool:
         limit, path_length = self._config.max_distance_m, self._chain.path_length_m

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
+from place_recognition.growing_array import GrowingArray
 
 Array = NDArray[np.float64]
 
@@ -76,26 +77,31 @@ class OdometryChain:
 
     def __init__(self, model: OdometryDriftModel) -> None:
         self._model = model
-        self._poses = [np.eye(4)]
-        self._path_length = [0.0]
-        self._independent = [np.zeros((6, 6))]  # covariance of independent errors, world frame
-        self._bias_jacobian = [np.zeros((6, 6))]  # of the pose, in the world, by a constant error per metre
+        self._poses, self._path_length = GrowingArray(np.float64), GrowingArray(np.float64)
+        self._independent = GrowingArray(np.float64)  # covariance (N, 6, 6) of independent errors, world frame
+        # Jacobian (N, 6, 6) of the pose, in the world, by a constant error per metre.
+        self._bias_jacobian = GrowingArray(np.float64)
+        self._append(np.eye(4), 0.0, np.zeros((6, 6)), np.zeros((6, 6)))
 
     def __len__(self) -> int:
         return len(self._poses)
 
     def __getitem__(self, frame: int) -> Array:
-        return self._poses[frame]
+        return self._poses.rows[frame]
 
     @property
     def poses(self) -> Array:
         """T_world_camera (N, 4, 4), metres, first pose the identity."""
-        return np.array(self._poses)
+        return self._poses.rows.copy()
+
+    def poses_of(self, frames: NDArray[np.int64]) -> Array:
+        """T_world_camera (M, 4, 4) of some frames (M,), metres."""
+        return np.asarray(self._poses.rows[frames])
 
     @property
     def last(self) -> Array:
         """T_world_camera (4, 4) of the newest frame."""
-        return self._poses[-1]
+        return self._poses.rows[-1]
 
     def covariances(self) -> Array:
         """Covariances (N, 6, 6) of all frames against the first one, as `between` gives them."""
@@ -103,35 +109,34 @@ class OdometryChain:
 
     def bias_sigmas(self) -> Array:
         """(N - 1, 6) standard deviation of the bias's error in each motion, rotation first."""
-        return np.diff(self._path_length)[:, None] * np.sqrt(self._model.variances)
+        return np.diff(self._path_length.rows)[:, None] * np.sqrt(self._model.variances)
 
     def append(self, T_previous_current: Array, covariance: Array) -> None:
         """Add a motion (4, 4) with its stated covariance (6, 6) of the right perturbation, rotation first."""
         step = float(np.linalg.norm(T_previous_current[:3, 3]))
-        pose = self._poses[-1] @ T_previous_current
+        pose = self.last @ T_previous_current
         Ad = se3.adjoint(pose)
         covariance = self._model.of_motion(T_previous_current, covariance)
-        self._poses.append(pose)
-        self._path_length.append(self._path_length[-1] + step)
-        self._independent.append(self._independent[-1] + Ad @ covariance @ Ad.T)
-        self._bias_jacobian.append(self._bias_jacobian[-1] + step * Ad)
+        independent = self._independent.rows[-1] + Ad @ covariance @ Ad.T
+        path_length = self._path_length.rows[-1] + step
+        self._append(pose, path_length, independent, self._bias_jacobian.rows[-1] + step * Ad)
 
     def path_length_m(self, frame: int) -> float:
         """Length of the path up to a frame, metres."""
-        return self._path_length[frame]
+        return float(self._path_length.rows[frame])
 
     def bias_covariance(self, first: int, second: int) -> Array:
         """Covariance (6, 6) of the second frame, in its own frame, by the bias since the first frame alone."""
-        jacobian = self._bias_jacobian[second] - self._bias_jacobian[first]
-        Ad = se3.adjoint(se3.inverse(self._poses[second]))
+        jacobian = self._bias_jacobian.rows[second] - self._bias_jacobian.rows[first]
+        Ad = se3.adjoint(se3.inverse(self[second]))
         return Ad @ (jacobian * self._model.variances) @ jacobian.T @ Ad.T
 
     def between_without_bias(self, first: int, second: int) -> RelativeMotion:
         """As `between` for first < second, without the bias: only the independent errors of the motions."""
-        independent = self._independent[second] - self._independent[first]
-        Ad = se3.adjoint(se3.inverse(self._poses[second]))
-        T = se3.inverse(self._poses[first]) @ self._poses[second]
-        return RelativeMotion(T, Ad @ independent @ Ad.T, self._path_length[second] - self._path_length[first])
+        independent = self._independent.rows[second] - self._independent.rows[first]
+        Ad = se3.adjoint(se3.inverse(self[second]))
+        T = se3.inverse(self[first]) @ self[second]
+        return RelativeMotion(T, Ad @ independent @ Ad.T, self.path_length_m(second) - self.path_length_m(first))
 
     def between(self, first: int, second: int) -> RelativeMotion:
         """Relative pose of two frames with its covariance; takes the same time however far apart they are."""
@@ -139,6 +144,12 @@ class OdometryChain:
             return _reverse(self.between(second, first))
         motion = self.between_without_bias(first, second)
         return replace(motion, covariance=motion.covariance + self.bias_covariance(first, second))
+
+    def _append(self, pose: Array, path_length_m: float, independent: Array, bias_jacobian: Array) -> None:
+        self._poses.extend(pose[None])
+        self._path_length.extend(np.array([path_length_m]))
+        self._independent.extend(independent[None])
+        self._bias_jacobian.extend(bias_jacobian[None])
 
 
 def _reverse(motion: RelativeMotion) -> RelativeMotion:

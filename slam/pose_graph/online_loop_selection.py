@@ -4,19 +4,22 @@ A loop that drift can explain may still be false, and nothing shows it at that m
 waits until a second loop of the same stretch agrees with it (pairwise consistency: Mangelson et al., ICRA 2018,
 equation 3), and the map, with its uncertainty, must not exclude it. Whenever a cluster of loops has doubled, the
 clusters in use, and one that the map excludes, are compared with one another by a leave-one-out test
-(`slam.pose_graph.loop_clusters`). Figures: docs/decisions/online_loop_selection.md.
+(`slam.pose_graph.loop_clusters`). In places that the map knows well a loop locates the camera, and changes nothing else
+(`slam.pose_graph.known_places`). Figures: docs/decisions/online_loop_selection.md.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odometry import se3
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.isam2 import IncrementalPoseGraph
+from slam.pose_graph.known_places import KnownPlaceConfig, KnownPlaces
 from slam.pose_graph.loop_clusters import LeaveOneOutTest, LoopClusterConfig, LoopClusters
 from slam.pose_graph.node_chain import NodeChain
 from slam.pose_graph.odometry_chain import OdometryChain
@@ -37,11 +40,13 @@ class LoopSelectionConfig:
         max_predictive_chi2: maximum chi-square, by the covariances of both, of a loop that the map does not exclude
             (99.999 %).
         clusters: settings of the clusters of loops.
+        known_places: when a place is known well enough.
     """
 
     max_inlier_chi2: float = 22.5
     max_predictive_chi2: float = 34.0
     clusters: LoopClusterConfig = field(default_factory=LoopClusterConfig)
+    known_places: KnownPlaceConfig = field(default_factory=KnownPlaceConfig)
 
 
 @dataclass(frozen=True)
@@ -132,6 +137,7 @@ class OnlineLoopSelector:
     ) -> None:
         self._chain, self._nodes, self._graph, self._config = chain, nodes, graph, config
         self._clusters = LoopClusters(chain, config.clusters)
+        self._known_places = KnownPlaces(chain, nodes, graph, config.known_places)
         self._tested_sizes: dict[int, int] = {}  # size of each cluster when it was last tested
         self._removals: Counter[int] = Counter()  # of each loop, because the map contradicted it
         self._state = _State()
@@ -146,7 +152,7 @@ class OnlineLoopSelector:
             gate: test of the loop against odometry alone.
         """
         reason = self._assess(number, loop) if gate.passed else gate.reason
-        used = number in self._graph.used
+        used = self._is_used(number)
         self._log([number], used, reason)
         if used:
             self.step()
@@ -169,13 +175,16 @@ class OnlineLoopSelector:
 
     def _assess(self, number: int, loop: LoopClosure) -> str:
         """Use a loop if the map or another loop supports it; the reason why it is used or waits."""
-        between_nodes = self._nodes.between_nodes(loop)
-        if between_nodes is None:
+        if self._nodes.follow_the_same(loop.match, loop.query):
             return "waits: both frames belong to one graph node, so there is nothing to correct"
-        companions = self._clusters.add(number, loop, between_nodes)
-        self._graph.register_loop(number, between_nodes)
-        chi2 = float(self._graph.chi2([number])[0])
-        if self._graph.used and chi2 <= self._config.max_inlier_chi2:
+        covariance = self._nodes.loop_covariance(loop)
+        (chi2,) = self._chi2([loop], [covariance])
+        agrees = self._graph.has_loops and chi2 <= self._config.max_inlier_chi2
+        if agrees and not self._state.is_settling and self._known_places.contain(loop.query):
+            self._known_places.locate(number, loop, self._support)
+            return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma, and knows the place well"
+        companions = self._clusters.add(number, loop, covariance)
+        if agrees:
             self._use([number])
             return f"joined: the map agrees, {np.sqrt(chi2):.1f} sigma"
         if not companions:
@@ -184,11 +193,10 @@ class OnlineLoopSelector:
 
     def _assess_with(self, number: int, companions: list[int]) -> str:
         """Use a loop together with its cluster, unless the map excludes it."""
-        used = self._graph.used
-        chi2 = self._predictive_chi2(number) if used else 0.0
+        chi2 = self._predictive_chi2(number) if self._graph.has_loops else 0.0
         if chi2 > self._config.max_predictive_chi2:
             return self._challenge(number, chi2)
-        newcomers = [other for other in companions if other not in used]
+        newcomers = [other for other in companions if not self._is_used(other)]
         self._use([number, *newcomers])
         self._log(newcomers, True, f"joined: loop {number} of this stretch agrees")
         found = f"{len(companions)} {'loops' if len(companions) > 1 else 'loop'} of this stretch"
@@ -222,8 +230,7 @@ class OnlineLoopSelector:
         state.test = state.candidate = None
         for cluster, chi2 in test.left_out.items():
             wrong = [k for k in self._clusters.members(cluster) if k in used]
-            self._graph.remove_loops(wrong)
-            self._log(wrong, False, f"taken out: the other groups of loops put it {np.sqrt(chi2):.1f} sigma off")
+            self._remove(wrong, f"taken out: the other groups of loops put it {np.sqrt(chi2):.1f} sigma off")
             state.is_settling = state.is_settling or bool(wrong)
         if candidate is not None and candidate not in test.left_out:
             members = [k for k in self._clusters.members(candidate) if k not in used]
@@ -245,7 +252,10 @@ class OnlineLoopSelector:
 
     def _use(self, numbers: Iterable[int]) -> None:
         """Add loops to the map; a cluster that has doubled by them makes a test due."""
-        self._graph.add_loops({k: self._clusters[k].between_nodes for k in numbers})
+        loops = {k: self._clusters[k].loop for k in numbers}
+        self._known_places.add_nodes(max(loop.query for loop in loops.values()))
+        between_nodes = {k: self._nodes.between_nodes(loop) for k, loop in loops.items()}
+        self._graph.add_loops({k: loop for k, loop in between_nodes.items() if loop is not None})
         self._state.is_settling = True
         for cluster in sorted({self._clusters[k].cluster for k in numbers}):
             size = len(self._clusters.members(cluster))
@@ -261,32 +271,71 @@ class OnlineLoopSelector:
         chi2 = self._graph.chi2(used)
         limit = max(self._config.max_inlier_chi2, 0.5 * float(chi2.max(initial=0.0)))
         wrong = [used[k] for k in np.flatnonzero(chi2 > limit)]
-        self._graph.remove_loops(wrong)
         self._removals.update(wrong)
-        self._log(wrong, False, f"taken out: over {np.sqrt(limit):.1f} sigma from the map that the others make")
+        self._remove(wrong, f"taken out: over {np.sqrt(limit):.1f} sigma from the map that the others make")
         if len(used) - len(wrong) == 1:
-            (last,) = set(used) - set(wrong)
-            self._graph.remove_loops([last])
-            self._log([last], False, "taken out: no other loop agrees any more")
+            self._remove(set(used) - set(wrong), "taken out: no other loop agrees any more")
             return True
         return bool(wrong)
 
     def _accept_waiting(self) -> bool:
         """Use the waiting loops that the map now agrees with; whether there were any."""
+        numbers = self._clusters.numbers if self._graph.has_loops else []
         used = set(self._graph.used)
-        numbers = self._clusters.numbers if used else []
         waiting = [k for k in numbers if k not in used and self._removals[k] < _MAX_REMOVALS]
-        chi2 = self._graph.chi2(waiting)
+        chi2 = self._chi2_of(waiting)
         agree = [k for k, value in zip(waiting, chi2, strict=True) if value <= self._config.max_inlier_chi2]
+        agree = [k for k in agree if self._nodes.between_nodes(self._clusters[k].loop) is not None]
         if agree:
             self._use(agree)
         self._log(agree, True, "joined: the map agrees by now")
         return bool(agree)
 
+    def _remove(self, numbers: Iterable[int], reason: str) -> None:
+        """Stop using loops, and locate no frame any more by what rested on them alone."""
+        numbers = sorted(numbers)
+        self._graph.remove_loops(numbers)
+        self._log(numbers, False, reason)
+        lost = self._known_places.undo_unsupported(set(self._graph.used)) if numbers else {}
+        self._log(lost, False, "taken out: the loops that led to this place are out")
+        for number, loop in lost.items():
+            self._clusters.add(number, loop, self._nodes.loop_covariance(loop))
+
+    def _support(self, frame: int) -> frozenset[int]:
+        """Numbers of the loops in use that tie the camera to the map: those of the last stretch up to a frame."""
+        path = {k: self._chain.path_length_m(self._clusters[k].loop.query) for k in self._graph.used}
+        path = {k: length for k, length in path.items() if length <= self._chain.path_length_m(frame)}
+        start = max(path.values(), default=0.0) - self._config.clusters.max_distance_m
+        return frozenset(k for k, length in path.items() if length >= start)
+
+    def _is_used(self, number: int) -> bool:
+        return self._graph.uses(number) or self._known_places.uses(number)
+
+    def _chi2_of(self, numbers: Sequence[int]) -> Array:
+        """(L,) chi-square of loops at the map, by their own covariances alone."""
+        loops = [self._clusters[number] for number in numbers]
+        return self._chi2([known.loop for known in loops], [known.covariance for known in loops])
+
+    def _chi2(self, loops: Sequence[LoopClosure], covariances: Sequence[Array]) -> Array:
+        """(L,) chi-square of loops between frames at the map, by covariances (6, 6)."""
+        if not loops:
+            return np.zeros(0)
+        ends = np.array([*(loop.match for loop in loops), *(loop.query for loop in loops)])
+        nodes, T_node_frames = self._nodes.places_of(ends)
+        T_world_match, T_world_query = np.split(self._graph.poses_of(nodes.tolist()) @ T_node_frames, 2)
+        measured = np.array([loop.T_match_query for loop in loops])
+        errors = se3.log(se3.inverse(measured) @ se3.inverse(T_world_match) @ T_world_query)
+        whitened = np.linalg.solve(np.array(covariances), errors[..., None])[..., 0]
+        return np.asarray(np.sum(errors * whitened, axis=1))
+
     def _predictive_chi2(self, number: int) -> float:
         """Chi-square of a loop against the map, the covariances of both counted."""
-        bias = self._clusters.bias_covariance(number, self._graph.used)
-        return self._graph.predictive_chi2(self._clusters[number].between_nodes, bias)
+        loop = self._clusters[number].loop
+        self._known_places.add_nodes(loop.query)
+        between_nodes = self._nodes.between_nodes(loop)
+        if between_nodes is None:  # both frames were located on one node since
+            return float(self._chi2_of([number])[0])
+        return self._graph.predictive_chi2(between_nodes, self._clusters.bias_covariance(number, self._graph.used))
 
     def _log(self, numbers: Iterable[int], used: bool, reason: str) -> None:
         self.events += [LoopEvent(len(self._chain) - 1, number, used, reason) for number in numbers]

@@ -73,7 +73,7 @@ class PoseGraph:
         self._edges: list[tuple[Array, Array]] = []
         self._loops: list[LoopClosure] = []
         self._gates: list[GateResult] = []
-        self._nodes = NodeChain(self.config.nodes)
+        self._nodes = NodeChain(self._chain, self.config.nodes)
         self._incremental = IncrementalPoseGraph(self.config.incremental)
         self._selector = OnlineLoopSelector(self._chain, self._nodes, self._incremental, self.config.loop_selection)
 
@@ -108,9 +108,7 @@ class PoseGraph:
         stated = _check_covariance(covariance, f"motion to frame {len(self)}")
         self._edges.append((T_previous_current, covariance))
         self._chain.append(T_previous_current, stated)
-        node = self._nodes.append(T_previous_current, self.config.drift.of_motion(T_previous_current, stated))
-        if node is not None:
-            self._incremental.add_node(node.T_node_frame, node.covariance)
+        self._nodes.append()
         self._selector.step()
 
     def add_loop(self, closure: LoopClosure) -> LoopDecision:
@@ -128,7 +126,8 @@ class PoseGraph:
 
     def current_pose(self) -> Array:
         """T_world_camera (4, 4) of the newest frame, by odometry and the loops in use."""
-        return self._incremental.T_world_newest @ self._nodes[len(self) - 1].T_node_frame
+        (node,), (T_node_frame,) = self._nodes.places_of(np.array([len(self) - 1]))
+        return self._incremental.pose(int(node)) @ T_node_frame
 
     def poses(self) -> Array:
         """T_world_camera (N, 4, 4) of all frames, by odometry and the loops in use."""

@@ -1,5 +1,7 @@
 """Frames are attached to nodes, and loops move to the nodes without a change of what they measure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,35 +14,97 @@ from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, laps, loop_between
 NO_TURN = 1e9  # radians: turning makes no node
 
 
-def filled(spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain, list[np.ndarray]]:
-    """Nodes and chain of a noisy lap, and T_world_node of each node."""
-    nodes, chain = NodeChain(spacing), OdometryChain(OdometryDriftModel(0.0, 0.0))
-    T_world_nodes = [np.eye(4)]
-    for T in laps(laps=1.0).motions:
+def chained(motions: list[np.ndarray], spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain]:
+    """Frames of some motions, none of them attached but the first."""
+    chain = OdometryChain(OdometryDriftModel(0.0, 0.0))
+    nodes = NodeChain(chain, spacing)
+    for T in motions:
         chain.append(T, STEP_COVARIANCE)
-        node = nodes.append(T, STEP_COVARIANCE)
-        if node is not None:
-            T_world_nodes.append(T_world_nodes[-1] @ node.T_node_frame)
-    return nodes, chain, T_world_nodes
+        nodes.append()
+    return nodes, chain
+
+
+def attach_all(nodes: NodeChain) -> np.ndarray:
+    """T_world_node (K, 4, 4) of all nodes, where odometry puts them."""
+    T_world_nodes = [np.eye(4)]
+    for node in nodes.attach(len(nodes) - 1):
+        assert node.number == len(T_world_nodes)
+        T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
+    return np.array(T_world_nodes)
+
+
+def filled(spacing: NodeSpacing) -> tuple[NodeChain, OdometryChain, np.ndarray]:
+    """Nodes and chain of a noisy lap, and T_world_node of each node."""
+    nodes, chain = chained(laps(laps=1.0).motions, spacing)
+    return nodes, chain, attach_all(nodes)
 
 
 @pytest.mark.parametrize("min_distance_m", [0.0, 2.5, 10.0, 1000.0])
 def test_frames_on_unmoved_nodes_lie_where_odometry_puts_them(min_distance_m: float) -> None:
     nodes, chain, T_world_nodes = filled(NodeSpacing(min_distance_m, NO_TURN))
-    np.testing.assert_allclose(nodes.poses(np.array(T_world_nodes)), chain.poses, atol=1e-9)
+    np.testing.assert_allclose(nodes.poses(T_world_nodes), chain.poses, atol=1e-9)
+
+
+def test_frames_that_are_not_attached_follow_by_odometry() -> None:
+    nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing())
+    nodes.attach(20)
+    moved = se3.exp(np.array([0.1, 0.2, 0.0, 1.0, 2.0, 3.0]))
+    T_world_nodes = moved @ chain.poses[nodes.node_frames]
+    assert nodes.num_attached == 21
+    np.testing.assert_allclose(nodes.poses(T_world_nodes), moved @ chain.poses, atol=1e-9)
 
 
 def test_a_frame_becomes_a_node_after_a_distance_or_after_turning_on_the_spot() -> None:
-    nodes = NodeChain(NodeSpacing(min_distance_m=2.5, min_angle_rad=0.5))
     forward, turn = se3.exp(np.array([0, 0, 0, 0, 0, 1.0])), se3.exp(np.array([0, 0.2, 0, 0, 0, 0]))
-    assert [nodes.append(forward, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
-    assert [nodes.append(turn, STEP_COVARIANCE) is not None for _ in range(6)] == [False, False, True] * 2
+    nodes, _ = chained([forward] * 6 + [turn] * 6, NodeSpacing(min_distance_m=2.5, min_angle_rad=0.5))
+    attach_all(nodes)
+    assert nodes.node_frames.tolist() == [0, 3, 6, 9, 12]
 
 
 def test_standing_still_makes_no_nodes() -> None:
-    nodes = NodeChain(NodeSpacing())
-    assert all(nodes.append(np.eye(4), STEP_COVARIANCE) is None for _ in range(50))
+    nodes, _ = chained([np.eye(4)] * 50, NodeSpacing())
+    assert nodes.attach(50) == []
     assert nodes[50].node == 0
+
+
+def test_located_frames_lie_on_their_node_and_later_ones_follow_them() -> None:
+    nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing())
+    nodes.attach(40)
+    T_world_nodes, there = chain.poses[nodes.node_frames], se3.exp(np.array([0, 0.1, 0, 1.0, 0, 0]))
+    nodes.locate(3, np.array([np.eye(4), there]), 0.01 * np.eye(6))
+    assert nodes.num_attached == 43
+    poses = nodes.poses(T_world_nodes)
+    np.testing.assert_allclose(poses[42], T_world_nodes[3] @ there, atol=1e-12)
+    np.testing.assert_allclose(se3.inverse(poses[42]) @ poses[60], se3.inverse(chain[42]) @ chain[60], atol=1e-12)
+    np.testing.assert_allclose(poses[:41], chain.poses[:41], atol=1e-9)
+    assert nodes[60].node == 3
+    since = chain.between_without_bias(42, 60)
+    expected = se3.compose_covariance(0.01 * np.eye(6), since.T_first_second, since.covariance)
+    np.testing.assert_allclose(nodes[60].covariance, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("is_past", [False, True])
+def test_located_frames_can_be_given_back_to_odometry(is_past: bool) -> None:
+    nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing())
+    nodes.attach(40)
+    nodes.locate(3, np.tile(np.eye(4), (12, 1, 1)), np.eye(6))
+    T_world_nodes = list(chain.poses[nodes.node_frames])
+    if is_past:
+        for node in nodes.attach(80):
+            T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
+        *made, after = nodes.insert_nodes(41, 52)
+        for node in made:
+            T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
+        assert len(made) > 2
+        assert nodes.node_frames[after.number] > 52
+        np.testing.assert_allclose(
+            T_world_nodes[after.previous.node] @ after.previous.T_node_frame,
+            chain[int(nodes.node_frames[after.number])],
+            atol=1e-9,
+        )
+    else:
+        nodes.detach(41)
+    np.testing.assert_allclose(nodes.poses(np.array(T_world_nodes))[:53], chain.poses[:53], atol=1e-9)
 
 
 def test_a_frame_has_the_covariance_of_the_chain_from_its_node() -> None:
@@ -51,13 +115,9 @@ def test_a_frame_has_the_covariance_of_the_chain_from_its_node() -> None:
 
 def test_a_loop_between_nodes_measures_the_same_as_the_loop_between_frames() -> None:
     drive = laps()
-    nodes = NodeChain(NodeSpacing(min_distance_m=4.5))
-    T_world_nodes = [np.eye(4)]
     true = se3.inverse(drive.poses[:-1]) @ drive.poses[1:]
-    for T in true:
-        node = nodes.append(T, STEP_COVARIANCE)
-        if node is not None:
-            T_world_nodes.append(T_world_nodes[-1] @ node.T_node_frame)
+    nodes, _ = chained(list(true), NodeSpacing(min_distance_m=4.5))
+    T_world_nodes = attach_all(nodes)
     loop = loop_between(np.random.default_rng(0), drive.poses, 113, 12)
     between_nodes = nodes.between_nodes(loop)
     assert between_nodes is not None
@@ -69,9 +129,7 @@ def test_a_loop_between_nodes_measures_the_same_as_the_loop_between_frames() -> 
 
 
 def test_the_covariance_of_a_moved_loop_is_that_of_random_trials() -> None:
-    rng, nodes = np.random.default_rng(2), NodeChain(NodeSpacing(min_distance_m=8.5))
-    for T in laps(laps=1.0).motions:
-        nodes.append(T, STEP_COVARIANCE)
+    rng, (nodes, *_) = np.random.default_rng(2), filled(NodeSpacing(min_distance_m=8.5))
     loop = loop_between(rng, laps().poses, 75, 15)
     between_nodes, match, query = nodes.between_nodes(loop), nodes[15], nodes[75]
     assert between_nodes is not None
@@ -93,3 +151,12 @@ def test_the_covariance_of_a_moved_loop_is_that_of_random_trials() -> None:
 def test_a_loop_within_one_node_cannot_be_moved_to_nodes() -> None:
     nodes, *_ = filled(NodeSpacing(1000.0, NO_TURN))
     assert nodes.between_nodes(loop_between(np.random.default_rng(0), laps().poses, 50, 5)) is None
+
+
+def test_the_covariance_of_a_loop_counts_the_odometry_to_its_nodes_only() -> None:
+    nodes, chain, _ = filled(NodeSpacing(min_distance_m=8.5))
+    loop = loop_between(np.random.default_rng(0), laps().poses, 75, 15)
+    at_node = replace(loop, query=int(nodes.node_frames[7]), match=int(nodes.node_frames[2]))
+    np.testing.assert_allclose(nodes.loop_covariance(at_node), loop.covariance, atol=1e-15)
+    query = chain.between(int(nodes.node_frames[nodes[75].node]), 75).covariance
+    assert np.linalg.eigvalsh(nodes.loop_covariance(loop) - loop.covariance - query).min() >= -1e-12

@@ -100,7 +100,6 @@ def test_a_removed_loop_leaves_no_trace() -> None:
     false = drift_like(BIG, 480, 100, 4.5, 0)[0]
     between_nodes = graph._nodes.between_nodes(graph.config.with_noise_floor(false))
     assert between_nodes is not None
-    graph._incremental.register_loop(99, between_nodes)
     graph._incremental.add_loops({99: between_nodes})
     while not graph._incremental.step():
         pass
