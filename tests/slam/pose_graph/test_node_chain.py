@@ -83,6 +83,20 @@ def test_located_frames_lie_on_their_node_and_later_ones_follow_them() -> None:
     np.testing.assert_allclose(nodes[60].covariance, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("num_located", [1, 2, 3, 4])
+def test_frames_that_are_attached_after_located_ones_follow_these(num_located: int) -> None:
+    nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing())
+    nodes.attach(40)
+    T_world_nodes, last = list(chain.poses[nodes.node_frames]), 40 + num_located
+    there = se3.exp(np.array([0, 0.1, 0, 1.0, 0, 0]))
+    nodes.locate(3, np.tile(there, (num_located, 1, 1)), 0.01 * np.eye(6))
+    for node in nodes.attach(60):
+        T_world_nodes.append(T_world_nodes[node.previous.node] @ node.previous.T_node_frame)
+    poses = nodes.poses(np.array(T_world_nodes))
+    expected = T_world_nodes[3] @ there @ se3.inverse(chain[last]) @ chain.poses[last:61]
+    np.testing.assert_allclose(poses[last:61], expected, atol=1e-9)
+
+
 @pytest.mark.parametrize("is_past", [False, True])
 def test_located_frames_can_be_given_back_to_odometry(is_past: bool) -> None:
     nodes, chain = chained(laps(laps=1.0).motions, NodeSpacing())
