@@ -1,9 +1,16 @@
-"""Speed and robustness of the online pose graph: `python benchmarks/online_graph.py [FOLDER OF TEST DATA]`.
+"""Speed and robustness of the online pose graph.
+
+    python benchmarks/online_graph.py [FOLDER OF TEST DATA]
+    python benchmarks/online_graph.py --laps 60
 
 A drive of the shape of KITTI 00 (4,541 poses) with noisy, biased odometry and loops at its revisits. First its
 times: adding a frame and its loop, and asking for its pose. Then the same drive with false loops that pass the
 gate, alone and in runs that agree with one another: the error of the map at the end, and of the poses known at each
 moment. Times are given by the processor and by the clock, which includes the wait for other processes.
+
+With `--laps`, a circle of 360 m is driven so often (300 frames each time), with a loop at 95 of 100 frames to any
+earlier lap. Printed are the times of each tenth of the drive and the size of the graph; the controls are three laps,
+and ten with a node of each pass.
 """
 
 import argparse
@@ -21,7 +28,9 @@ from scipy.spatial.transform import Rotation
 
 from odometry import se3
 from slam.loop_closing.loop_closer import LoopClosure
+from slam.pose_graph.known_places import KnownPlaceConfig
 from slam.pose_graph.odometry_chain import OdometryChain
+from slam.pose_graph.online_loop_selection import LoopSelectionConfig
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 
 Array = NDArray[np.float64]
@@ -30,6 +39,7 @@ STEP_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m for each frame
 STEP_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])  # as measured of odometry on KITTI
 LOOP_SIGMAS = np.repeat([2e-3, 0.03], 3)
 MIN_GAP_FRAMES, MAX_DISTANCE_M = 100, 4.0  # between the two frames of a revisit
+FRAMES_OF_A_LAP, LAP_M, SHARE_WITH_LOOP = 300, 360.0, 0.95
 
 
 @dataclass(frozen=True)
@@ -78,6 +88,27 @@ def make_drive(poses: Array, every: int, seed: int = 0) -> SyntheticDrive:
     return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))
 
 
+def make_laps(laps: int, seed: int = 0) -> SyntheticDrive:
+    """Make a circle that is driven so often, with noisy, biased odometry and loops to any earlier lap."""
+    rng = np.random.default_rng(seed)
+    angle, radius = 2 * np.pi / FRAMES_OF_A_LAP, LAP_M / (2 * np.pi)
+    frames = np.arange(laps * FRAMES_OF_A_LAP)
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(angle * frames, [0.0, 1.0, 0.0])).as_matrix()
+    poses[:, 0, 3] = radius * (1.0 - np.cos(angle * frames))
+    poses[:, 2, 3] = radius * np.sin(angle * frames)
+    motions = tuple(
+        se3.inverse(poses[k]) @ poses[k + 1] @ se3.exp(STEP_BIAS + rng.normal(0.0, STEP_SIGMAS)) for k in frames[:-1]
+    )
+    loops = []
+    for query in range(FRAMES_OF_A_LAP, len(poses)):
+        if rng.random() < SHARE_WITH_LOOP:
+            match = query % FRAMES_OF_A_LAP + FRAMES_OF_A_LAP * int(rng.integers(query // FRAMES_OF_A_LAP))
+            T = se3.inverse(poses[match]) @ poses[query] @ se3.exp(rng.normal(0.0, LOOP_SIGMAS))
+            loops.append(LoopClosure(query, match, T, np.diag(LOOP_SIGMAS**2), 100))
+    return SyntheticDrive(poses, motions, tuple(loops), np.ones(len(loops), bool))
+
+
 def with_false_runs(drive: SyntheticDrive, runs: int, length: int, sigmas: float, seed: int) -> SyntheticDrive:
     """Add runs of false loops that agree with one another, `sigmas` from odometry."""
     rng, chain = np.random.default_rng(seed), OdometryChain(PoseGraphConfig().drift)
@@ -99,9 +130,9 @@ def with_false_runs(drive: SyntheticDrive, runs: int, length: int, sigmas: float
     return replace(drive, loops=(*drive.loops, *false), true=true)
 
 
-def run_online(drive: SyntheticDrive) -> OnlineRun:
+def run_online(drive: SyntheticDrive, config: PoseGraphConfig | None = None) -> OnlineRun:
     """Add all frames and loops, asking for the pose of each frame."""
-    graph, loops = PoseGraph(), {}
+    graph, loops = PoseGraph(config), {}
     for loop in drive.loops:
         loops.setdefault(loop.query, []).append(loop)
     known, processor, clock = [np.eye(4)], [], []
@@ -166,11 +197,43 @@ def print_safety(poses: Array) -> None:
             )
 
 
+def print_long_drive(laps: int) -> None:
+    """Print the cost of a drive of laps by its tenths, and that of the controls."""
+    every_pass = PoseGraphConfig(loop_selection=LoopSelectionConfig(known_places=KnownPlaceConfig(max_passes=10**9)))
+    for title, count, config in (
+        (f"{laps} laps", laps, None),
+        ("control: 3 laps", 3, None),
+        ("control: 10 laps, a node of each pass", 10, every_pass),
+    ):
+        drive = with_false_runs(make_laps(count), count, 1, 3.5, seed=0)
+        result = run_online(drive, config)
+        tenths = np.array_split(result.processor_ms, 10)
+        last = {event.loop: event.used for event in result.graph.loop_events}
+        is_true = {id(loop): good for loop, good in zip(drive.loops, drive.true, strict=True)}
+        true = sum(last[k] and is_true[id(loop)] for k, loop in enumerate(result.graph.loops))
+        false = sum(last.values()) - true
+        print(f"{title}: {len(drive.poses)} poses, {len(drive.loops)} loops, of which {count} are false")
+        print("processor ms by tenths: median " + " ".join(f"{np.median(part):5.1f}" for part in tenths))
+        print("               99th percentile " + " ".join(f"{np.percentile(part, 99):5.1f}" for part in tenths))
+        print(
+            f"nodes {result.graph.num_online_nodes}, loops that are edges {result.graph.num_online_loops}, "
+            f"loops used: {true} true, {false} false"
+        )
+        odometry = np.array(list(accumulate(drive.motions, np.matmul, initial=np.eye(4))))
+        map_ate = ate(result.graph.poses(), drive.poses)
+        print(f"ATE m: map {map_ate:.3f}, odometry {ate(odometry, drive.poses):.2f}\n", flush=True)
+
+
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=existing, default=os.environ.get("REVISIT_TEST_DATA"))
-    folder = Path(parser.parse_args().folder)
+    parser.add_argument("--laps", type=int, default=0, help="of a long drive, in place of KITTI 00's shape")
+    arguments = parser.parse_args()
+    if arguments.laps:
+        print_long_drive(arguments.laps)
+        return
+    folder = Path(arguments.folder)
     poses = true_poses(folder, "00")
     print_times(poses)
     print_safety(poses)

@@ -36,6 +36,9 @@ class IncrementalPoseGraph:
 
     All poses are T_world_node in metres, node 0 at the identity; covariances belong to right perturbations,
     rotation first.
+
+    Attributes:
+        num_nodes: number of nodes.
     """
 
     def __init__(self, config: IncrementalConfig) -> None:
@@ -45,7 +48,7 @@ class IncrementalPoseGraph:
         self._graph.add(factors.prior_factor(np.eye(4)))
         self._values.insert(0, gtsam.Pose3())
         self._estimate = gtsam.Values(self._values)
-        self._num_nodes = 1
+        self.num_nodes = 1
         # iSAM2's index of each loop in use, and of the motion to each node; of new ones their index in the new graph.
         self._loops, self._motions = _FactorIndices(), _FactorIndices()
         self._factors: dict[int, gtsam.BetweenFactorPose3] = {}  # of the loops in use, without Huber's kernel
@@ -68,7 +71,7 @@ class IncrementalPoseGraph:
 
     def add_node(self, previous: int, T_previous_node: Array, covariance: Array) -> None:
         """Add the next node by its motion (4, 4) from an earlier one, and its covariance (6, 6)."""
-        node, self._num_nodes = self._num_nodes, self._num_nodes + 1
+        node, self.num_nodes = self.num_nodes, self.num_nodes + 1
         pose = gtsam.Pose3(self.pose(previous) @ T_previous_node)
         self._values.insert(node, pose)
         self._estimate.insert(node, pose)

@@ -151,6 +151,16 @@ class PoseGraph:
         loops = [self.config.with_noise_floor(self._loops[number]) for number in np.flatnonzero(optimized.kept)]
         return marginal_covariances(self._with_drift(self._edges), loops, optimized.poses, self._chain.bias_sigmas())
 
+    @property
+    def num_online_nodes(self) -> int:
+        """Number of nodes of the online graph; the other frames are attached to these."""
+        return self._incremental.num_nodes
+
+    @property
+    def num_online_loops(self) -> int:
+        """Number of loops that are edges of the online graph."""
+        return len(self._incremental.used)
+
     def optimize(self, robust: str = back_ends.DEFAULT) -> OptimizationResult:
         """Optimise all frames and loops at once with a robust back end of `slam.pose_graph.robust.backends.BACK_ENDS`.
 
