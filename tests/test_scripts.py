@@ -27,6 +27,7 @@ WRONG_PATHS = {
     "image_descriptors": [NOWHERE, NOWHERE],
     "indoors": [NOWHERE],
     "kill_and_resume": [NOWHERE],
+    "long_drive": ["made", "--base", NOWHERE],
     "mono_odometry": [NOWHERE, "00"],
     "odometry_drift": [NOWHERE, "00"],
     "odometry_faults": [NOWHERE, "00"],
