@@ -73,6 +73,7 @@ class SpillFile:
         self.dtype = dtype
         self._latest = np.zeros(in_memory, dtype)  # a ring buffer; pages that nothing was written to cost no memory
         self._count = 0
+        self._erased: set[int] = set()
         self._file = tempfile.TemporaryFile(prefix="revisit-map-", buffering=0)  # noqa: SIM115 - lives as long as this
 
     def __len__(self) -> int:
@@ -85,8 +86,9 @@ class SpillFile:
 
     @property
     def disk_bytes(self) -> int:
-        """Size of the temporary file."""
-        return max(self._count - len(self._latest), 0) * self.dtype.itemsize
+        """Size of the temporary file; erased records take no room in it."""
+        spilled = max(self._count - len(self._latest), 0)
+        return (spilled - sum(index < spilled for index in self._erased)) * self.dtype.itemsize
 
     def append(self, record: Record) -> None:
         """Append a record ().
@@ -96,22 +98,29 @@ class SpillFile:
         """
         slot = self._count % len(self._latest)
         if self._count >= len(self._latest):
-            self._write(self._count - len(self._latest), self._latest[slot])
+            self._spill(self._count - len(self._latest), self._latest[slot])
         self._latest[slot] = record
         self._count += 1
 
     def read(self, index: int) -> Record:
         """Return the record () of an index, which is valid until the next one is appended."""
+        if index in self._erased:
+            return np.zeros((), self.dtype)[()]
         if index >= self._count - len(self._latest):
             return self._latest[index % len(self._latest)]
         size = self.dtype.itemsize
         return np.frombuffer(os.pread(self._file.fileno(), size, index * size), self.dtype)[0]
 
+    def erase(self, index: int) -> None:
+        """Turn a record into zeros, which take no room on the disk if it has not been written there yet."""
+        self._erased.add(index)
+
     def state(self) -> Record:
-        """All records (N,), wherever they are now, for a checkpoint."""
-        records = np.empty(self._count, self.dtype)
+        """All records (N,), wherever they are now, for a checkpoint; erased ones cost neither time nor memory."""
+        records = np.zeros(self._count, self.dtype)
         for index in range(self._count):
-            records[index] = self.read(index)
+            if index not in self._erased:
+                records[index] = self.read(index)
         return records
 
     def restore(self, records: Record) -> None:
@@ -123,10 +132,14 @@ class SpillFile:
         """
         if records.dtype != self.dtype:
             raise ValueError(f"expected records of {self.dtype}, got {records.dtype}")
-        for record in records:
+        for index, record in enumerate(records):
             self.append(record)
+            if not any(record.tobytes()):
+                self.erase(index)
 
-    def _write(self, index: int, record: Record) -> None:
+    def _spill(self, index: int, record: Record) -> None:
+        if index in self._erased:
+            return
         size = self.dtype.itemsize
         try:
             written = os.pwrite(self._file.fileno(), record.tobytes(), index * size)

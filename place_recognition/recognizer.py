@@ -181,6 +181,29 @@ class TwoRecordingRecognizer(PlaceRecognizer, Protocol):
         ...
 
 
+@runtime_checkable
+class ForgetfulRecognizer(Protocol):
+    """A recogniser whose map does not grow with each image of a place that it knows already.
+
+    Attributes:
+        can_forget: whether it can forget images.
+    """
+
+    can_forget: bool
+
+    def forget(self, image_id: int) -> None:
+        """Keep nothing of an image that was answered: it is never a match again.
+
+        For images of places that other images show as well.
+        """
+        ...
+
+
+def can_forget(recognizer: PlaceRecognizer) -> bool:
+    """Whether a recogniser forgets images on request."""
+    return isinstance(recognizer, ForgetfulRecognizer) and recognizer.can_forget
+
+
 def takes_color(recognizer: PlaceRecognizer) -> bool:
     """Whether a recogniser sees colour, and is to be given it where the recording has it."""
     return bool(getattr(recognizer, "takes_color", False))
@@ -254,6 +277,15 @@ class ReferenceProposer(Protocol):
 
     def end_reference(self) -> None:
         """End a reference recording, after `finish`: the next image is no neighbour of the last one."""
+        ...
+
+
+@runtime_checkable
+class ForgetfulProposer(Protocol):
+    """A proposer that can leave images out of its map."""
+
+    def forget(self, location: int) -> None:
+        """Never propose the image at a location, and keep nothing of it."""
         ...
 
 

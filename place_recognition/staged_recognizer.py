@@ -18,6 +18,7 @@ from place_recognition.image_processing.onnx_network import check_image, convert
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.recognizer import (
     Belief,
+    ForgetfulProposer,
     MatrixSink,
     NullMatrixSink,
     ObservedImage,
@@ -94,6 +95,7 @@ class StagedRecognizer:
         self._view = view
         self._verification = verification
         self._unverified: deque[Proposals] = deque()
+        self._forgotten: list[int] = []  # locations that still belong to the present, whose features it needs
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="verify")
 
     @property
@@ -114,7 +116,9 @@ class StagedRecognizer:
         features = self._features.get(image_id, gray)
         location = self._history.add(image_id, features, distance_travelled_m)
         color = image if image.ndim == 3 else None
-        observed = ObservedImage(location, gray, features, distance_travelled_m, self._view.advance(), color)
+        last_matchable = self._view.advance()
+        self._erase_until(last_matchable)
+        observed = ObservedImage(location, gray, features, distance_travelled_m, last_matchable, color)
         self._unverified.extend(self._proposer.observe(observed))
         return self._decide(_count_now(len(self._unverified)))
 
@@ -135,6 +139,24 @@ class StagedRecognizer:
             self._proposer.end_reference()
         self._decision.end_reference()
         self._view = FixedPast(self._history.latest)
+
+    @property
+    def can_forget(self) -> bool:
+        """Whether the paradigm leaves images out of its map on request."""
+        return isinstance(self._proposer, ForgetfulProposer)
+
+    def forget(self, image_id: int) -> None:
+        """Keep nothing of an image that was answered; it is never a match again (a ForgetfulRecognizer)."""
+        assert isinstance(self._proposer, ForgetfulProposer)
+        location = self._history.find_location(image_id)
+        self._proposer.forget(location)
+        self._forgotten.append(location)
+
+    def _erase_until(self, last_matchable: int) -> None:
+        """Erase the features of forgotten images that are past."""
+        for location in [one for one in self._forgotten if one <= last_matchable]:
+            self._history.images.erase(location)
+            self._forgotten.remove(location)
 
     def _decide(self, count: int) -> list[Belief]:
         """Verify the next proposals and return the beliefs that follow."""
@@ -163,6 +185,7 @@ class StagedRecognizer:
             "view": self._view.state(),
             "proposer": self._proposer.state(),
             "unverified": [dict(vars(proposals)) for proposals in self._unverified],
+            "forgotten": list(self._forgotten),
             "decision": self._decision.state(),
         }
 
@@ -172,6 +195,7 @@ class StagedRecognizer:
         self._view.restore(state["view"])
         self._proposer.restore(state["proposer"])
         self._unverified.extend(Proposals(**proposals) for proposals in state["unverified"])
+        self._forgotten = list(state["forgotten"])
         self._decision.restore(state["decision"])
 
 

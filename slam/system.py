@@ -11,10 +11,10 @@ from odometry.motion import Motion
 from odometry.stereo.stereo_self_calibration import Calibration
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.static_regions import ImageMasks
-from place_recognition.recognizer import Belief, PlaceRecognizer
+from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget
 from slam.datasets.dataset import Frame
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.keyframes import KeyFrameSelector
+from slam.keyframes import KeyFrameSelector, KnownPlaces
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.online_loop_selection import LoopDecision
@@ -71,6 +71,10 @@ class LoopVerifier(Protocol):
         """Keep the landmarks of a frame of an earlier run."""
         ...
 
+    def forget(self, index: int) -> None:
+        """Keep no landmarks of a frame: it is matched with no other one any more."""
+        ...
+
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Relative pose of two frames, or why there is none."""
         ...
@@ -98,11 +102,13 @@ class LoopCandidate:
         belief: belief of the recogniser about one frame.
         geometry: the relative pose, or why there is none; None for a belief that was not accepted.
         admission: decision of the pose graph about the closure; None where there was no closure.
+        is_redundant: whether the map has the place of the query often enough, and keeps of it pose and loop alone.
     """
 
     belief: Belief
     geometry: LoopVerification
     admission: LoopDecision | None
+    is_redundant: bool = False
 
     @property
     def reason(self) -> str:
@@ -115,6 +121,11 @@ class LoopCandidate:
     def closed(self) -> bool:
         """Whether the online graph has used the loop since it was proposed."""
         return self.admission is not None and self.admission.used
+
+
+def redundant_frames(candidates: Iterable[LoopCandidate]) -> list[int]:
+    """Frames whose place the map has often enough, of which it keeps pose and loop alone."""
+    return [candidate.belief.query for candidate in candidates if candidate.is_redundant]
 
 
 @dataclass(frozen=True)
@@ -151,6 +162,8 @@ class Slam:
         self._T_world_odometry = np.eye(4)
         self._distance_travelled_m = 0.0
         self._num_frames = 0
+        self._known_places = KnownPlaces(components.key_frames.config.max_revisits)
+        self._can_forget = can_forget(components.recognizer)
 
     def describe(self, frame: Frame) -> Frame:
         """Return the frame with its mask and its local features; every frame once, in order.
@@ -170,6 +183,7 @@ class Slam:
         landmarks = self._extract_landmarks(frame)
         candidates = self._verify_all(self._recognize(frame))
         is_key_frame = self._map(frame.index, landmarks)
+        self._forget_redundant(candidates)
         with self.timer.stage("pose graph"):
             T_world_camera = self.components.graph.current_pose()
         return FrameResult(
@@ -194,6 +208,8 @@ class Slam:
         candidates = tuple(self._add_to_graph(loop.belief, loop.geometry) for loop in loops)
         if record.is_key_frame:
             self._add_landmarks(record.image, record.landmarks)
+        for query in redundant_frames(candidates):
+            self._forget(query)
         return candidates
 
     def finish(self, robust: str) -> tuple[tuple[LoopCandidate, ...], OptimizationResult]:
@@ -201,7 +217,11 @@ class Slam:
         return self.verify_late_beliefs(), self.components.graph.optimize(robust)
 
     def verify_late_beliefs(self) -> tuple[LoopCandidate, ...]:
-        """Process the beliefs with which the recogniser was waiting for more images; once, after the last frame."""
+        """Process the beliefs with which the recogniser was waiting for more images; once, after the last frame.
+
+        Their frames are kept in full: the checkpoint from which a resumed run or a later session goes on knows nothing
+        of these beliefs.
+        """
         return self._verify_all(self.components.recognizer.finish())
 
     def _track(self, frame: Frame) -> Motion:
@@ -250,7 +270,22 @@ class Slam:
         if not isinstance(geometry, LoopClosure):
             return LoopCandidate(belief, geometry, None)
         with self.timer.stage("pose graph"):
-            return LoopCandidate(belief, geometry, self.components.graph.add_loop(geometry))
+            admission = self.components.graph.add_loop(geometry)
+        # A recogniser that cannot forget may match any frame later, and then it needs all that is known of it.
+        is_tied = self._can_forget and admission.used
+        is_redundant = is_tied and self._known_places.add(geometry.query, geometry.match)
+        return LoopCandidate(belief, geometry, admission, is_redundant)
+
+    def _forget_redundant(self, candidates: Iterable[LoopCandidate]) -> None:
+        for query in redundant_frames(candidates):
+            self._forget(query)
+            assert isinstance(self.components.recognizer, ForgetfulRecognizer)
+            self.components.recognizer.forget(query)
+
+    def _forget(self, index: int) -> None:
+        """Leave a frame out of the map."""
+        self.components.landmarks.remove(index)
+        self.components.loop_closer.forget(index)
 
     def _map(self, index: int, landmarks: FrameLandmarks) -> bool:
         is_key_frame = self.components.key_frames.accepts(self._T_world_odometry)

@@ -105,6 +105,11 @@ class FeatureStore:
         record["octaves"][:count] = np.clip(np.round(steps), 0, 255)
         records.append(record)
 
+    def erase(self, location: int) -> None:
+        """Forget the features of the image at a location."""
+        assert self._records is not None
+        self._records.erase(location)
+
     def _begin(self, dimension: int) -> SpillFile:
         self._records = SpillFile(record_dtype(self._limit, dimension), self._in_memory)
         return self._records

@@ -93,7 +93,8 @@ class TrackedWords:
 
     def _propose(self, query: int, last_matchable: int, votes: Votes) -> Proposals:
         # An active word may have been seen at a later location too, where the present view has grown since.
-        allowed = np.flatnonzero((votes.votes > votes.expected) & (votes.locations <= last_matchable))
+        above = np.flatnonzero((votes.votes > votes.expected) & (votes.locations <= last_matchable))
+        allowed = above[~self._words.is_forgotten(votes.locations[above])]
         key = votes.log_density[allowed] if self.config.ranking == "probability" else -votes.votes[allowed]
         order = allowed[np.argsort(key, kind="stable")]
         locations = votes.locations[order].tolist()
@@ -104,6 +105,10 @@ class TrackedWords:
     def finish(self) -> list[Proposals]:
         """Return nothing: each image is answered at once."""
         return []
+
+    def forget(self, location: int) -> None:
+        """Leave the image at a location out of the map (a ForgetfulProposer)."""
+        self._words.forget(location)
 
     def end_reference(self) -> None:
         """Make words of the tracks that go on to the last image, and end all tracks (a ReferenceProposer)."""

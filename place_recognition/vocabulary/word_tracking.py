@@ -247,7 +247,8 @@ class FeatureTracks:
 class WordMap:
     """All words, in the order in which their tracks ended; the active ones, which are past, can be found.
 
-    A word waits until the exclusion window has moved past it. Only then does it enter the index, and for good.
+    A word waits until the exclusion window has moved past it. Only then does it enter the index, and for good; or
+    never, if all images that showed it have been forgotten by then.
     """
 
     def __init__(self, index: WordIndex) -> None:
@@ -255,6 +256,7 @@ class WordMap:
         self._spans: GrowingArray[np.int32] = GrowingArray(np.int32)
         self._word_counts = np.zeros(0, np.int32)
         self._waiting: deque[Words] = deque()
+        self._forgotten: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._spans) + sum(map(len, self._waiting))
@@ -272,10 +274,29 @@ class WordMap:
     def activate_until(self, location: int) -> None:
         """Make the words that were last seen at a location or before findable."""
         while self._waiting and self._waiting[0].last[-1] <= location:
-            words = self._waiting.popleft()
+            words = self._remembered(self._waiting.popleft())
+            if not len(words):
+                continue
             self._index.add(words.descriptors)
             self._spans.extend(np.stack([words.first, words.last], axis=1).astype(np.int32))
             self._count_words(words)
+
+    def forget(self, location: int) -> None:
+        """Leave an image out: words that no other image has shown do not enter the index."""
+        self._forgotten.add(location)
+
+    def is_forgotten(self, locations: Indices) -> NDArray[np.bool_]:
+        """Whether the image at each of the locations (K,) was forgotten."""
+        return np.array([location in self._forgotten for location in locations.tolist()], np.bool_)
+
+    def _remembered(self, words: Words) -> Words:
+        if not self._forgotten:
+            return words
+        kept = [
+            not self._forgotten.issuperset(range(first, last + 1))
+            for first, last in zip(words.first.tolist(), words.last.tolist(), strict=True)
+        ]
+        return Words(words.descriptors[kept], words.first[kept], words.last[kept])
 
     def lookup(self, query: Floats) -> Indices:
         """Find the word (N,) that is nearest to each of the query descriptors (N, D); (0,) while none is active."""
@@ -308,6 +329,7 @@ class WordMap:
             "spans": self._spans.state(),
             "word_counts": self._word_counts,
             "waiting": [dict(vars(words)) for words in self._waiting],
+            "forgotten": np.array(sorted(self._forgotten), np.int64),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -316,6 +338,7 @@ class WordMap:
         self._spans.restore(state["spans"])
         self._word_counts = state["word_counts"]
         self._waiting = deque(Words(**words) for words in state["waiting"])
+        self._forgotten = set(state["forgotten"].tolist())
 
 
 def count_spans(first: Indices, last: Indices, locations: int) -> NDArray[np.int32]:

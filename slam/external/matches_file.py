@@ -96,6 +96,10 @@ class TrustedLoopVerifier:
         """Keep the landmarks of a frame of an earlier run."""
         self._verifier.restore_frame(index, landmarks)
 
+    def forget(self, index: int) -> None:
+        """Keep no landmarks of a frame."""
+        self._verifier.forget(index)
+
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Relative pose of two frames by the file, else by the landmarks, or why there is none."""
         for loop in self._loops.get(query, ()):

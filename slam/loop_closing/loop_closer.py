@@ -113,6 +113,8 @@ class LoopCloserConfig:
 
     Attributes:
         max_landmarks: maximum number of features kept of an image, the strongest ones; 0.3 kB each.
+        max_known_landmarks: the same for an image of a place that the map has in full; `revisit reprocess` finds its
+            loop again by these.
         ratio: maximum ratio of nearest to second nearest descriptor distance.
         min_inliers: minimum number of landmarks that agree with a relative pose.
         min_cells: minimum number of cells with inliers, of the 4 x 4 cells of the query image.
@@ -121,6 +123,7 @@ class LoopCloserConfig:
     """
 
     max_landmarks: int = 1500
+    max_known_landmarks: int = 100
     ratio: float = 0.8
     min_inliers: int = 20
     min_cells: int = 4
@@ -146,6 +149,15 @@ class FrameLandmarks:
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def strongest(self, count: int) -> "FrameLandmarks":
+        """The `count` strongest landmarks."""
+        return FrameLandmarks(  # copies, as views would keep the rest
+            pixels=self.pixels[:count].copy(),
+            points=self.points[:count].copy(),
+            grey=self.grey[:count].copy(),
+            descriptors=self.descriptors[:count].copy(),
+        )
 
 
 class LoopCloser:
@@ -184,6 +196,10 @@ class LoopCloser:
     def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         """Keep landmarks of frame `index` that were found in an earlier run."""
         self._landmarks[index] = landmarks
+
+    def forget(self, index: int) -> None:
+        """Keep no landmarks of frame `index`: it is matched with no other one any more."""
+        self._landmarks[index] = self._landmarks_of(index).strongest(0)
 
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Find the relative pose of frame `query` in the earlier frame `match`, or reject the match.

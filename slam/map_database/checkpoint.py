@@ -9,6 +9,7 @@ everything is cheap, writing everything at each checkpoint is not. Decision reco
 import json
 import math
 import sqlite3
+from collections.abc import Iterator
 from hashlib import blake2b
 from itertools import pairwise
 from typing import Any, Literal
@@ -112,13 +113,22 @@ def read_arrays(connection: sqlite3.Connection, session: int) -> list[NDArray[An
 def _write(connection: sqlite3.Connection, array: NDArray[Any], known: set[bytes]) -> list[bytes]:
     if array.dtype.hasobject:
         raise ValueError(f"expected an array of numbers, got {array.dtype}")
-    flat = memoryview(array.tobytes(_layout(array)) if array.size else b"")
-    chunks = [flat[begin : begin + _CHUNK_BYTES] for begin in range(0, len(flat), _CHUNK_BYTES)]
-    digests = [digest(chunk) for chunk in chunks]
-    fresh = {name: chunk for name, chunk in zip(digests, chunks, strict=True) if name not in known}
-    connection.executemany("INSERT INTO chunk VALUES (?, ?)", fresh.items())
-    known.update(fresh)
+    digests = []
+    for chunk in _chunks(array):
+        digests.append(digest(chunk))
+        if digests[-1] not in known:
+            connection.execute("INSERT INTO chunk VALUES (?, ?)", (digests[-1], chunk))
+            known.add(digests[-1])
     return digests
+
+
+def _chunks(array: NDArray[Any]) -> Iterator[bytes]:
+    """The bytes of an array in its layout, a chunk at a time: a recogniser's map need not be in memory twice."""
+    if array.size:
+        in_layout = np.asarray(array, order=_layout(array))  # a copy only of what is not contiguous
+        flat = in_layout.reshape(-1, order=_layout(array)).view(np.uint8)
+        for begin in range(0, len(flat), _CHUNK_BYTES):
+            yield flat[begin : begin + _CHUNK_BYTES].tobytes()
 
 
 def _read(connection: sqlite3.Connection, row: sqlite3.Row) -> NDArray[Any]:

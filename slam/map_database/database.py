@@ -25,6 +25,7 @@ from slam.map_database.checkpoint import deserialize, digest, read_arrays, seria
 from slam.map_database.records import (
     frame_row,
     landmark_row,
+    landmark_values,
     loop_row,
     pack,
     read_frame,
@@ -197,6 +198,13 @@ class MapDatabase:
         """Add a frame with its landmarks; call within `writing`."""
         self._insert("frame", frame_row(frame, session))
         self._insert("landmark", landmark_row(frame))
+
+    def thin_frame(self, image: int, count: int) -> None:
+        """Keep the strongest landmarks of a frame, which is no key frame any more; call within `writing`."""
+        self._connection.execute("UPDATE frame SET key_frame = 0 WHERE image = ?", (image,))
+        values = landmark_values(self.landmarks(image).strongest(count))
+        names = ", ".join(f"{name} = ?" for name in values)
+        self._connection.execute(f"UPDATE landmark SET {names} WHERE image = ?", (*values.values(), image))
 
     def add_loop(self, number: int, loop: LoopRecord) -> None:
         """Add the record of a loop candidate; call within `writing`."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor, LocalFeatures
-from place_recognition.recognizer import Belief, PlaceRecognizer, takes_color
+from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget, takes_color
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.system import Components, LoopCandidate, LoopVerifier
@@ -76,6 +76,10 @@ class SessionLoopCloser:
         """Keep the landmarks of a frame of the session."""
         self._loop_closer.restore_frame(self._first_image + index, landmarks)
 
+    def forget(self, index: int) -> None:
+        """Keep no landmarks of a frame of the session."""
+        self._loop_closer.forget(self._first_image + index)
+
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
         """Relative pose of two frames of the session, or why there is none."""
         geometry = self._loop_closer.verify(self._first_image + query, self._first_image + match)
@@ -97,6 +101,16 @@ class SessionRecognizer:
     def takes_color(self) -> bool:
         """Whether the map's recogniser sees colour."""
         return takes_color(self._recognizer)
+
+    @property
+    def can_forget(self) -> bool:
+        """Whether the map's recogniser forgets images."""
+        return can_forget(self._recognizer)
+
+    def forget(self, image_id: int) -> None:
+        """Keep nothing of a frame of the session."""
+        assert isinstance(self._recognizer, ForgetfulRecognizer)
+        self._recognizer.forget(self._start.image + image_id)
 
     def observe(self, image_id: int, image: Image, travelled: float) -> list[Belief]:
         """Add a frame of the session; the beliefs about its frames that are ready now."""

@@ -37,9 +37,12 @@ def frame_row(frame: FrameRecord, session: int) -> dict[str, Any]:
 
 def landmark_row(frame: FrameRecord) -> dict[str, Any]:
     """Columns of table `landmark`."""
-    seen = frame.landmarks
+    return {"image": frame.image} | landmark_values(frame.landmarks)
+
+
+def landmark_values(seen: FrameLandmarks) -> dict[str, Any]:
+    """Columns of table `landmark` but for the image."""
     return {
-        "image": frame.image,
         "pixels": pack(seen.pixels, "<f4"),
         "points": pack(seen.points, "<f4"),
         "grey": pack(seen.grey, "u1"),

@@ -21,7 +21,7 @@ from slam.map_database.resume import restore_session, session_start, system_stat
 from slam.map_database.session_merging import SessionResult, close_session, merge_session
 from slam.pose_graph.robust.backends import OptimizationResult
 from slam.run_log import RunLog
-from slam.system import Components, FrameResult, LoopCandidate, Slam
+from slam.system import Components, FrameResult, LoopCandidate, Slam, redundant_frames
 
 _MIN_CHECKPOINT_FRAMES = 100  # from one checkpoint to the next
 # Largest share of the run's time for checkpoints: those of a large map take longer and are written less often.
@@ -124,6 +124,7 @@ class MapSessionRecorder:
         self._recognizer: SessionRecognizer | None = None
         self._waiting: list[FrameRecord] = []
         self._loops: list[LoopRecord] = []
+        self._redundant: list[int] = []  # images whose record is written and needs no more than a few landmarks
         self._num_loops = 0
         self._state: Callable[[], object] = dict
         self._last, self._cost = time.perf_counter(), 0.0
@@ -147,6 +148,8 @@ class MapSessionRecorder:
         image = self._session.first_image + result.frame.index
         self._waiting.append(_frame_record(result, image, stage_ms))
         self._loops += [self._loop_record(candidate, image) for candidate in result.candidates]
+        for query in redundant_frames(result.candidates):
+            self._thin(query)
         spent = time.perf_counter() - self._last
         if len(self._waiting) >= _MIN_CHECKPOINT_FRAMES and _MAX_CHECKPOINT_SHARE * spent >= self._cost:
             self.write_checkpoint()
@@ -158,11 +161,13 @@ class MapSessionRecorder:
             self._store.delete_loops_from(self._num_loops)  # an interrupted run has written late ones, which come again
             for frame in self._waiting:
                 self._store.add_frame(frame, self._session.number)
+            for image in self._redundant:
+                self._store.thin_frame(image, self._config.loop_closing.max_known_landmarks)
             self._write_loops(self._loops)
             num_frames = self.frames + len(self._waiting)
             self._store.set_checkpoint(self._session.number, Checkpoint(num_frames, self._state()))
         self.frames, self._num_loops = num_frames, self._num_loops + len(self._loops)
-        self._waiting, self._loops = [], []
+        self._waiting, self._loops, self._redundant = [], [], []
         self._last = time.perf_counter()
         self._cost = self._last - begin
 
@@ -176,6 +181,15 @@ class MapSessionRecorder:
                 corrected, result = close_session(self._session, optimized)
             self._store.finish(self._session.number, corrected, ended)
         return result
+
+    def _thin(self, query: int) -> None:
+        """Keep a few landmarks of a frame of the session; of a waiting frame, as the rest need not be written first."""
+        waiting = query - self.frames
+        if waiting < 0:
+            self._redundant.append(self._session.first_image + query)
+            return
+        frame, count = self._waiting[waiting], self._config.loop_closing.max_known_landmarks
+        self._waiting[waiting] = replace(frame, landmarks=frame.landmarks.strongest(count), is_key_frame=False)
 
     def _loop_record(self, candidate: LoopCandidate, at_image: int | None) -> LoopRecord:
         """The record of a candidate, numbered as in the map; it may match an image of an earlier session."""

@@ -39,12 +39,11 @@ class LandmarkMap:
 
     def __init__(self, config: LandmarkMapConfig | None = None, camera: StereoCamera | None = None) -> None:
         self._depth_limit = (config or LandmarkMapConfig()).depth_limit(camera)
-        self._frames: list[int] = []
-        self._points: list[NDArray[np.float32]] = []  # 4e-6 m at 40 m: far below what stereo can tell
-        self._grey: list[NDArray[np.uint8]] = []
+        self._points: dict[int, NDArray[np.float32]] = {}  # 4e-6 m at 40 m: far below what stereo can tell
+        self._grey: dict[int, NDArray[np.uint8]] = {}
 
     def __len__(self) -> int:
-        return sum(map(len, self._points))
+        return sum(map(len, self._points.values()))
 
     def add(self, frame_index: int, points_camera: Array, grey: NDArray[np.uint8]) -> None:
         """Add the landmarks of one frame.
@@ -57,14 +56,18 @@ class LandmarkMap:
         """
         depth = points_camera[:, 2]
         keep = np.isfinite(points_camera).all(axis=1) & (depth > 0) & (depth <= self._depth_limit)
-        self._frames.append(frame_index)
-        self._points.append(points_camera[keep].astype(np.float32))
-        self._grey.append(np.asarray(grey, dtype=np.uint8)[keep])
+        self._points[frame_index] = points_camera[keep].astype(np.float32)
+        self._grey[frame_index] = np.asarray(grey, dtype=np.uint8)[keep]
+
+    def remove(self, frame_index: int) -> None:
+        """Remove the landmarks of a frame, if it has any."""
+        self._points.pop(frame_index, None)
+        self._grey.pop(frame_index, None)
 
     @property
     def frames(self) -> NDArray[np.int32]:
         """Index of the frame that observed each point, (M,), in the order of `cloud`."""
-        return np.repeat(np.array(self._frames, np.int32), [len(points) for points in self._points])
+        return np.repeat(np.array(list(self._points), np.int32), [len(points) for points in self._points.values()])
 
     def cloud(self, T_world_camera: Array) -> PointCloud:
         """Return all landmarks in the world frame.
@@ -75,10 +78,11 @@ class LandmarkMap:
         Raises:
             ValueError: a frame with landmarks has no pose.
         """
-        if not self._frames:
+        if not self._points:
             return PointCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.uint8))
-        if max(self._frames) >= len(T_world_camera):
-            raise ValueError(f"expected poses for {max(self._frames) + 1} frames, got {len(T_world_camera)}")
-        poses = T_world_camera[self.frames]
-        points = np.einsum("nij,nj->ni", poses[:, :3, :3], np.concatenate(self._points)) + poses[:, :3, 3]
-        return PointCloud(points, np.concatenate(self._grey))
+        if max(self._points) >= len(T_world_camera):
+            raise ValueError(f"expected poses for {max(self._points) + 1} frames, got {len(T_world_camera)}")
+        poses = ((T_world_camera[frame], points) for frame, points in self._points.items())
+        # Frame by frame: a pose for each of a million points would take more memory than the map.
+        moved = [np.einsum("ij,nj->ni", T[:3, :3], points) + T[:3, 3] for T, points in poses]
+        return PointCloud(np.concatenate(moved), np.concatenate(list(self._grey.values())))

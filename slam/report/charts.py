@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from slam.evaluation.trajectory_errors import distances_along
 from slam.report import style
 from slam.report.formatting import is_scaled, kept, stage_times
-from slam.report.style import INK, new_figure, style_axes
+from slam.report.style import INK, new_figure, style_axes, thin_curve, thin_dots
 from slam.report.trajectory_figure import anchor_ground_truth, position_errors
 from slam.run_result import RunRecord
 
@@ -30,7 +30,8 @@ def draw_error_over_distance(record: RunRecord) -> Figure | None:
     distance_m = distances_along(truth)
     for name, colour, dashes in _ESTIMATES:
         error = position_errors(getattr(record, name), truth, is_scaled(record.metrics, name))
-        ax.plot(distance_m, error, dashes, color=colour, lw=1.6, label=name)
+        shown = thin_curve(error)
+        ax.plot(distance_m[shown], error[shown], dashes, color=colour, lw=1.6, label=name)
     _mark_loops(record, distance_m, ax)
     _finish(ax, "distance travelled [m]", "position error [m]")
     return figure
@@ -41,8 +42,10 @@ def draw_inliers(record: RunRecord) -> Figure:
     figure = new_figure(_WIDTH_INCH, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
-    ax.plot(frames, record.inliers, color=style.CORRECTED, lw=1.0, label="inlier tracks")
+    shown = thin_curve(record.inliers)
+    ax.plot(shown, record.inliers[shown], color=style.CORRECTED, lw=1.0, label="inlier tracks")
     predicted_frames = frames[record.predicted]
+    predicted_frames = predicted_frames[thin_dots(predicted_frames[:, None].astype(np.float64))]
     if len(predicted_frames):
         ax.plot(
             predicted_frames,
@@ -72,7 +75,8 @@ def draw_stage_times(record: RunRecord) -> Figure | None:
 
 
 def _mark_loops(record: RunRecord, distance_m: np.ndarray, ax: Axes) -> None:
-    queries = [row.query for row in kept(record)]
+    queries = np.array([row.query for row in kept(record)], np.int64)
+    queries = queries[thin_dots(distance_m[queries, None])]
     ax.plot(
         distance_m[queries],
         np.zeros(len(queries)),

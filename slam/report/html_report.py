@@ -1,7 +1,7 @@
 """The report of a run: one self-contained HTML file that opens offline, with tables, figures and the loop log."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ from slam.report.formatting import (
     stage_times,
 )
 from slam.report.interactive_map import blend_data, draw_interactive_map, map_data
-from slam.report.loop_details import ImageSource, example_pairs, loop_details
+from slam.report.loop_details import ImageSource, example_pairs, loop_details, select_rows
 from slam.report.place_recognition_figures import plot_matrix, plot_precision_recall, stage_curves, stage_figures
 from slam.report.style import inline_svg
 from slam.run_result import RunRecord
@@ -109,6 +109,7 @@ def render_report(
 ) -> str:
     """Return the page as text; see `write_report`."""
     source = images or _no_image
+    shown = replace(record, loops=select_rows(record.loops))
     return (
         template_environment()
         .get_template("report.html.jinja")
@@ -130,8 +131,9 @@ def render_report(
             stages=[(stage, cell(record, f"memory_mb.{stage.name}", 1)) for stage in stage_times(record)],
             pairs=example_pairs(kept(record), source),
             counts={"kept": len(kept(record)), "rejected": len(rejected(record))},
-            loop_log=[(row, loop_outcome(row), loop_cells(row)) for row in record.loops],
-            loop_details=loop_details(record, source),
+            loop_log=[(row, loop_outcome(row), loop_cells(row)) for row in shown.loops],
+            num_loops=len(record.loops),
+            loop_details=loop_details(shown, source),
             dense_page=dense_page,
             settings=flatten(config),
             changed=changed_settings_text(record.metrics),

@@ -6,7 +6,7 @@ from matplotlib.text import Annotation
 from numpy.typing import NDArray
 
 from slam.report.formatting import format_value, is_scaled, kept, metric_value
-from slam.report.style import new_figure
+from slam.report.style import new_figure, simplify_line
 from slam.report.trajectory_figure import (
     Panel,
     anchor_ground_truth,
@@ -56,20 +56,29 @@ def map_data(record: RunRecord, name: str, figure: Figure) -> dict[str, object]:
     Returns:
         box: x, y, width and height of the map within the drawing, points, y down.
         window: x and z of the lower left and of the upper right corner, metres.
-        at: x and z of each frame, metres.
-        error: distance of each frame from the ground truth after alignment, metres; empty without ground truth.
+        frames: numbers of the frames that are shown: all, or those of lines simplified to less than a pixel.
+        at: x and z of each of them, metres.
+        error: distance of each from the ground truth after alignment, metres; empty without ground truth.
     """
     (ax,) = figure.axes
     width, height = figure.get_size_inches() * _POINTS_PER_INCH
     box = ax.get_position()
-    panel = next(panel for panel in make_panels(record) if panel.name == name)
+    panels = make_panels(record)
+    panel, shown = next(panel for panel in panels if panel.name == name), _shown_frames(panels)
+    error = _errors(record, name)
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     return {
         "box": _rounded([box.x0 * width, (1 - box.y1) * height, box.width * width, box.height * height]),
         "window": _rounded([left, bottom, right, top]),
-        "at": _rounded(panel.positions[:, [0, 2]]),
-        "error": _rounded(_errors(record, name)),
+        "frames": shown.tolist(),
+        "at": _rounded(panel.positions[shown][:, [0, 2]]),
+        "error": _rounded(error[shown] if len(error) else error),
     }
+
+
+def _shown_frames(panels: tuple[Panel, Panel]) -> NDArray[np.int64]:
+    """Return the frames (K,) by which both trajectories are drawn."""
+    return simplify_line(np.hstack([panel.positions[:, [0, 2]] for panel in panels]))
 
 
 def blend_data(record: RunRecord) -> dict[str, object]:
@@ -77,16 +86,17 @@ def blend_data(record: RunRecord) -> dict[str, object]:
 
     Returns:
         truth: x and z of the ground truth, metres; empty without one.
-        loops: query and match of kept loops, evenly chosen if there are many.
+        loops: query and match of kept loops, evenly chosen if there are many, counted in the frames that are shown.
         dots: x and z of the same landmarks `before` and `after`, metres; none where the two maps have not the same.
         errors: what to say of either end: its ATE, or nothing.
     """
     before, after = make_panels(record)
-    loops = [(row.query, row.match) for row in kept(record)]
-    truth = np.empty((0, 3)) if before.truth is None else before.truth
+    loops = np.array([(row.query, row.match) for row in kept(record)], np.int64).reshape(-1, 2)
+    loops = loops[:: len(loops) // _MAX_BLENDED_LOOPS + 1]
+    truth = np.empty((0, 2)) if before.truth is None else before.truth[:, [0, 2]]
     return {
-        "truth": _rounded(truth[:, [0, 2]]),
-        "loops": loops[:: len(loops) // _MAX_BLENDED_LOOPS + 1],
+        "truth": _rounded(truth[simplify_line(truth)]),
+        "loops": np.searchsorted(_shown_frames((before, after)), loops).tolist(),
         "dots": dict(zip(("before", "after"), map(_rounded, _same_landmarks(record, before, after)), strict=True)),
         "errors": [_describe_error(record, panel.name) for panel in (before, after)],
     }

@@ -20,7 +20,8 @@ Image = NDArray[np.uint8]
 ImageSource = Callable[[int], Image | None]
 """Returns the left image, (H, W) uint8, of a frame, or None if it cannot be read."""
 
-MAX_IMAGE_CHARACTERS = 14_000_000  # a page of 5,000 frames and 2,000 rows then stays below 25 MB
+MAX_ROWS = 2000  # of the loop log in a page; loops.csv has them all
+MAX_IMAGE_CHARACTERS = 14_000_000  # a page of so many rows then stays below 25 MB
 _CHARACTERS_PER_PIXEL = 0.13  # of street scenes at the quality below, in base64
 _WEBP_QUALITY = 35
 _WIDTH_LIMITS_PX = (320.0, 620.0)  # narrower images show too little, wider ones do not fit a page
@@ -158,6 +159,24 @@ def loop_details(record: RunRecord, images: ImageSource, budget: int = MAX_IMAGE
             }
         )
     return {"width": album.width, "height": album.height, "pictures": album.pictures, "rows": rows}
+
+
+def select_rows(rows: Sequence[LoopRow], max_rows: int = MAX_ROWS) -> tuple[LoopRow, ...]:
+    """Select the rows of the loop log that a page shows, in their order.
+
+    Where there are too many, up to half of them are accepted matches that were not kept, or are false; the others are
+    kept ones, evenly chosen, before what the recogniser did not accept.
+    """
+    if len(rows) <= max_rows:
+        return tuple(rows)
+    odd = [row for row in rows if row.accepted and (not row.in_graph or row.truth is False)]
+    first = _by_interest(odd)[: max_rows // 2]
+    chosen = {id(row) for row in first}
+    for row in _by_interest(rows):
+        if len(chosen) == max_rows:
+            break
+        chosen.add(id(row))
+    return tuple(row for row in rows if id(row) in chosen)
 
 
 def make_album(rows: Sequence[LoopRow], images: ImageSource, budget: int = MAX_IMAGE_CHARACTERS) -> Album:

@@ -5,24 +5,33 @@ that could still be confused have different dashes as well.
 
 Names of places and recordings may be in any script, so figures have fallback fonts. An SVG within a page has no outside
 references, the colours of the theme, and real text.
+
+A drive of a day has more points than a screen can show: lines are simplified to less than a pixel, and dots that would
+hide one another are drawn once.
 """
 
 import io
 import re
 import warnings
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
 import matplotlib
+import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, fontManager, get_font
 from matplotlib.text import Text
+from numpy.typing import NDArray
 
 from slam.errors import OutputError
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 # Trajectories and loops have the same colours everywhere.
 GROUND_TRUTH = "#808080"  # drawn dashed
@@ -55,6 +64,11 @@ _THEMED = {
     REJECTED: "var(--rejected)",
     SCALE_END: "var(--most)",
 }
+# What a page shows of a long drive. Shorter ones are drawn point by point.
+MAX_POINTS = 5000  # of a line
+_LINE_SHARE = 4e-4  # of the extent of a line by which it may be off: a fifth of a pixel in a page
+_DOTS_ACROSS = 400  # that can be told apart
+_COLUMNS = 1000  # of a chart
 _NO_METADATA = dict.fromkeys(("Date", "Creator", "Format", "Type"))
 
 
@@ -151,3 +165,58 @@ def inline_svg(figure: Figure, name: str, title: str) -> Markup:
         drawn = drawn.replace(colour, themed)
     label = Markup(' role="img" aria-label="{}"').format(title)
     return Markup(drawn.replace("<svg", f"<svg{label}", 1))  # safe to mark: matplotlib escapes the text
+
+
+def simplify_line(points: Array) -> Rows:
+    """Choose the points of a line that a screen can show, by Douglas and Peucker (Cartographica 10(2), 1973).
+
+    Args:
+        points: (N, d); finite, of which more than MAX_POINTS are thinned.
+
+    Returns:
+        (K,) rows of the points, increasing, with the first and the last one. The line through them is nowhere further
+        from the others than a fifth of a pixel, or a few where MAX_POINTS would not suffice.
+    """
+    if len(points) <= MAX_POINTS:
+        return np.arange(len(points))
+    tolerance = _LINE_SHARE * float(np.ptp(points, axis=0).max())
+    while True:
+        rows = _simplify(points, tolerance)
+        if len(rows) <= MAX_POINTS:
+            return rows
+        tolerance *= 1.5
+
+
+def _simplify(points: Array, tolerance: float) -> Rows:
+    is_kept = np.zeros(len(points), bool)
+    waiting = [(0, len(points) - 1)]
+    while waiting:
+        first, last = waiting.pop()
+        is_kept[[first, last]] = True
+        if last - first < 2:
+            continue
+        along, between = points[last] - points[first], points[first + 1 : last] - points[first]
+        share = np.clip(between @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+        far = np.linalg.norm(between - share[:, None] * along, axis=1)
+        middle = int(far.argmax())
+        if far[middle] > tolerance:
+            waiting += [(first, first + 1 + middle), (first + 1 + middle, last)]
+    return np.flatnonzero(is_kept)
+
+
+def thin_dots(points: Array) -> Rows:
+    """Choose the rows of points (N, d) of which more than MAX_POINTS would hide one another: one of each place."""
+    if len(points) <= MAX_POINTS:
+        return np.arange(len(points))
+    cells = np.floor(_DOTS_ACROSS * (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-12))
+    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
+
+
+def thin_curve(values: Array) -> Rows:
+    """Choose the rows of values (N,) over their index that a chart can show: the extremes of each of its columns."""
+    if len(values) <= MAX_POINTS:
+        return np.arange(len(values))
+    bounds = np.linspace(0, len(values), _COLUMNS + 1).astype(np.int64)
+    parts = [(begin, values[begin:end]) for begin, end in pairwise(bounds.tolist())]
+    extremes = [begin + k for begin, part in parts for k in (int(part.argmin()), int(part.argmax()))]
+    return np.unique([0, *extremes, len(values) - 1])

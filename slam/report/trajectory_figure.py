@@ -17,7 +17,7 @@ from odometry.se3 import inverse
 from slam.evaluation.trajectory_errors import Similarity, distances_along, umeyama
 from slam.report import style
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected
-from slam.report.style import INK, style_axes
+from slam.report.style import INK, simplify_line, style_axes, thin_dots
 from slam.run_result import LoopRow, PointCloud, RunRecord
 
 Array = NDArray[np.float64]
@@ -230,11 +230,11 @@ def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
     x, _, z = panel.landmarks.T
     ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
     if panel.truth is not None:  # below the estimate, which is one clean line where both agree
-        truth = panel.truth[:, [0, 2]].T
-        ax.plot(*truth, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=2.8)
+        truth = panel.truth[:, [0, 2]]
+        ax.plot(*truth[simplify_line(truth)].T, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=2.8)
     for name, colour in (("odometry", style.ODOMETRY), ("corrected", style.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
-        ax.plot(*shown.T, "-", color=colour, lw=1.8, label=name, zorder=3)
+        ax.plot(*shown[simplify_line(shown)].T, "-", color=colour, lw=1.8, label=name, zorder=3)
     _draw_loops(ax, panel, kept(record), ("accepted loop", style.ACCEPTED, "-"))
     _draw_loops(ax, panel, rejected(record), ("rejected loop", style.REJECTED, ":"))
     _draw_ends(ax, panel)
@@ -273,7 +273,7 @@ def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, st
     ax.add_collection(LineCollection(list(drawn), colors=colour, lw=0.8, ls=dashes, alpha=0.7, zorder=2.5))
     ax.plot([], [], color=colour, lw=1.5, ls=dashes, label=name)
     # the line of a well closed loop is too short to be seen; a dot under the trajectory is wider than it
-    ax.plot(*ends[:, 0].T, ".", color=colour, ms=8, alpha=0.25, mew=0, zorder=2)
+    ax.plot(*ends[thin_dots(ends[:, 0]), 0].T, ".", color=colour, ms=8, alpha=0.25, mew=0, zorder=2)
 
 
 def _draw_ends(ax: Axes, panel: Panel) -> None:

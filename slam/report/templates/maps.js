@@ -69,7 +69,7 @@
     map.marker.setAttribute("cy", py);
     map.marker.setAttribute("visibility", inside ? "visible" : "hidden");
     const error = map.error.length ? `, error ${map.error[frame].toFixed(2)} m` : "";
-    map.readout.textContent = `Frame ${frame}: x ${mx.toFixed(1)} m, z ${mz.toFixed(1)} m${error}`;
+    map.readout.textContent = `Frame ${map.frames[frame]}: x ${mx.toFixed(1)} m, z ${mz.toFixed(1)} m${error}`;
   };
 
   const show = () => {
