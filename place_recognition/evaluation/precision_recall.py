@@ -7,6 +7,7 @@ with neither counts for nothing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,29 @@ from numpy.typing import NDArray
 from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
-Truth = NDArray[np.bool_]
+Images = NDArray[np.int64]
+
+
+class Truth(Protocol):
+    """Truth matrix (N, M) bool, row = query, column = earlier image or image of a reference recording.
+
+    An array, or what computes its cells where they are asked for.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(N, M)."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, cells: tuple[Images, Images], /) -> Any:
+        """Cells (K,) of rows (K,) and columns (K,)."""
+        ...
+
+    def any(self, axis: int | None = None) -> Any:
+        """Whether there is any true cell: in all, or in each row (N,) with axis 1."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -73,12 +96,15 @@ def is_correct(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> N
         tolerance: number of columns by which a match may differ from a true one. 0 is the rule of the chapter's
             authors, whose tolerance is in the matrix; 10 reproduces iBoW-LCD's published figures.
     """
-    right = np.zeros(len(beliefs), np.bool_)
-    for i, belief in enumerate(beliefs):
+    for belief in beliefs:
         _check_query(belief, truth.shape)
-        if belief.match is not None:
-            first = max(belief.match - tolerance, 0)
-            right[i] = truth[belief.query, first : belief.match + tolerance + 1].any()
+    queries = np.array([belief.query for belief in beliefs], np.int64)
+    matches = np.array([-1 if belief.match is None else belief.match for belief in beliefs], np.int64)
+    right = np.zeros(len(beliefs), np.bool_)
+    for offset in range(-tolerance, tolerance + 1):
+        columns = matches + offset
+        asked = np.flatnonzero((matches >= 0) & (columns >= 0) & (columns < truth.shape[1]) & ~right)
+        right[asked] = truth[queries[asked], columns[asked]]
     return right
 
 

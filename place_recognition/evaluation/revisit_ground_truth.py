@@ -3,9 +3,11 @@
 A truth matrix is (N, N) bool, row = query, column = an earlier image, True = the same place; the rest is False.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from place_recognition.evaluation.ground_truth_files import NumberMatrix, array_names, read_array, read_matrices
 from place_recognition.evaluation.matlab_process import MAX_VALUES, count_nans, count_values
+from place_recognition.evaluation.precision_recall import Truth as AnyTruth
 from place_recognition.evaluation.precision_recall import is_correct
 from place_recognition.recognizer import Belief
 
@@ -23,6 +26,7 @@ MAX_TRUTH_VALUES = 3  # different numbers in a truth: 0 and 1, perhaps a mark fo
 MIN_IMAGES_FOR_SHARE = 10  # in fewer images most pairs may be the same place
 _HDF5, _HDF5_AT = b"\x89HDF\r\n\x1a\n", 512  # begins a file of MATLAB 7.3, after MATLAB's own header of that size
 _BLOCK = 256  # rows computed at a time: all N^2 distances of a long recording at once would need a gigabyte
+_QUERIES, _EARLIER = 32, 4096  # images of a block whose rows are searched for any true cell
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,69 @@ def truth_from_poses(T_world_camera: Array, timestamps: Array | None = None, rul
         same &= times[query, None] - times[earlier] >= rule.min_time_gap_s
         truth[first : first + len(query), : len(earlier)] = _nearest(same, distances) if rule.is_one_to_one else same
     return truth
+
+
+class PoseTruth:
+    """The matrix of `truth_from_poses`, whose cells are computed where they are asked for (a Truth).
+
+    Of a day's drive the matrix itself would take gigabytes.
+    """
+
+    def __init__(self, T_world_camera: Array, timestamps: Array | None = None, rule: RevisitRule | None = None) -> None:
+        """Take poses, times and the rule, as `truth_from_poses` does.
+
+        Raises:
+            ValueError: as there, and for a rule that is one to one.
+        """
+        self._rule = rule or RevisitRule()
+        if self._rule.is_one_to_one:
+            raise ValueError("expected a rule that takes each pair by itself, got one that is one to one")
+        poses = _checked(T_world_camera)
+        self._positions, self._directions = poses[:, :3, 3], poses[:, :3, 2]
+        self._path_lengths_m = _path_lengths_m(self._positions)
+        self._times = _checked_times(timestamps, len(poses), self._rule)
+        self._rows: Truth | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(N, N)."""
+        return len(self), len(self)
+
+    def __len__(self) -> int:
+        return len(self._positions)
+
+    def __getitem__(self, cells: tuple[NDArray[np.int64], NDArray[np.int64]], /) -> Truth:
+        """Cells of rows and columns, which are broadcast against one another."""
+        query, earlier = cells
+        rule = self._rule
+        apart = np.linalg.norm(self._positions[query] - self._positions[earlier], axis=-1)
+        cosines = np.sum(self._directions[query] * self._directions[earlier], axis=-1)
+        same = (apart <= rule.max_distance_m) & (earlier < query)
+        same &= cosines >= np.cos(np.radians(rule.max_angle_deg)) - 1e-12
+        same &= self._path_lengths_m[query] - self._path_lengths_m[earlier] >= rule.min_path_length_m
+        same &= self._times[query] - self._times[earlier] >= rule.min_time_gap_s
+        return np.asarray(same)
+
+    def any(self, axis: int | None = None) -> Any:
+        """Whether there is any true cell: in all, or in each row (N,) with axis 1."""
+        if self._rows is None:
+            blocks = [np.arange(k, min(k + _QUERIES, len(self))) for k in range(0, len(self), _QUERIES)]
+            self._rows = np.concatenate([self._find_any(block) for block in blocks] or [np.zeros(0, np.bool_)])
+        return self._rows if axis == 1 else bool(self._rows.any())
+
+    def _find_any(self, queries: NDArray[np.int64]) -> Truth:
+        """Whether each of the successive queries (Q,) revisits an earlier image."""
+        there = self._positions[queries]
+        low, high = there.min(axis=0) - self._rule.max_distance_m, there.max(axis=0) + self._rule.max_distance_m
+        found = np.zeros(len(queries), np.bool_)
+        for first in range(0, int(queries[-1]), _EARLIER):
+            before = self._positions[first : min(first + _EARLIER, int(queries[-1]))]
+            near = first + np.flatnonzero(((before >= low) & (before <= high)).all(axis=1))
+            left = np.flatnonzero(~found)
+            found[left] = self[queries[left, None], near[None]].any(axis=1)
+            if found.all():
+                break
+        return found
 
 
 def _checked(T_world_camera: Array) -> Array:
@@ -265,7 +332,7 @@ class RevisitEvent:
     answered_at: int | None = None
 
 
-def find_revisit_events(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> tuple[RevisitEvent, ...]:
+def find_revisit_events(beliefs: Sequence[Belief], truth: AnyTruth, tolerance: int = 0) -> tuple[RevisitEvent, ...]:
     """Find the revisit events of a recording, and what was recognised of each.
 
     Args:
@@ -285,7 +352,7 @@ def answer_delays(beliefs: Sequence[Belief]) -> NDArray[np.int64]:
     return np.array(known, np.int64).reshape(-1, 2)
 
 
-def _stretches(truth: Truth) -> list[tuple[int, int]]:
+def _stretches(truth: AnyTruth) -> list[tuple[int, int]]:
     queries = np.flatnonzero(truth.any(axis=1))
     ends = np.flatnonzero(np.diff(queries) > MAX_GAP_IMAGES + 1)
     firsts, lasts = queries[np.append(0, ends + 1)[: len(queries)]], queries[np.append(ends, -1)[: len(queries)]]
@@ -293,6 +360,7 @@ def _stretches(truth: Truth) -> list[tuple[int, int]]:
 
 
 def _describe(first: int, last: int, detections: list[tuple[int, int | None]]) -> RevisitEvent:
-    inside = [(query, ready) for query, ready in detections if first <= query <= last]
+    begin = bisect_left(detections, first, key=lambda detection: detection[0])
+    inside = detections[begin : bisect_right(detections, last, key=lambda detection: detection[0])]
     ready_at = [ready for _, ready in inside if ready is not None]
     return RevisitEvent(first, last, inside[0][0] if inside else None, min(ready_at, default=None))

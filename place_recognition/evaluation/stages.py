@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from place_recognition.evaluation.precision_recall import PrecisionRecall, is_correct, precision_recall
+from place_recognition.evaluation.precision_recall import PrecisionRecall, Truth, is_correct, precision_recall
 from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-Truth = NDArray[np.bool_]
+Weights = NDArray[np.uint16]
 Interval = tuple[float, float]
 
 CURVE_STAGES = ("own", "geometry", "temporal")  # the stages that name one match
@@ -32,7 +32,7 @@ MAX_BLOCK_IMAGES = 20  # of the bootstrap: two seconds at ten images a second
 _MIN_BLOCKS = 10  # in a recording; shorter ones have shorter blocks
 _NUM_SAMPLES = 1000
 _PERCENTILES = (2.5, 97.5)
-_CHUNK = 50  # samples computed at a time: of 4,500 images they take two megabytes an array
+_CHUNK, _MAX_CHUNK_WEIGHTS = 50, 1_000_000  # samples computed at a time, and their images: 8 MB an array
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def stage_intervals(beliefs: Sequence[Belief], truth: Truth, seed: int = 0) -> d
         return intervals
     ranks = np.full(len(truth), np.inf)
     ranks[[belief.query for belief in beliefs]] = candidate_ranks(beliefs, truth)
-    truth_rows = np.maximum(weights @ truth.any(axis=1).astype(np.int64), 1)
-    found = {count: weights @ (ranks <= count).astype(np.int64) for count in CANDIDATE_COUNTS}
+    truth_rows = np.maximum(_count_weights(weights, truth.any(axis=1)), 1)
+    found = {count: _count_weights(weights, ranks <= count) for count in CANDIDATE_COUNTS}
     recall = {f"recall_at_{count}": _interval(hits / truth_rows) for count, hits in found.items()}
     return {"candidates": recall} | intervals
 
@@ -112,7 +112,7 @@ def candidate_ranks(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0)
     return ranks
 
 
-def sample_weights(images: int, seed: int = 0, samples: int = _NUM_SAMPLES) -> Counts:
+def sample_weights(images: int, seed: int = 0, samples: int = _NUM_SAMPLES) -> Weights:
     """Return how often each image occurs in each sample of the bootstrap, (samples, images).
 
     A sample joins blocks of consecutive images, whose first images are drawn with equal chances; the last image is
@@ -120,11 +120,19 @@ def sample_weights(images: int, seed: int = 0, samples: int = _NUM_SAMPLES) -> C
     """
     block = min(MAX_BLOCK_IMAGES, max(1, images // _MIN_BLOCKS))
     starts = np.random.default_rng(seed).integers(0, images, (samples, -(-images // block)))
-    drawn = (starts[:, :, None] + np.arange(block)).reshape(samples, -1)[:, :images] % images
-    return np.array([np.bincount(sample, minlength=images) for sample in drawn], np.int64)
+    weights = np.empty((samples, images), np.uint16)  # 200 MB of 100,000 images
+    for sample, first in zip(weights, starts, strict=True):
+        drawn = (first[:, None] + np.arange(block)).ravel()[:images] % images
+        sample[:] = np.bincount(drawn, minlength=images)
+    return weights
 
 
-def curve_intervals(answers: Sequence[Belief], truth: Truth, weights: Counts) -> dict[str, Interval]:
+def _count_weights(weights: Weights, chosen: NDArray[np.bool_]) -> Counts:
+    """Sum the weights (S, N) of the chosen images (N,) in each sample: (S,)."""
+    return np.array([sample[chosen].sum(dtype=np.int64) for sample in weights], np.int64)
+
+
+def curve_intervals(answers: Sequence[Belief], truth: Truth, weights: Weights) -> dict[str, Interval]:
     """Compute the confidence interval of each of CURVE_SUMMARIES for the curve of some answers.
 
     R@P100 hangs on the highest-scored false match alone: where a sample lacks it, the value jumps. Its interval is wide
@@ -142,12 +150,12 @@ def curve_intervals(answers: Sequence[Belief], truth: Truth, weights: Counts) ->
     queries = np.array([answer.query for answer in detected], np.int64)[order]
     # No threshold separates equal scores: the curve has a point after the last of them.
     last = np.flatnonzero(np.append(np.diff(scores[order]) != 0, True))[: len(detected)]
-    truth_rows = weights @ truth.any(axis=1).astype(np.int64)
-    sampled = []
-    for first in range(0, len(weights), _CHUNK):
-        chosen = weights[first : first + _CHUNK, queries]
+    truth_rows = _count_weights(weights, truth.any(axis=1))
+    sampled, chunk = [], max(min(_CHUNK, _MAX_CHUNK_WEIGHTS // weights.shape[1]), 1)
+    for first in range(0, len(weights), chunk):
+        chosen = weights[first : first + chunk, queries].astype(np.int64)
         counts, hits = np.cumsum(chosen, axis=1)[:, last], np.cumsum(chosen * right, axis=1)[:, last]
-        sampled.append(_summarize(hits, counts, truth_rows[first : first + _CHUNK, None]))
+        sampled.append(_summarize(hits, counts, truth_rows[first : first + chunk, None]))
     return {name: _interval(values) for name, values in zip(CURVE_SUMMARIES, np.hstack(sampled), strict=True)}
 
 
@@ -211,7 +219,7 @@ class Reliability:
         return float(np.nansum(error * self.counts) / self.counts.sum())
 
 
-def measure_reliability(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int = 0) -> Reliability | None:
+def measure_reliability(beliefs: Sequence[Belief], truth: Truth, tolerance: int = 0) -> Reliability | None:
     """Compare the probabilities of matches with the truth; None where no match has a probability.
 
     Args:

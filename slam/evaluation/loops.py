@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry import se3
-from place_recognition.evaluation.revisit_ground_truth import RevisitRule, truth_from_poses
+from place_recognition.evaluation.revisit_ground_truth import PoseTruth, RevisitRule, truth_from_poses
 from slam.run_result import LoopRow, StageRow
 
 Array = NDArray[np.float64]
@@ -133,9 +133,14 @@ def revisit_matrix(truth: Array, rule: LoopRule | None = None) -> NDArray[np.boo
     return truth_from_poses(truth, rule=(rule or LoopRule()).revisit)
 
 
+def revisit_truth(truth: Array, rule: LoopRule | None = None) -> PoseTruth:
+    """Return what `revisit_matrix` computes, cell by cell where it is asked for: for drives of any length."""
+    return PoseTruth(truth, rule=(rule or LoopRule()).revisit)
+
+
 def find_revisits(truth: Array, rule: LoopRule | None = None) -> NDArray[np.bool_]:
     """Whether each frame (N,) of true poses T_world_camera (N, 4, 4), metres, is a revisit by the rule."""
-    return np.asarray(revisit_matrix(truth, rule).any(axis=1))
+    return np.asarray(revisit_truth(truth, rule).any(axis=1))
 
 
 def count_loops(

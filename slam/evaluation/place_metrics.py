@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from place_recognition.evaluation.memory import MapSize
-from place_recognition.evaluation.precision_recall import PrecisionRecall, accepted_counts, precision_recall
+from place_recognition.evaluation.precision_recall import PrecisionRecall, Truth, accepted_counts, precision_recall
 from place_recognition.evaluation.revisit_ground_truth import answer_delays, find_revisit_events
 from place_recognition.evaluation.stages import (
     BIN_EDGES,
@@ -25,7 +25,6 @@ from place_recognition.recognizer import Belief
 
 Array = NDArray[np.float64]
 Spans = NDArray[np.int64]
-Truth = NDArray[np.bool_]
 Section = dict[str, object]
 Notes = dict[str, str]
 
@@ -229,7 +228,7 @@ class PlaceMetrics:
 def evaluate_places(
     paradigm: str,
     beliefs: Sequence[Belief],
-    truth: NDArray[np.bool_] | None,
+    truth: Truth | None,
     size: MapSize | None = None,
     drive: DriveData | None = None,
     control: Sequence[Belief] | None = None,
@@ -266,7 +265,7 @@ def evaluate_places(
     return PlaceMetrics(*_join([heading, *parts, *always]), curve, results, control_results, reliability)
 
 
-def measure_scores(beliefs: Sequence[Belief], truth: NDArray[np.bool_], tolerance: int) -> dict[str, object]:
+def measure_scores(beliefs: Sequence[Belief], truth: Truth, tolerance: int) -> dict[str, object]:
     """Return R@P100, average precision and counts for a tolerance in images, named as in metrics.json."""
     curve = precision_recall(beliefs, truth, tolerance)
     values = (
@@ -290,7 +289,7 @@ def _stages_and_control(
     results: StageResults,
     control: Sequence[Belief] | None,
     control_results: StageResults | None,
-    truth: NDArray[np.bool_],
+    truth: Truth,
 ) -> list[MetricsPart]:
     ours = describe_stages(beliefs, truth, results, COMMON_TOLERANCE_IMAGES)
     if control is None or control_results is None:
@@ -303,7 +302,7 @@ def _stages_and_control(
     ]
 
 
-def _probability(beliefs: Sequence[Belief], truth: NDArray[np.bool_], reliability: Reliability | None) -> MetricsPart:
+def _probability(beliefs: Sequence[Belief], truth: Truth, reliability: Reliability | None) -> MetricsPart:
     tolerant = measure_reliability(beliefs, truth, COMMON_TOLERANCE_IMAGES)
     if reliability is None or tolerant is None:
         return MetricsPart({"probability": None}, {"probability": "the recogniser computes no probabilities"})

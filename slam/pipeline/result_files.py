@@ -17,7 +17,7 @@ from place_recognition.recognizer import Belief
 from slam.config import RunConfig, changed_settings, to_toml
 from slam.datasets.dataset import Dataset
 from slam.errors import DataError
-from slam.evaluation.loops import LoopCounts, count_loops, kept_loop_errors, revisit_matrix, summarize_loop_errors
+from slam.evaluation.loops import LoopCounts, count_loops, kept_loop_errors, revisit_truth, summarize_loop_errors
 from slam.evaluation.place_metrics import DriveData, PlaceMetrics, evaluate_places
 from slam.evaluation.trajectory_errors import (
     Alignment,
@@ -335,7 +335,7 @@ def _beliefs(result: PipelineResult) -> list[Belief]:
 
 
 def _places(result: PipelineResult, timestamps: Array, ground_truth: Array | None) -> PlaceMetrics:
-    truth = None if ground_truth is None else revisit_matrix(ground_truth)
+    truth = None if ground_truth is None else revisit_truth(ground_truth)
     path_lengths_m = None if ground_truth is None else distances_along(ground_truth)
     beliefs = _beliefs(result)
     size = map_size(result.components.recognizer)

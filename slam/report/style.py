@@ -208,8 +208,13 @@ def thin_dots(points: Array) -> Rows:
     """Choose the rows of points (N, d) of which more than MAX_POINTS would hide one another: one of each place."""
     if len(points) <= MAX_POINTS:
         return np.arange(len(points))
-    cells = np.floor(_DOTS_ACROSS * (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-12))
-    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    from_corner = (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-12)
+    across = float(_DOTS_ACROSS)
+    while True:
+        rows = np.unique(np.floor(across * from_corner), axis=0, return_index=True)[1]
+        if len(rows) <= MAX_POINTS:
+            return np.sort(rows)
+        across /= 1.5
 
 
 def thin_curve(values: Array) -> Rows:

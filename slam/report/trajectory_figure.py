@@ -230,8 +230,9 @@ def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
     x, _, z = panel.landmarks.T
     ax.plot(x, z, ".", color=INK, ms=1.6, mew=0, alpha=0.45, rasterized=True, zorder=1)
     if panel.truth is not None:  # below the estimate, which is one clean line where both agree
-        truth = panel.truth[:, [0, 2]]
-        ax.plot(*truth[simplify_line(truth)].T, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=2.8)
+        plan = panel.truth[:, [0, 2]]
+        truth = plan[simplify_line(plan)].T
+        ax.plot(*truth, ls=(0, (6, 5)), color=style.GROUND_TRUTH, lw=1.2, label="ground truth", zorder=2.8)
     for name, colour in (("odometry", style.ODOMETRY), ("corrected", style.CORRECTED)):
         shown = panel.positions[:, [0, 2]] if name == panel.name else np.empty((0, 2))
         ax.plot(*shown[simplify_line(shown)].T, "-", color=colour, lw=1.8, label=name, zorder=3)
