@@ -40,6 +40,7 @@ from slam.datasets.formats.registry import open_dataset
 from slam.errors import DataError
 from slam.io.files import read_numbers
 from slam.io.run_folder import RunFolder
+from slam.keyframes import KeyFrameConfig
 from slam.map_database.database import MAP_FILE, MapDatabase
 from slam.map_database.replay import Build, ReplayedLandmarks, ReplayedOdometry
 from slam.pipeline.pipeline import Pipeline, RunOptions, resolve_config, run_pipeline
@@ -197,7 +198,7 @@ def run_images(drive: Path, out: Path, settings: dict[str, object]) -> Measureme
 def run_replay(arguments: argparse.Namespace, rounds: Path, chosen: Round, settings: dict[str, object]) -> Measurement:
     """Run two rounds, then repeat what was measured."""
     first, out = arguments.out / "run_rounds", arguments.out / "run_replay"
-    run_images(rounds, first, settings | {"save_recording": False})
+    run_images(rounds, first, settings | {"save_recording": False, "key_frames": KeyFrameConfig(max_revisits=10**9)})
     options = RunOptions(source=rounds, out=out, overwrite=True)
     config, begin = resolve_config(options, settings), chosen.last + 1
     dataset = RepeatedDataset(open_dataset(DatasetSpec(rounds)), begin, arguments.replay, config)

@@ -1,7 +1,7 @@
 """Which frames the map needs: key frames moved or turned enough since the last one; known places need no more frames.
 
 Without the second rule a map grows with the drive, also where the camera goes round the same block all day
-(docs/decisions/long_drives.md).
+(docs/decisions/known_places.md).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """The loop of Figure 4.1: odometry drifts, a recogniser proposes, geometry verifies, the graph corrects."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ from odometry.motion import Motion
 from odometry.stereo.stereo_self_calibration import Calibration
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.image_processing.static_regions import ImageMasks
-from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget
+from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget, no_pixels
 from slam.datasets.dataset import Frame
 from slam.frame_record import FrameRecord, LoopRecord
 from slam.keyframes import KeyFrameSelector, KnownPlaces
@@ -274,6 +274,8 @@ class Slam:
         # A recogniser that cannot forget may match any frame later, and then it needs all that is known of it.
         is_tied = self._can_forget and admission.used
         is_redundant = is_tied and self._known_places.add(geometry.query, geometry.match)
+        if is_redundant:  # the pixels of the relative pose suffice
+            belief = replace(belief, pixels=no_pixels())
         return LoopCandidate(belief, geometry, admission, is_redundant)
 
     def _forget_redundant(self, candidates: Iterable[LoopCandidate]) -> None:

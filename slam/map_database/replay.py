@@ -1,6 +1,6 @@
 """Replay of a session without its odometry: motions and landmarks come from the map of an earlier run."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from slam.components import build_components, build_loop_verifier
 from slam.config import RunConfig
 from slam.datasets.dataset import DatasetSpec, Frame
 from slam.errors import DataError
-from slam.loop_closing.loop_closer import FrameLandmarks, LoopCloser
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopCloser, LoopClosure, Rejection
 from slam.map_database.database import MapDatabase, map_file
 from slam.map_database.resume import ResumableRun
 from slam.system import Components
@@ -54,18 +54,35 @@ class ReplayedOdometry:
 
 
 class ReplayedLandmarks(LoopCloser):
-    """Verifies loops by the landmarks of a map."""
+    """Verifies loops by the landmarks of a map.
+
+    Of a frame of a known place the map has a few landmarks alone: the loop that was found with all of them is taken as
+    it is. Another match of the frame is verified by those few.
+    """
 
     def __init__(
-        self, landmarks: Sequence[FrameLandmarks], camera: StereoCamera, components: Components, config: RunConfig
+        self,
+        landmarks: Sequence[FrameLandmarks],
+        camera: StereoCamera,
+        components: Components,
+        config: RunConfig,
+        loops: Mapping[tuple[int, int], LoopClosure] | None = None,
     ) -> None:
         super().__init__(camera, components.features, components.odometry, config.loop_closing)
-        self._replayed = landmarks
+        self._replayed, self._loops = landmarks, loops or {}
+        self._max_known_landmarks = config.loop_closing.max_known_landmarks
 
     def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
         """Landmarks of frame `index`, as the earlier run extracted them."""
         self.restore_frame(index, self._replayed[index])
         return self._replayed[index]
+
+    def verify(self, query: int, match: int) -> LoopClosure | Rejection:
+        """Relative pose of two frames by their landmarks, or as the map has it."""
+        stored = self._loops.get((query, match))
+        if stored is not None and len(self._replayed[query]) <= self._max_known_landmarks:
+            return stored
+        return super().verify(query, match)
 
 
 def read_session(path: Path) -> ResumableRun:
@@ -105,12 +122,14 @@ def replay_components(path: Path) -> Build:
     """
     with MapDatabase.open(map_file(path)) as store:
         frames = list(store.frames())
+        geometries = [loop.geometry for loop in store.loops()]
+    loops = {(loop.query, loop.match): loop for loop in geometries if isinstance(loop, LoopClosure)}
 
     def build(camera: StereoCamera, config: RunConfig, rows: MatrixSink | None = None) -> Components:
         odometry = ReplayedOdometry([frame.motion for frame in frames], has_metric_scale=not config.mono)
         components = replace(build_components(camera, config, rows), odometry=odometry)
         landmarks = [frame.landmarks for frame in frames]
-        replayed = ReplayedLandmarks(landmarks, camera, components, config)
+        replayed = ReplayedLandmarks(landmarks, camera, components, config, loops)
         return replace(components, loop_closer=build_loop_verifier(replayed, config))
 
     return build

@@ -22,7 +22,8 @@ from slam.evaluation.trajectory_errors import Alignment, absolute_trajectory_err
 Array = NDArray[np.float64]
 
 _RUN_BAR_CELLS = 20  # the whole line then fits a terminal of 80 columns
-_ERROR_INTERVAL_FRAMES = 25  # between two errors: each copies all poses so far
+# Between two errors: each copies all poses so far, for which a longer drive has longer intervals.
+_ERROR_INTERVAL_FRAMES, _ERROR_INTERVAL_SHARE = 25, 0.01
 _LOOP_ERROR_INTERVAL_FRAMES = 5  # after a loop the error is shown sooner
 _DONE, _LEFT = Style(color="cyan"), Style(color="grey37")
 _LOOP = Style(color="green", bold=True)
@@ -103,6 +104,7 @@ class LiveError:
     def describe(self, index: int, is_closed: bool, poses: Callable[[], Array]) -> str:
         """Return the ATE of the trajectory so far, as text; empty without ground truth."""
         interval = _LOOP_ERROR_INTERVAL_FRAMES if is_closed else _ERROR_INTERVAL_FRAMES
+        interval = max(interval, int(_ERROR_INTERVAL_SHARE * index))
         if self._truth is not None and index - self._measured_at >= interval:
             self._measured_at = index
             ate = absolute_trajectory_error(poses(), self._truth[: index + 1], self._alignment)

@@ -14,13 +14,15 @@ from slam.datasets.dataset import Dataset, Frame
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pipeline.run_warnings import RunWarnings
 from slam.run_log import RunLog
-from slam.system import FrameResult, LoopCandidate, Slam
+from slam.system import FrameResult, LoopCandidate, Slam, redundant_frames
 from slam.viewer.viewer import FrameView, LoopView, NullViewer, Viewer
 
 Array = NDArray[np.float64]
 
 VIEWS = ("none", "native", "web")
-_MIN_PAIR_INTERVAL_FRAMES = 10  # between two image pairs shown: the earlier image has to be read again
+# Between two image pairs shown: the earlier image has to be read again, and the whole trajectory is drawn, for which a
+# longer drive has longer intervals.
+_MIN_PAIR_INTERVAL_FRAMES, _MIN_PAIR_INTERVAL_SHARE = 10, 0.005
 _MIN_JUMP_M = 0.5  # a correction of the camera's position by as much is shown with the loop that makes it
 _MATRIX_INTERVAL_FRAMES = 100  # between two pictures of the recogniser's matrix, whose cost grows with its size
 _NO_PIXELS = np.empty((0, 2))
@@ -91,7 +93,8 @@ class RunVisualizer:
         return bool(np.linalg.norm(result.T_world_camera[:3, 3] - expected[:3, 3]) >= _MIN_JUMP_M)
 
     def _show_loop(self, candidate: LoopCandidate, result: FrameResult, has_jumped: bool) -> None:
-        with_pair = candidate.closed and result.frame.index - self._last_pair >= _MIN_PAIR_INTERVAL_FRAMES
+        interval = max(_MIN_PAIR_INTERVAL_FRAMES, _MIN_PAIR_INTERVAL_SHARE * result.frame.index)
+        with_pair = candidate.closed and result.frame.index - self._last_pair >= interval
         if with_pair:
             self._last_pair = result.frame.index
         with_poses = with_pair or (candidate.closed and has_jumped)
@@ -121,6 +124,7 @@ class RunVisualizer:
 def _frame_view(result: FrameResult) -> FrameView:
     beliefs = [candidate.belief for candidate in result.candidates]  # several at once, or none, where answers come late
     belief = max(beliefs, key=lambda belief: (belief.accepted, belief.score), default=None)
+    is_known_place = bool(redundant_frames(result.candidates))
     return FrameView(
         index=result.frame.index,
         timestamp=result.frame.timestamp,
@@ -131,10 +135,11 @@ def _frame_view(result: FrameResult) -> FrameView:
         pixels_current=result.motion.pixels_current,
         inliers=result.motion.inliers,
         predicted=result.motion.predicted,
-        landmarks_world=_landmarks_world(result),
+        landmarks_world=None if is_known_place else _landmarks_world(result),
         stage_ms=result.stage_ms,
         score=belief.score if belief else 0.0,
         accepted=belief.accepted if belief else False,
+        is_known_place=is_known_place,
     )
 
 

@@ -26,6 +26,7 @@ _NUM_DASHES = 300  # of the ground truth
 _MAX_REPLACED_ROWS = 1000  # of a line that is logged again with every loop
 _MAX_REPLACED_LANDMARKS = 10_000  # 0.1 MB each time
 _MIN_MOVED_SHARE = 0.02
+_MAX_DRAWN_LOOPS = 500  # of each kind, evenly chosen: all are logged again with every pair that is shown
 _LIFT_M = np.array([0.0, 0.5, 0.0])  # up is -y: dots float above the line, which would hide them
 # Entities of each view.
 _LIVE_ONLY = ["- /world/map_before/**", "- /world/dense_before/**", "- /world/dense_after/**"]
@@ -96,9 +97,10 @@ def draw_tracks(view: FrameView) -> rr.Arrows2D:
 def draw_loops(pairs: Iterable[tuple[int, int]], poses: Array, colour: str) -> tuple[rr.Arrows3D, rr.Points3D]:
     """Draw loops (query, match) on poses (N, 4, 4), metres, as arrows from query to match.
 
-    Queries are dots as well: the arrow of a well closed loop is too short to be seen.
+    Queries are dots as well: the arrow of a well closed loop is too short to be seen. Of many loops some are drawn.
     """
     known = np.array([pair for pair in pairs if max(pair) < len(poses)], dtype=np.int64).reshape(-1, 2)
+    known = known[:: len(known) // _MAX_DRAWN_LOOPS + 1]
     ends = poses[:, :3, 3][known]
     look = {"colors": style.rgb(colour), "radii": rr.Radius.ui_points(1.2)}
     arrows = rr.Arrows3D(origins=ends[:, 0], vectors=ends[:, 1] - ends[:, 0], **look)

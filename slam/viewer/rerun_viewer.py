@@ -33,6 +33,8 @@ _LOG = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Mode = Literal["record", "native", "web"]
 
+# Between two images recorded where the camera has been often enough: images are nine tenths of a recording.
+_KNOWN_PLACE_INTERVAL_FRAMES = 5
 _MAX_LANDMARKS = 150  # drawn of each key frame during the run
 _MAX_LINE_ROWS, _MAX_LANDMARK_ROWS = 150, 1600  # of one part of a growing entity
 _IMAGE_DISTANCE = 0.04  # of the drawn image from its camera, as a share of the extent of the path
@@ -109,8 +111,9 @@ class RerunViewer:
         self._set_time(view.index, view.timestamp)
         log, T = self._recording.log, view.T_world_camera
         log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-        log("world/camera/image", rerun_archetypes.encode_jpeg(view.image))
-        log("world/camera/image/tracks", rerun_archetypes.draw_tracks(view))
+        if not view.is_known_place or self._viewer is not None or view.index % _KNOWN_PLACE_INTERVAL_FRAMES == 0:
+            log("world/camera/image", rerun_archetypes.encode_jpeg(view.image))
+            log("world/camera/image/tracks", rerun_archetypes.draw_tracks(view))
         self._odometry.append(view.T_world_camera_odometry[None, :3, 3])
         self._corrected.append(T[None, :3, 3])
         if view.landmarks_world is not None:

@@ -29,6 +29,7 @@ class FrameView:
         stage_ms: milliseconds of each stage that ran.
         score: latest score of the recogniser, on its own scale.
         accepted: whether the recogniser accepted its latest match as a revisit.
+        is_known_place: whether the map has the place that the camera has just passed often enough.
     """
 
     index: int
@@ -44,6 +45,7 @@ class FrameView:
     stage_ms: dict[str, float]
     score: float
     accepted: bool
+    is_known_place: bool = False
 
 
 @dataclass(frozen=True)

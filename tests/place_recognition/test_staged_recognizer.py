@@ -1,5 +1,6 @@
 """The stages lose no image, answer in time and in order, and match nothing that is still in view."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +16,15 @@ from place_recognition.belief.likelihood_ratios import RatioTable
 from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.local_features import FeatureCache
 from place_recognition.map.image_history import ImageHistory
-from place_recognition.paradigms.registry import ParadigmsConfig, make_control
-from place_recognition.recognizer import ObservedImage, Proposals, RandomImages, propose_best, select_apart
+from place_recognition.paradigms.registry import ParadigmsConfig, make_control, make_recognizer
+from place_recognition.recognizer import (
+    ObservedImage,
+    Proposals,
+    RandomImages,
+    can_forget,
+    propose_best,
+    select_apart,
+)
 from place_recognition.staged_recognizer import RowsById, StagedRecognizer
 from place_recognition.verification.candidate_verification import CandidateVerificationConfig
 from place_recognition.verification.present_view import PresentView
@@ -229,3 +237,55 @@ def test_the_control_proposes_any_matchable_image_equally_often_and_no_other():
     assert sorted(early.locations) == [0, 1]
     [nothing] = RandomImages(0).observe(ObservedImage(3, image_of(0), FEATURES[0], 0.0, -1))
     assert nothing.locations == ()
+
+
+LAP = len(two_laps()) // 2
+STEP_M = 2.0
+
+
+def drive_laps(laps, max_laps, stop=None, recognizer=None):
+    """Observe laps; matched images of later laps than so many are forgotten. Returns recogniser and beliefs."""
+    recognizer = recognizer or make_recognizer("tracked-words", FeatureCache(CachingSurf()))
+    beliefs = []
+    images = two_laps()[:LAP] * laps
+    first = len(recognizer._history)
+    for k in range(first, len(images) if stop is None else stop):
+        for belief in recognizer.observe(k, images[k], STEP_M * k):
+            beliefs.append(belief)
+            if belief.accepted and belief.query >= max_laps * LAP:
+                recognizer.forget(belief.query)
+    return recognizer, beliefs
+
+
+def test_forgotten_images_are_never_matched_and_leave_hardly_anything():
+    sizes, matches = {}, {}
+    for max_laps in (2, 6):
+        recognizer, beliefs = drive_laps(6, max_laps)
+        sizes[max_laps] = (
+            recognizer.word_count,
+            np.count_nonzero([recognizer._history.images.count(k) for k in range(6 * LAP)]),
+        )
+        matches[max_laps] = [b.match for b in beliefs if b.accepted]
+    assert len(matches[2]) >= 0.97 * len(matches[6])
+    assert sizes[2][0] < 0.6 * sizes[6][0]
+    assert sizes[2][1] < 0.6 * sizes[6][1]
+    forgotten = {b.query for b in drive_laps(6, 2)[1] if b.accepted and b.query >= 2 * LAP}
+    assert not forgotten & set(matches[2])
+
+
+def test_a_restored_recogniser_has_forgotten_the_same_images():
+    undisturbed, expected = drive_laps(5, 2)
+    for stop in (2 * LAP + 25, 4 * LAP + 3):
+        stopped, before = drive_laps(5, 2, stop)
+        restored = make_recognizer("tracked-words", FeatureCache(CachingSurf()))
+        restored.restore(copy.deepcopy(stopped.state()))
+        _, after = drive_laps(5, 2, recognizer=restored)
+        assert before + after == expected
+        assert repr(restored.state()["forgotten"]) == repr(undisturbed.state()["forgotten"])
+
+
+def test_what_a_recogniser_can_forget_is_said():
+    features = FeatureCache(CachingSurf())
+    assert can_forget(make_recognizer("tracked-words", features))
+    assert not can_forget(make_recognizer("hierarchical-places", features))
+    assert not can_forget(make_control(features))

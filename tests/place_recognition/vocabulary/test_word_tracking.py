@@ -156,3 +156,18 @@ def test_a_growing_array_holds_all_rows_in_order():
         parts.append(rng.normal(size=(count, 3)).astype(np.float32))
         array.extend(parts[-1])
     np.testing.assert_array_equal(array.rows, np.concatenate(parts))
+
+
+def test_words_that_forgotten_images_alone_have_shown_do_not_enter_the_map():
+    words, rng = WordMap(ExactWordIndex()), np.random.default_rng(5)
+    first, last = np.array([0, 2, 2, 4]), np.array([1, 3, 5, 5])
+    for k in range(4):
+        words.add(Words(rng.normal(size=(1, 3)).astype(np.float32), first[k : k + 1], last[k : k + 1]))
+    for location in (2, 3, 4):
+        words.forget(location)
+    words.activate_until(5)
+    np.testing.assert_array_equal(words.spans(np.arange(words.active_count)), [[0, 1], [2, 5], [4, 5]])
+    np.testing.assert_array_equal(words.is_forgotten(np.arange(6)), [False, False, True, True, True, False])
+    restored = WordMap(ExactWordIndex())
+    restored.restore(words.state())
+    np.testing.assert_array_equal(restored.is_forgotten(np.arange(6)), words.is_forgotten(np.arange(6)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from place_recognition.evaluation.revisit_ground_truth import RevisitRule
+from place_recognition.evaluation.revisit_ground_truth import PoseTruth, RevisitRule
 from slam.evaluation.loops import (
     LoopError,
     LoopRule,
@@ -16,6 +16,8 @@ from slam.evaluation.loops import (
     is_true_loop,
     kept_loop_errors,
     loop_error,
+    revisit_matrix,
+    revisit_truth,
     summarize_loop_errors,
 )
 from slam.io.trajectory_files import read_kitti
@@ -212,3 +214,29 @@ def test_only_kept_loops_are_summarized_by_median_95th_percentile_and_maximum() 
 def test_without_kept_loops_there_is_no_summary() -> None:
     assert summarize_loop_errors([]) == {"translation_error_m": None, "rotation_error_deg": None}
     assert np.isnan(LoopError().translation_m)
+
+
+@pytest.mark.parametrize("max_distance_m", [3.0, 10.0, 40.0])
+def test_revisits_that_are_computed_cell_by_cell_are_those_of_the_matrix(max_distance_m: float) -> None:
+    rng = np.random.default_rng(3)
+    poses = np.concatenate([circle(50.0, 2.3, 700), circle(50.0, 0.4, 130, clockwise=False)])
+    poses[:, :3, 3] += rng.normal(0.0, 0.5, (len(poses), 3))
+    rule = LoopRule(revisit=RevisitRule(max_distance_m=max_distance_m))
+    matrix, computed = revisit_matrix(poses, rule), revisit_truth(poses, rule)
+    assert matrix.any()
+    np.testing.assert_array_equal(computed.any(axis=1), matrix.any(axis=1))
+    assert computed.any() == matrix.any()
+    queries, columns = np.indices(matrix.shape).reshape(2, -1)
+    np.testing.assert_array_equal(computed[queries, columns], matrix[queries, columns])
+    assert computed.shape == matrix.shape
+    assert len(computed) == len(matrix)
+
+
+def test_a_drive_without_revisits_has_none_cell_by_cell() -> None:
+    assert not revisit_truth(line(np.arange(0.0, 900.0, 0.3))).any()
+    assert not PoseTruth(np.empty((0, 4, 4))).any()
+
+
+def test_a_rule_that_needs_whole_rows_is_refused_cell_by_cell() -> None:
+    with pytest.raises(ValueError, match="one to one"):
+        PoseTruth(line(np.arange(9.0)), rule=RevisitRule(is_one_to_one=True))

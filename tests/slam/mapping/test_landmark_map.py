@@ -88,3 +88,18 @@ def test_a_frame_without_a_pose_is_an_error() -> None:
     landmarks.add(4, *points_ahead(0, 3))
     with pytest.raises(ValueError, match="expected poses for 5 frames, got 2"):
         landmarks.cloud(drive(0, 2))
+
+
+def test_a_frame_that_is_removed_leaves_the_others_as_they_are() -> None:
+    poses, points = drive(3, 4), np.random.default_rng(0).uniform(1.0, 10.0, (4, 20, 3))
+    landmarks, without = LandmarkMap(), LandmarkMap()
+    for frame in range(4):
+        landmarks.add(frame, points[frame], np.full(20, frame, np.uint8))
+        if frame != 2:
+            without.add(frame, points[frame], np.full(20, frame, np.uint8))
+    landmarks.remove(2)
+    landmarks.remove(17)  # it never was there
+    np.testing.assert_array_equal(landmarks.cloud(poses).points, without.cloud(poses).points)
+    np.testing.assert_array_equal(landmarks.cloud(poses).grey, without.cloud(poses).grey)
+    np.testing.assert_array_equal(landmarks.frames, without.frames)
+    assert len(landmarks) == 60

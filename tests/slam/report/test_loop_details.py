@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.report.interactive_map import draw_interactive_map, map_data
-from slam.report.loop_details import describe_outcome, describe_stages, loop_details, make_album
+from slam.report.loop_details import describe_outcome, describe_stages, loop_details, make_album, select_rows
 from slam.report.style import inline_svg
 from slam.run_result import LoopRow
 
@@ -116,3 +116,22 @@ def test_frames_are_where_the_drawing_has_them(name):
     left, bottom, right, top = data["window"]
     across, up = ((np.array(data["at"])[[0, -1]] - [left, bottom]) / [right - left, top - bottom]).T
     np.testing.assert_allclose(ends, np.stack([x + width * across, y + height * (1 - up)], axis=1), atol=0.05)
+
+
+def test_of_many_rows_the_odd_ones_and_an_even_choice_of_the_others_are_shown():
+    many = [LoopRow(k, k - 300, 1.0, k % 7 > 0, in_graph=k % 7 > 0 and k % 500 > 0) for k in range(300, 20_300)]
+    shown = select_rows(many, 1000)
+    assert len(shown) == 1000
+    assert list(shown) == sorted(shown, key=lambda row: row.query)
+    odd = {row.query for row in many if row.accepted and not row.in_graph}
+    assert odd
+    assert odd <= {row.query for row in shown}
+    assert all(row.accepted for row in shown)
+    assert np.diff([row.query for row in shown]).max() < 60
+    assert select_rows(many[:1000], 1000) == tuple(many[:1000])
+
+
+def test_rows_that_are_all_odd_leave_room_for_none_but_an_even_choice():
+    shown = select_rows([LoopRow(k, 0, 1.0, accepted=True) for k in range(5000)], 100)
+    assert len(shown) == 100
+    assert np.diff([row.query for row in shown]).max() < 150

@@ -14,7 +14,7 @@ from matplotlib import image as images
 from place_recognition.evaluation.precision_recall import precision_recall
 from slam.report import style
 from slam.report.place_recognition_figures import plot_precision_recall
-from slam.report.style import new_figure, save_png
+from slam.report.style import MAX_POINTS, new_figure, save_png, simplify_line, thin_curve, thin_dots
 
 STREET = "街"
 FAMILY = "Noto Sans CJK SC"  # one of the fallback families
@@ -91,3 +91,63 @@ def test_names_of_curves_are_no_formulas(tmp_path: Path):
     curve = precision_recall([], np.eye(3, dtype=bool))
     save_png(plot_precision_recall({r"$\frac{a": curve}, r"$\frac{b"), tmp_path / "x.png")
     assert images.imread(tmp_path / "x.png").std() > 0.01
+
+
+def spiral(points: int) -> np.ndarray:
+    angle = np.linspace(0.0, 40 * np.pi, points)
+    return np.stack([angle * np.cos(angle), angle * np.sin(angle)], axis=1)
+
+
+def distance_to_line(points: np.ndarray, line: np.ndarray) -> float:
+    """Largest distance of any of the points from a polyline."""
+    begin, along = line[:-1], np.diff(line, axis=0)
+    far = []
+    for point in points:
+        share = np.clip(((point - begin) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+        far.append(np.linalg.norm(begin + share[:, None] * along - point, axis=1).min())
+    return max(far)
+
+
+def test_a_short_line_keeps_every_point():
+    for points in (spiral(0), spiral(1), spiral(MAX_POINTS)):
+        np.testing.assert_array_equal(simplify_line(points), np.arange(len(points)))
+
+
+def test_a_long_line_is_thinned_by_less_than_a_pixel():
+    points = spiral(40_000)
+    rows = simplify_line(points)
+    assert rows[0] == 0
+    assert rows[-1] == len(points) - 1
+    assert len(rows) <= MAX_POINTS
+    pixel = np.ptp(points, axis=0).max() / 400  # of a figure in the page
+    assert distance_to_line(points[::37], points[rows]) < 0.2 * pixel
+    assert (
+        distance_to_line(points[::37], points[:: len(points) // len(rows) * 8]) > 0.2 * pixel
+    )  # the test would see it
+
+
+def test_a_line_of_noise_is_cut_down_too():
+    assert len(simplify_line(np.random.default_rng(0).normal(size=(30_000, 2)))) <= MAX_POINTS
+
+
+def test_a_standing_camera_is_a_line_of_two_points():
+    assert len(simplify_line(np.zeros((6000, 4)))) == 2
+
+
+def test_dots_that_hide_one_another_are_drawn_once():
+    places = np.random.default_rng(0).uniform(0.0, 100.0, (300, 2))
+    points = np.tile(places, (60, 1))
+    shown = points[thin_dots(points)]
+    assert len(shown) <= 300
+    assert max(np.linalg.norm(shown - place, axis=1).min() for place in places) < 0.5
+    assert len(thin_dots(np.random.default_rng(0).uniform(size=(60_000, 2)))) <= MAX_POINTS
+    np.testing.assert_array_equal(thin_dots(places), np.arange(300))
+
+
+def test_a_thinned_curve_keeps_its_peaks_and_its_ends():
+    values = np.random.default_rng(0).normal(size=50_000)
+    values[[17, 30_011]] = 40.0, -40.0
+    rows = thin_curve(values)
+    assert {0, 17, 30_011, len(values) - 1} <= set(rows.tolist())
+    assert len(rows) < 2100
+    np.testing.assert_array_equal(thin_curve(values[:900]), np.arange(900))
