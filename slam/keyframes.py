@@ -59,7 +59,7 @@ class KeyFrameSelector:
         self._last = state["T_world_key_frame"]
 
 
-class KnownPlaces:
+class RevisitCounter:
     """Counts the frames that the map has of each place, as loops tell of them."""
 
     def __init__(self, max_revisits: int) -> None:

@@ -14,7 +14,7 @@ from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget, no_pixels
 from slam.datasets.dataset import Frame
 from slam.frame_record import FrameRecord, LoopRecord
-from slam.keyframes import KeyFrameSelector, KnownPlaces
+from slam.keyframes import KeyFrameSelector, RevisitCounter
 from slam.loop_closing.loop_closer import FrameLandmarks, LoopClosure, LoopVerification, Rejection
 from slam.mapping.landmark_map import LandmarkMap
 from slam.pose_graph.online_loop_selection import LoopDecision
@@ -162,7 +162,7 @@ class Slam:
         self._T_world_odometry = np.eye(4)
         self._distance_travelled_m = 0.0
         self._num_frames = 0
-        self._known_places = KnownPlaces(components.key_frames.config.max_revisits)
+        self._revisits = RevisitCounter(components.key_frames.config.max_revisits)
         self._can_forget = can_forget(components.recognizer)
 
     def describe(self, frame: Frame) -> Frame:
@@ -273,7 +273,7 @@ class Slam:
             admission = self.components.graph.add_loop(geometry)
         # A recogniser that cannot forget may match any frame later, and then it needs all that is known of it.
         is_tied = self._can_forget and admission.used
-        is_redundant = is_tied and self._known_places.add(geometry.query, geometry.match)
+        is_redundant = is_tied and self._revisits.add(geometry.query, geometry.match)
         if is_redundant:  # the pixels of the relative pose suffice
             belief = replace(belief, pixels=no_pixels())
         return LoopCandidate(belief, geometry, admission, is_redundant)

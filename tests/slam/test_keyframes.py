@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odometry import se3
-from slam.keyframes import KeyFrameConfig, KeyFrameSelector, KnownPlaces
+from slam.keyframes import KeyFrameConfig, KeyFrameSelector, RevisitCounter
 
 
 def moved(z: float, degrees: float = 0.0) -> np.ndarray:
@@ -57,14 +57,14 @@ def test_the_distances_are_settings() -> None:
 
 
 def test_of_each_place_the_map_keeps_so_many_later_frames() -> None:
-    places = KnownPlaces(max_revisits=2)
+    places = RevisitCounter(max_revisits=2)
     first_lap = range(10)
     redundant = [[places.add(10 * lap + frame, frame) for frame in first_lap] for lap in range(1, 6)]
     assert redundant == [[False] * 10, [False] * 10, [True] * 10, [True] * 10, [True] * 10]
 
 
 def test_a_match_with_a_later_visit_counts_for_the_first_one() -> None:
-    places = KnownPlaces(max_revisits=1)
+    places = RevisitCounter(max_revisits=1)
     assert not places.add(10, 0)
     assert places.add(20, 10)
     assert places.add(21, 0)
@@ -72,13 +72,13 @@ def test_a_match_with_a_later_visit_counts_for_the_first_one() -> None:
 
 
 def test_the_first_visit_alone_may_be_kept() -> None:
-    assert KnownPlaces(max_revisits=0).add(10, 0)
+    assert RevisitCounter(max_revisits=0).add(10, 0)
 
 
 @pytest.mark.parametrize("max_revisits", [0, 1, 3])
 def test_a_map_does_not_grow_with_the_number_of_laps(max_revisits: int) -> None:
     rng, lap = np.random.default_rng(0), 50
-    places, kept = KnownPlaces(max_revisits), list(range(lap))
+    places, kept = RevisitCounter(max_revisits), list(range(lap))
     for frame in range(lap, 100 * lap):  # matched with any frame that the map has of the place, or of one beside it
         place = (frame + rng.integers(-1, 2)) % lap
         if not places.add(frame, int(rng.choice([k for k in kept if k % lap == place]))):
