@@ -146,7 +146,7 @@ def _curve(scores: Array, right: NDArray[np.bool_], thresholds: Array, truth_row
     )
 
 
-def leave_out_tolerated(beliefs: Sequence[Belief], tolerated: Truth | None) -> list[Belief]:
+def leave_out_tolerated(beliefs: Sequence[Belief], tolerated: NDArray[np.bool_] | None) -> list[Belief]:
     """Return the beliefs without the images that are neither right nor wrong.
 
     As Schubert, Neubert, Garg, Milford, Fischer, 'Visual Place Recognition: A Tutorial', IEEE Robotics and Automation

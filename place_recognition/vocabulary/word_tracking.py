@@ -274,7 +274,7 @@ class WordMap:
     def activate_until(self, location: int) -> None:
         """Make the words that were last seen at a location or before findable."""
         while self._waiting and self._waiting[0].last[-1] <= location:
-            words = self._remembered(self._waiting.popleft())
+            words = self._without_forgotten(self._waiting.popleft())
             if not len(words):
                 continue
             self._index.add(words.descriptors)
@@ -289,7 +289,7 @@ class WordMap:
         """Whether the image at each of the locations (K,) was forgotten."""
         return np.array([location in self._forgotten for location in locations.tolist()], np.bool_)
 
-    def _remembered(self, words: Words) -> Words:
+    def _without_forgotten(self, words: Words) -> Words:
         if not self._forgotten:
             return words
         kept = [

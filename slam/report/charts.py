@@ -42,7 +42,7 @@ def draw_inliers(record: RunRecord) -> Figure:
     figure = new_figure(_WIDTH_INCH, 2.6)
     ax = figure.subplots()
     frames = np.arange(len(record.inliers))
-    shown = thin_curve(record.inliers)
+    shown = thin_curve(record.inliers.astype(np.float64))
     ax.plot(shown, record.inliers[shown], color=style.CORRECTED, lw=1.0, label="inlier tracks")
     predicted_frames = frames[record.predicted]
     predicted_frames = predicted_frames[thin_dots(predicted_frames[:, None].astype(np.float64))]
