@@ -71,7 +71,7 @@ given = arguments(__doc__).parse_args()
 drive, config = open_dataset(street(given)), RunConfig()
 components = build_components(drive.camera, config)
 own = FlowAndPnp(drive.camera)
-closer = LoopCloser(drive.camera, components.features, own, config.loop_closing)
+closer = LoopCloser(drive.camera, own, config.loop_closing)
 slam = Slam(replace(components, odometry=own, loop_closer=closer))
 results = [slam.process(frame) for frame in drive]
 _, optimized = slam.finish(config.robust)

@@ -236,7 +236,7 @@ def build_components(camera: StereoCamera, config: RunConfig, rows: MatrixSink |
         masks=ImageMasks(config.static_regions, mask),
         features=features,
         recognizer=_build_loop_recognizer(config.paradigm, features, places, rows),
-        loop_closer=build_loop_verifier(LoopCloser(camera, features, odometry, config.loop_closing), config),
+        loop_closer=build_loop_verifier(LoopCloser(camera, odometry, config.loop_closing), config),
         graph=PoseGraph(config.pose_graph_for_camera()),
         key_frames=KeyFrameSelector(config.key_frames_for_camera()),
         landmarks=_build_landmarks(camera, config),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odometry.motion import Motion
 from odometry.stereo.stereo_self_calibration import Calibration
-from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
 from place_recognition.image_processing.static_regions import ImageMasks
 from place_recognition.recognizer import Belief, ForgetfulRecognizer, PlaceRecognizer, can_forget, no_pixels
 from slam.datasets.dataset import Frame
@@ -63,12 +63,14 @@ class VisualOdometry(Protocol):
 class LoopVerifier(Protocol):
     """Keeps the landmarks of frames and verifies loops between them, as `slam.loop_closing.loop_closer` does."""
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
-        """Extract and keep the landmarks of a frame."""
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: Image, right: Image | None
+    ) -> FrameLandmarks:
+        """Landmarks of the frame that the odometry has tracked last; keeps nothing, so that any thread may do it."""
         ...
 
-    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
-        """Keep the landmarks of a frame of an earlier run."""
+    def add_frame(self, index: int, landmarks: FrameLandmarks) -> None:
+        """Keep the landmarks of a frame."""
         ...
 
     def forget(self, index: int) -> None:
@@ -92,6 +94,23 @@ class Components:
     graph: PoseGraph
     key_frames: KeyFrameSelector
     landmarks: LandmarkMap
+
+
+@dataclass(frozen=True)
+class MeasuredFrame:
+    """What the images of a frame alone say: the first half of `Slam.process`.
+
+    Attributes:
+        frame: the images, with mask and features.
+        motion: motion since the previous frame.
+        landmarks: features with depth, in the camera's frame.
+        stage_ms: milliseconds by stage.
+    """
+
+    frame: Frame
+    motion: Motion
+    landmarks: FrameLandmarks
+    stage_ms: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -159,6 +178,7 @@ class Slam:
     def __init__(self, components: Components) -> None:
         self.components = components
         self.timer = StageTimer()
+        self.measurement_timer = StageTimer()  # of its own: another thread may measure
         self._T_world_odometry = np.eye(4)
         self._distance_travelled_m = 0.0
         self._num_frames = 0
@@ -178,23 +198,36 @@ class Slam:
         Args:
             frame: the next frame: `frame.index` counts from 0 without gaps. Its features are extracted if it has none.
         """
+        return self.update(self.measure(frame))
+
+    def measure(self, frame: Frame) -> MeasuredFrame:
+        """Measure the next frame: how the camera moved, and where its features lie; every frame once, in order.
+
+        Odometry learns from frames alone, never from loops. So another thread may do this while `update` is busy with
+        the frame before.
+        """
         frame = self._describe(frame)
         motion = self._track(frame)
         landmarks = self._extract_landmarks(frame)
-        candidates = self._verify_all(self._recognize(frame))
-        is_key_frame = self._map(frame.index, landmarks)
+        return MeasuredFrame(frame, motion, landmarks, self.measurement_timer.lap())
+
+    def update(self, measured: MeasuredFrame) -> FrameResult:
+        """Add the next measured frame to graph and map, and close the loops that it shows."""
+        self._add_measurement(measured)
+        candidates = self._verify_all(self._recognize(measured.frame))
+        is_key_frame = self._map(measured.frame.index, measured.landmarks)
         self._forget_redundant(candidates)
         with self.timer.stage("pose graph"):
             T_world_camera = self.components.graph.current_pose()
         return FrameResult(
-            frame=frame,
-            motion=motion,
+            frame=measured.frame,
+            motion=measured.motion,
             T_world_camera_odometry=self._T_world_odometry,
             T_world_camera=T_world_camera,
-            landmarks=landmarks,
+            landmarks=measured.landmarks,
             is_key_frame=is_key_frame,
             candidates=candidates,
-            stage_ms=self.timer.lap(),
+            stage_ms=measured.stage_ms | self.timer.lap(),
         )
 
     def restore_frame(self, record: FrameRecord, loops: Iterable[LoopRecord]) -> tuple[LoopCandidate, ...]:
@@ -204,7 +237,7 @@ class Slam:
         restored from a checkpoint.
         """
         self._advance(record.motion)
-        self.components.loop_closer.restore_frame(record.image, record.landmarks)
+        self.components.loop_closer.add_frame(record.image, record.landmarks)
         candidates = tuple(self._add_to_graph(loop.belief, loop.geometry) for loop in loops)
         if record.is_key_frame:
             self._add_landmarks(record.image, record.landmarks)
@@ -224,12 +257,6 @@ class Slam:
         """
         return self._verify_all(self.components.recognizer.finish())
 
-    def _track(self, frame: Frame) -> Motion:
-        with self.timer.stage("odometry"):
-            motion = self.components.odometry.track(frame)
-        self._advance(motion)
-        return motion
-
     def _advance(self, motion: Motion) -> None:
         if self._num_frames:
             self._T_world_odometry = self._T_world_odometry @ motion.T_previous_current
@@ -239,17 +266,27 @@ class Slam:
         self._num_frames += 1
 
     def _describe(self, frame: Frame) -> Frame:
-        with self.timer.stage("features"):
-            frame = self.describe(frame)
+        with self.measurement_timer.stage("features"):
+            return self.describe(frame)
+
+    def _track(self, frame: Frame) -> Motion:
+        with self.measurement_timer.stage("odometry"):
+            return self.components.odometry.track(frame)
+
+    def _extract_landmarks(self, frame: Frame) -> FrameLandmarks:
+        assert frame.features is not None
+        with self.measurement_timer.stage("landmarks"):
+            return self.components.loop_closer.extract_landmarks(frame.index, frame.features, frame.left, frame.right)
+
+    def _add_measurement(self, measured: MeasuredFrame) -> None:
+        """Let the parts that remember frames have the next one."""
+        frame = measured.frame
         assert frame.features is not None
         self.components.features.put(frame.index, frame.features)
         if frame.mask is not None:
             self.components.masks.confirm(frame.mask)
-        return frame
-
-    def _extract_landmarks(self, frame: Frame) -> FrameLandmarks:
-        with self.timer.stage("landmarks"):
-            return self.components.loop_closer.add_frame(frame.index, frame.left, frame.right)
+        self._advance(measured.motion)
+        self.components.loop_closer.add_frame(frame.index, measured.landmarks)
 
     def _recognize(self, frame: Frame) -> list[Belief]:
         with self.timer.stage("place recognition"):

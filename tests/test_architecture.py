@@ -181,7 +181,7 @@ def test_the_search_for_what_can_run_finds_it():
 def test_help_loads_no_heavy_library():
     code = (
         "import sys, slam.cli.app; "
-        "heavy = {'gtsam','cv2','open3d','rerun','faiss','numba','matplotlib','scipy'} & set(sys.modules); "
+        "heavy = {'numpy','gtsam','cv2','open3d','rerun','faiss','numba','matplotlib','scipy'} & set(sys.modules); "
         "sys.exit(f'loaded: {heavy}' if heavy else 0)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""Reading ahead: a thread decodes the next images, and prepares them, while the current one is processed.
+"""Working ahead: threads read, prepare and measure the next frames while the current one is processed.
 
 Decision record: docs/decisions/features_on_the_frame.md.
 """
@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from itertools import islice
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from slam.datasets.dataset import Dataset, Frame, read_color
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 ItemRead = TypeVar("ItemRead", covariant=True)
 
 
@@ -92,4 +94,36 @@ def prefetch(
         while waiting:
             yield waiting.popleft().result()
     finally:  # also where the consumer stops early: nothing is read any more
+        executor.shutdown(cancel_futures=True)
+
+
+def work_ahead(
+    items: Iterator[Item], work: Callable[[Item], Result], may_run_ahead: Callable[[], bool]
+) -> Iterator[Result]:
+    """Results of work on items, in order; one background thread works on the next item while the last result is used.
+
+    Args:
+        items: what to work on; the thread also takes them.
+        work: function of one item.
+        may_run_ahead: called before each result is handed out: whether the work on the next item may begin at once.
+            Otherwise it begins when the next result is asked for, and what both sides share stands still until then.
+
+    Raises:
+        Exception: that of an item, or of the work on it, where its result is reached.
+    """
+
+    def take() -> tuple[Result, ...]:
+        return tuple(work(item) for item in islice(items, 1))
+
+    executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="work-ahead")
+    try:
+        results = executor.submit(take)
+        while result := results.result():
+            runs_ahead = may_run_ahead()
+            if runs_ahead:
+                results = executor.submit(take)
+            yield result[0]
+            if not runs_ahead:
+                results = executor.submit(take)
+    finally:  # also where the consumer stops early: no further item is begun
         executor.shutdown(cancel_futures=True)

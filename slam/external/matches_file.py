@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.recognizer import Belief
 from slam.errors import DataError
 from slam.io.matches import ProposedLoop, read_proposed_loops
@@ -88,13 +89,15 @@ class TrustedLoopVerifier:
     def __init__(self, loops: dict[int, tuple[ProposedLoop, ...]], verifier: LoopVerifier) -> None:
         self._loops, self._verifier = loops, verifier
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
-        """Extract and keep the landmarks of a frame."""
-        return self._verifier.add_frame(index, left, right)
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: Image, right: Image | None
+    ) -> FrameLandmarks:
+        """Landmarks of a frame."""
+        return self._verifier.extract_landmarks(index, features, left, right)
 
-    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
-        """Keep the landmarks of a frame of an earlier run."""
-        self._verifier.restore_frame(index, landmarks)
+    def add_frame(self, index: int, landmarks: FrameLandmarks) -> None:
+        """Keep the landmarks of a frame."""
+        self._verifier.add_frame(index, landmarks)
 
     def forget(self, index: int) -> None:
         """Keep no landmarks of a frame."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from place_recognition.image_processing.local_features import FeatureCache
+from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.image_processing.matching import mutual_matches
 from slam.loop_closing.relative_pose import (
     UNIT_SCALE,
@@ -166,35 +166,41 @@ class LoopCloser:
     def __init__(
         self,
         camera: StereoCamera,
-        features: FeatureCache,
         depth: DepthSource,
         config: LoopCloserConfig | None = None,
     ) -> None:
-        self._camera, self._features = camera, features
+        self._camera = camera
         self._config = config or LoopCloserConfig()
         self._depth = depth
         self._measure_noise: NoiseEstimator = pair_noise if depth.has_metric_scale else measure_depth_noise
         self._estimate_scale: ScaleEstimator = fixed_scale if depth.has_metric_scale else estimate_relative_scale
         self._landmarks: dict[int, FrameLandmarks] = {}
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
-        """Find and keep the landmarks of frame `index` in its rectified grey images (H, W)."""
-        features = self._features.get(index, left)
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: Image, right: Image | None
+    ) -> FrameLandmarks:
+        """Find the landmarks of frame `index`, which the depth source has tracked last.
+
+        Args:
+            index: number of the frame.
+            features: features of its left image.
+            left: its left image (H, W), rectified and grey.
+            right: its right image, likewise; None where there is none.
+        """
         pixels = np.asarray(features.pixels[: self._config.max_landmarks], dtype=np.float64).reshape(-1, 2)
         points = self._camera.triangulate(pixels, self._depth.disparity(left, right, pixels))
         has_depth = np.isfinite(points).all(axis=1)
         columns, rows = np.rint(pixels[has_depth]).astype(np.int64).T
         height, width = left.shape
-        self._landmarks[index] = FrameLandmarks(
+        return FrameLandmarks(
             pixels=pixels[has_depth].astype(np.float32),
             points=points[has_depth].astype(np.float32),
             grey=left[rows.clip(0, height - 1), columns.clip(0, width - 1)],
             descriptors=features.descriptors[: self._config.max_landmarks][has_depth].astype(np.float16),
         )
-        return self._landmarks[index]
 
-    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
-        """Keep landmarks of frame `index` that were found in an earlier run."""
+    def add_frame(self, index: int, landmarks: FrameLandmarks) -> None:
+        """Keep the landmarks of frame `index`."""
         self._landmarks[index] = landmarks
 
     def forget(self, index: int) -> None:

@@ -68,13 +68,15 @@ class SessionLoopCloser:
     def __init__(self, loop_closer: LoopVerifier, first_image: int) -> None:
         self._loop_closer, self._first_image = loop_closer, first_image
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
-        """Extract and keep the landmarks of a frame of the session."""
-        return self._loop_closer.add_frame(self._first_image + index, left, right)
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: Image, right: Image | None
+    ) -> FrameLandmarks:
+        """Landmarks of a frame of the session."""
+        return self._loop_closer.extract_landmarks(self._first_image + index, features, left, right)
 
-    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
+    def add_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         """Keep the landmarks of a frame of the session."""
-        self._loop_closer.restore_frame(self._first_image + index, landmarks)
+        self._loop_closer.add_frame(self._first_image + index, landmarks)
 
     def forget(self, index: int) -> None:
         """Keep no landmarks of a frame of the session."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from odometry.motion import Motion
+from place_recognition.image_processing.local_features import LocalFeatures
 from place_recognition.recognizer import MatrixSink
 from slam.components import build_components, build_loop_verifier
 from slam.config import RunConfig
@@ -68,13 +69,14 @@ class ReplayedLandmarks(LoopCloser):
         config: RunConfig,
         loops: Mapping[tuple[int, int], LoopClosure] | None = None,
     ) -> None:
-        super().__init__(camera, components.features, components.odometry, config.loop_closing)
+        super().__init__(camera, components.odometry, config.loop_closing)
         self._replayed, self._loops = landmarks, loops or {}
         self._max_known_landmarks = config.loop_closing.max_known_landmarks
 
-    def add_frame(self, index: int, left: Image, right: Image | None) -> FrameLandmarks:
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: Image, right: Image | None
+    ) -> FrameLandmarks:
         """Landmarks of frame `index`, as the earlier run extracted them."""
-        self.restore_frame(index, self._replayed[index])
         return self._replayed[index]
 
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:

@@ -232,7 +232,7 @@ def restore_session(
     for frame in store.frames():
         record = frame_in_session(frame, first)
         if record.image < 0:  # of an earlier session: matches with it are verified by its landmarks
-            slam.components.loop_closer.restore_frame(record.image, record.landmarks)
+            slam.components.loop_closer.add_frame(record.image, record.landmarks)
             continue
         loops = replay.take(frame.image)
         num_loops += len(loops)

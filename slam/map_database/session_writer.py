@@ -66,6 +66,10 @@ class SessionRecorder(Protocol):
         """
         ...
 
+    def announce_checkpoint(self) -> bool:
+        """Whether a checkpoint will follow the next frame: until then no component may process a later frame."""
+        ...
+
     def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
         """Record a frame, and the milliseconds of its stages, those outside the system included."""
         ...
@@ -98,6 +102,10 @@ class NullSessionRecorder:
         """Start with the first frame."""
         return 0
 
+    def announce_checkpoint(self) -> bool:
+        """Never."""
+        return False
+
     def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
         """Do nothing."""
 
@@ -126,6 +134,7 @@ class MapSessionRecorder:
         self._loops: list[LoopRecord] = []
         self._redundant: list[int] = []  # images whose record is written and needs no more than a few landmarks
         self._num_loops = 0
+        self._is_announced = False
         self._state: Callable[[], object] = dict
         self._last, self._cost = time.perf_counter(), 0.0
 
@@ -143,15 +152,21 @@ class MapSessionRecorder:
         self._state = partial(system_state, slam.components, matrix)
         return self.frames
 
+    def announce_checkpoint(self) -> bool:
+        """Whether a checkpoint will follow the next frame: until then no component may process a later frame."""
+        spent = time.perf_counter() - self._last
+        is_late = len(self._waiting) + 1 >= _MIN_CHECKPOINT_FRAMES and _MAX_CHECKPOINT_SHARE * spent >= self._cost
+        self._is_announced = is_late
+        return is_late
+
     def add(self, result: FrameResult, stage_ms: dict[str, float]) -> None:
-        """Record a frame, and the milliseconds of its stages, those outside the system included."""
+        """Record a frame, and the milliseconds of its stages; then write the checkpoint that was announced."""
         image = self._session.first_image + result.frame.index
         self._waiting.append(_frame_record(result, image, stage_ms))
         self._loops += [self._loop_record(candidate, image) for candidate in result.candidates]
         for query in redundant_frames(result.candidates):
             self._thin(query)
-        spent = time.perf_counter() - self._last
-        if len(self._waiting) >= _MIN_CHECKPOINT_FRAMES and _MAX_CHECKPOINT_SHARE * spent >= self._cost:
+        if self._is_announced:
             self.write_checkpoint()
 
     def write_checkpoint(self) -> None:
@@ -167,7 +182,7 @@ class MapSessionRecorder:
             num_frames = self.frames + len(self._waiting)
             self._store.set_checkpoint(self._session.number, Checkpoint(num_frames, self._state()))
         self.frames, self._num_loops = num_frames, self._num_loops + len(self._loops)
-        self._waiting, self._loops, self._redundant = [], [], []
+        self._waiting, self._loops, self._redundant, self._is_announced = [], [], [], False
         self._last = time.perf_counter()
         self._cost = self._last - begin
 

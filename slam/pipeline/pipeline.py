@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,7 +22,7 @@ from slam.components import build_components, check_files, exclude_by_preset, ov
 from slam.config import RunConfig
 from slam.datasets.dataset import Dataset, DatasetSpec, Frame, thumbnail
 from slam.datasets.formats.registry import open_for_odometry
-from slam.datasets.prefetch import ColorFrames, has_color, prefetch
+from slam.datasets.prefetch import ColorFrames, has_color, prefetch, work_ahead
 from slam.diagnostics.dataset_checks import inspect_opened
 from slam.diagnostics.findings import Use, remarks_for
 from slam.errors import ConfigError, DataError, UnmeasuredError
@@ -338,20 +339,22 @@ def process_dataset(
     visualizer.restore(run_log)
     unreadable: list[DataError] = []
     shown = ColorFrames(dataset) if takes_color(components.recognizer) and has_color(dataset) else dataset
-    frames = _until_unreadable(prefetch(shown, begin=num_restored, prepare=slam.describe), unreadable)
+    read = _until_unreadable(prefetch(shown, begin=num_restored, prepare=slam.describe), unreadable)
     alignment: Alignment = "sim3" if config.mono else "se3"
     watched = run_progress(warnings.messages, len(dataset), dataset.ground_truth, alignment)
     with watched as progress, stop_on_interrupt() as stop:
-        for frame in timed(frames, slam.timer):
-            result = slam.process(frame)
+        frames = takewhile(lambda _: not stop.requested, timed(read, slam.measurement_timer))
+        # The odometry of a frame overlaps all else about the frame before it, except where a checkpoint comes: there
+        # both stand at the same frame.
+        for measured in work_ahead(frames, slam.measure, lambda: not recorder.announce_checkpoint()):
+            result = slam.update(measured)
             log_frame(result)
             run_log.add(result, visualizer.show(result))
             recorder.add(result, run_log.stage_ms[-1])
             is_closed = any(candidate.closed for candidate in result.candidates)
-            progress.show(frame.index, is_closed, slam.components.graph.poses)
-            if stop.requested:
-                warnings.messages.print(f"Interrupted: finishing with the {frame.index + 1} frames seen so far.")
-                break
+            progress.show(result.frame.index, is_closed, slam.components.graph.poses)
+        if stop.requested:
+            warnings.messages.print(f"Interrupted: finishing with the {len(run_log.timestamps)} frames seen so far.")
     is_cut = stop.requested or bool(unreadable)
     if unreadable and (recorder.frames or not keep_partial or not run_log.timestamps):
         raise unreadable[0]

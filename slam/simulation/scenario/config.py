@@ -1,14 +1,19 @@
-"""Configuration of a simulated dataset: it determines every pixel."""
+"""Configuration of a simulated dataset: it determines every pixel.
+
+NumPy is imported where it is used: help shows the defaults, and the import of NumPy takes longer than all else of it.
+"""
 
 import math
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
-from odometry.camera import StereoCamera
 from slam.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from odometry.camera import StereoCamera
 
 SHAPES = ("circle", "figure-eight", "blocks")
 FORMAT = 3  # raised whenever the same configuration gives other files
@@ -146,8 +151,10 @@ class SimulationConfig:
         return self.shape not in SHAPES
 
     @property
-    def camera(self) -> StereoCamera:
+    def camera(self) -> "StereoCamera":
         """KITTI's camera scaled to this image size; the horizontal field of view stays."""
+        from odometry.camera import StereoCamera
+
         scale = self.width / _KITTI_WIDTH
         # Pixel centres are whole numbers, so coordinates scale about (-0.5, -0.5), the corner of the image.
         cx = (_KITTI_CX + 0.5) * scale - 0.5
@@ -155,7 +162,7 @@ class SimulationConfig:
         focal = _KITTI_FOCAL * scale
         return StereoCamera(focal, focal, cx, cy, _KITTI_BASELINE, self.width, self.height)
 
-    def rng(self, *purpose: int) -> np.random.Generator:
+    def rng(self, *purpose: int) -> "np.random.Generator":
         """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
         return random_generator(self.seed, *purpose)
 
@@ -166,8 +173,10 @@ def with_named_errors(level: Difficulty, config: object) -> Difficulty:
     return replace(level, **{name: value for name, value in named.items() if value is not None})
 
 
-def random_generator(seed: int, *purpose: int) -> np.random.Generator:
+def random_generator(seed: int, *purpose: int) -> "np.random.Generator":
     """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
+    import numpy as np
+
     return np.random.default_rng(np.random.SeedSequence([seed, *purpose]))
 
 

@@ -1,13 +1,15 @@
 """Configuration of a simulated room: it determines every pixel."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
-from odometry.camera import StereoCamera
 from slam.errors import ConfigError
 from slam.simulation.scenario.config import Difficulty, Ranges, check_ranges, random_generator, with_named_errors
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from odometry.camera import StereoCamera
 
 ROOM = "room"  # the word in place of the shape of a route
 MOTIONS = ("hand", "robot")
@@ -79,8 +81,10 @@ class RoomConfig:
         return with_named_errors(ROOM_DIFFICULTIES[self.difficulty], self)
 
     @property
-    def camera(self) -> StereoCamera:
+    def camera(self) -> "StereoCamera":
         """The camera at this image size; the horizontal field of view stays."""
+        from odometry.camera import StereoCamera
+
         scale = self.width / _WIDTH
         focal = _FOCAL * scale
         return StereoCamera(
@@ -93,7 +97,7 @@ class RoomConfig:
         count = max(2, round(self.duration_s * self.frame_rate_hz))
         return min(count, self.max_frames) if self.max_frames else count
 
-    def rng(self, *purpose: int) -> np.random.Generator:
+    def rng(self, *purpose: int) -> "np.random.Generator":
         """Return the generator of one purpose, such as one frame's noise; it is independent of all others."""
         return random_generator(self.seed, *purpose)
 

@@ -10,9 +10,9 @@ import pytest
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from place_recognition.image_processing.local_features import FeatureCache, LocalFeatures
+from place_recognition.image_processing.local_features import FeatureExtractor, LocalFeatures
 from place_recognition.image_processing.matching import mutual_matches
-from slam.loop_closing.loop_closer import LoopCloser, LoopCloserConfig, LoopClosure, Rejection
+from slam.loop_closing.loop_closer import FrameLandmarks, LoopCloser, LoopCloserConfig, LoopClosure, Rejection
 from slam.loop_closing.relative_pose import UNIT_SCALE, RelativePoseConfig, estimate_relative_scale, relative_pose
 
 CAMERA = StereoCamera(fx=700.0, fy=700.0, cx=600.0, cy=180.0, baseline=0.54, width=1200, height=370)
@@ -78,11 +78,19 @@ def world(seed: int = 0, count: int = 600) -> World:
     return World(points, rng.normal(size=(count, 64)), rng)
 
 
+def add_image(
+    closer: LoopCloser, extractor: FeatureExtractor, index: int, left: np.ndarray, right: np.ndarray | None
+) -> FrameLandmarks:
+    landmarks = closer.extract_landmarks(index, extractor.extract(left), left, right)
+    closer.add_frame(index, landmarks)
+    return landmarks
+
+
 def closer_over(scene: World, poses: list[np.ndarray], config: LoopCloserConfig | None = None) -> LoopCloser:
-    closer = LoopCloser(CAMERA, FeatureCache(scene), scene, config)
+    closer = LoopCloser(CAMERA, scene, config)
     for index, pose in enumerate(poses):
         image = scene.look(pose)
-        closer.add_frame(index, image, image)
+        add_image(closer, scene, index, image, image)
     return closer
 
 
@@ -119,10 +127,10 @@ def test_more_noise_makes_a_larger_covariance() -> None:
 
 def test_a_disparity_bias_stays_within_the_covariance() -> None:
     scene = world()
-    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(lambda *view: scene.disparity(*view) + 0.4))
+    closer = LoopCloser(CAMERA, Depth(lambda *view: scene.disparity(*view) + 0.4))
     for index, pose in enumerate([np.eye(4), MOTION]):
         image = scene.look(pose)
-        closer.add_frame(index, image, image)
+        add_image(closer, scene, index, image, image)
     answer = closer.verify(1, 0)
     assert isinstance(answer, LoopClosure)
     error = se3.log(se3.inverse(MOTION) @ answer.T_match_query)
@@ -187,7 +195,7 @@ def test_images_of_different_places_are_rejected() -> None:
     image = there.look(np.eye(4))
     closer = closer_over(here, [np.eye(4)])
     here.views.append(there.views[0])
-    closer.add_frame(1, image + 1, image)
+    add_image(closer, here, 1, image + 1, image)
     answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert "landmarks match, expected at least 20" in answer.reason
@@ -198,7 +206,7 @@ def test_matches_without_a_common_motion_are_rejected() -> None:
     closer = closer_over(scene, [np.eye(4)])
     scene.points = np.random.default_rng(9).permutation(scene.points)
     image = scene.look(np.eye(4))
-    closer.add_frame(1, image, image)
+    add_image(closer, scene, 1, image, image)
     answer = closer.verify(1, 0)
     assert isinstance(answer, Rejection)
     assert answer.matches > 100
@@ -221,7 +229,7 @@ def test_landmarks_come_back_in_the_camera_frame() -> None:
     scene = world()
     scene.noise = 0.0
     image = scene.look(MOTION)
-    landmarks = LoopCloser(CAMERA, FeatureCache(scene), scene).add_frame(7, image, image)
+    landmarks = add_image(LoopCloser(CAMERA, scene), scene, 7, image, image)
     seen = CAMERA.project(landmarks.points.astype(np.float64))
     np.testing.assert_allclose(seen[:, [0, 2]], landmarks.pixels, atol=1e-2)
     assert landmarks.points.dtype == landmarks.pixels.dtype == np.float32
@@ -236,8 +244,8 @@ def test_features_without_disparity_are_no_landmarks() -> None:
     def every_other(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         return np.where(np.arange(len(pixels)) % 2, np.nan, scene.disparity(left, right, pixels))
 
-    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(every_other))
-    assert len(closer.add_frame(0, image, image)) == (len(scene.views[0][1]) + 1) // 2
+    closer = LoopCloser(CAMERA, Depth(every_other))
+    assert len(add_image(closer, scene, 0, image, image)) == (len(scene.views[0][1]) + 1) // 2
 
 
 def test_an_image_without_features_is_rejected_not_an_error() -> None:
@@ -309,9 +317,9 @@ def test_real_images_three_frames_apart_agree_with_ground_truth(test_data: Path)
     ]
     height, width = images[0][0].shape
     camera = StereoCamera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline, width, height)
-    closer = LoopCloser(camera, FeatureCache(Sift()), Depth(tracked_disparity))
+    closer = LoopCloser(camera, Depth(tracked_disparity))
     for k, (left, right) in zip((0, 3, 20, 23), images, strict=True):
-        closer.add_frame(k, left, right)
+        add_image(closer, Sift(), k, left, right)
     poses = [se3.pose(row[:, :3], row[:, 3]) for row in rows]
     for match, query in ((0, 3), (20, 23)):
         answer = closer.verify(query, match)
@@ -330,9 +338,9 @@ def test_a_loop_of_one_camera_measures_the_relative_scale(scale: float) -> None:
     def depths_in_own_unit(left: np.ndarray, right: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
         return scene.disparity(left, left, pixels) * (scale if left[0, 0] == 1 else 1.0)
 
-    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_in_own_unit, has_metric_scale=False))
+    closer = LoopCloser(CAMERA, Depth(depths_in_own_unit, has_metric_scale=False))
     for index, pose in enumerate([np.eye(4), MOTION]):
-        closer.add_frame(index, scene.look(pose), None)
+        add_image(closer, scene, index, scene.look(pose), None)
     loop = closer.verify(1, 0)
     assert isinstance(loop, LoopClosure)
     np.testing.assert_allclose(se3.log(se3.inverse(MOTION) @ loop.T_match_query), 0, atol=0.05)
@@ -356,15 +364,15 @@ def test_depths_from_little_parallax_close_a_loop_of_one_camera_and_are_weighted
         disparity = scene.disparity(left, left, pixels)
         return disparity * np.exp(scene.rng.normal(0, 0.1, len(disparity)))
 
-    closer = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_from_motion, has_metric_scale=False))
+    closer = LoopCloser(CAMERA, Depth(depths_from_motion, has_metric_scale=False))
     for index, pose in enumerate([np.eye(4), step]):
-        closer.add_frame(index, scene.look(pose), None)
+        add_image(closer, scene, index, scene.look(pose), None)
     loop = closer.verify(1, 0)
     assert isinstance(loop, LoopClosure)
     error = se3.log(se3.inverse(step) @ loop.T_match_query)
     assert np.abs(error).max() < 0.03
     assert error @ np.linalg.solve(loop.covariance, error) < 30.0
-    as_a_pair = LoopCloser(CAMERA, FeatureCache(scene), Depth(depths_from_motion))
+    as_a_pair = LoopCloser(CAMERA, Depth(depths_from_motion))
     for index in range(2):
-        as_a_pair.restore_frame(index, closer._landmarks[index])
+        as_a_pair.add_frame(index, closer._landmarks[index])
     assert as_a_pair.verify(1, 0).inliers < 0.5 * loop.inliers

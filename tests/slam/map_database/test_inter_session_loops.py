@@ -24,6 +24,8 @@ from slam.system import LoopCandidate
 FIRST = 40  # number of the first image of the session
 START = SessionStart(FIRST, 1000.0)
 IMAGE = np.zeros((2, 3), np.uint8)
+_ONES = np.ones(1, np.float32)
+FEATURES = LocalFeatures(np.ones((1, 2), np.float32), _ONES, _ONES, np.ones((1, 8), np.float32))
 NOTHING = FrameLandmarks(
     np.empty((0, 2), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.uint8), np.empty((0, 8), np.float16)
 )
@@ -59,11 +61,13 @@ class MapLoopCloser:
     def __init__(self) -> None:
         self.asked: list[tuple[int, ...]] = []
 
-    def add_frame(self, index: int, left: np.ndarray, right: np.ndarray | None) -> FrameLandmarks:
+    def extract_landmarks(
+        self, index: int, features: LocalFeatures, left: np.ndarray, right: np.ndarray | None
+    ) -> FrameLandmarks:
         self.asked.append((index,))
         return NOTHING
 
-    def restore_frame(self, index: int, landmarks: FrameLandmarks) -> None:
+    def add_frame(self, index: int, landmarks: FrameLandmarks) -> None:
         self.asked.append((index,))
 
     def verify(self, query: int, match: int) -> LoopClosure | Rejection:
@@ -122,8 +126,8 @@ def test_late_answers_about_the_session_before_are_left_out(match: int | None):
 def test_the_loop_closer_of_the_map_counts_all_images():
     inner = MapLoopCloser()
     closer = SessionLoopCloser(inner, FIRST)
-    closer.add_frame(3, IMAGE, None)
-    closer.restore_frame(-40, NOTHING)  # the first image of the map
+    assert closer.extract_landmarks(3, FEATURES, IMAGE, None) is NOTHING
+    closer.add_frame(-40, NOTHING)  # the first image of the map
     loop = closer.verify(9, 2)
     assert inner.asked == [(43,), (0,), (49, 42)]
     assert isinstance(loop, LoopClosure)
@@ -194,9 +198,7 @@ class NoExtractor:
 def test_the_feature_cache_of_the_map_counts_all_images():
     cache = FeatureCache(NoExtractor())
     session = SessionFeatures(cache, FIRST)
-    ones = np.ones(1, np.float32)
-    features = LocalFeatures(np.ones((1, 2), np.float32), ones, ones, np.ones((1, 8), np.float32))
-    session.put(3, features)
-    assert cache.get(43, IMAGE) is features
-    assert session.get(3, IMAGE) is features
+    session.put(3, FEATURES)
+    assert cache.get(43, IMAGE) is FEATURES
+    assert session.get(3, IMAGE) is FEATURES
     assert (session.kind, session.extractor) == (cache.kind, cache.extractor)
