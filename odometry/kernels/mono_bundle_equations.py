@@ -42,7 +42,7 @@ _add_rows = compile_add_rows(_ROWS, 3, DISTORTION)
 _add_coupling = compile_add_coupling(_ROWS, 3, DISTORTION, POINT)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def build_normal_equations(
     camera: Array,
     observations: tuple[Indices, Indices, Array],

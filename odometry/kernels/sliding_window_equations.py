@@ -33,7 +33,7 @@ _add_rows = compile_add_rows(_ROWS, 3, 0)
 _add_coupling = compile_add_coupling(_ROWS, 3, 0, 1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def build_normal_equations(
     camera: Array, observations: tuple[Indices, Indices, Array, Array], inverse_depth: Array, poses: Array, scale: float
 ) -> tuple[Array, Array, Array, Array, Array]:

@@ -23,7 +23,7 @@ _STATES = _FIRST_FIELD + 2 * _FIELD
 _MIN_RELATIVE_DEPTH = 1e-3
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def build_normal_equations(
     camera: Array, points: tuple[Array, Array, Array], T_second_first: Array, calibration: Array, scale: Array
 ) -> tuple[Array, Array, Array, Array, Array]:

@@ -89,7 +89,7 @@ def _half(image: Image) -> Half:
     return half.astype(np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _search(pixels: Array, left: Half, mirrored: Half, max_disparity: int, uniqueness: float) -> Array:
     """Shift (N,), left less right, of the best match of pixels (N, 2), whole pixels; NaN where not unique."""
     shifts = np.full(len(pixels), np.nan)

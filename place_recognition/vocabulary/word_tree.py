@@ -75,7 +75,7 @@ class ExactWordIndex:
         self._words.restore(state)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def nearest_words(query: Floats, words: Floats) -> Indices:
     """Find the word (K, D) at the least Euclidean distance of each query descriptor (N, D), by comparing all.
 

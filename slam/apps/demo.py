@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from slam.environment import cache_folder
-from slam.pipeline.progress import progress_bar
+from slam.pipeline.progress import announce_compilation, progress_bar
 from slam.simulation import SimulationConfig, simulate
 from slam.simulation.scenario.config import FORMAT
 
@@ -23,7 +23,7 @@ def demo_dataset(seed: int, messages: Console) -> Path:
     What an earlier version of the simulation has rendered stays in the cache, in a folder of its own.
     """
     config = replace(_DRIVE, seed=seed)
-    with progress_bar(messages, "Rendering the town") as progress:
+    with announce_compilation(messages), progress_bar(messages, "Rendering the town") as progress:
         return simulate(config, cache_folder() / f"demo-blocks-{seed}-v{FORMAT}", progress)
 
 
@@ -34,3 +34,14 @@ def run_demo(out: Path, seed: int, messages: Console, results: Console) -> bool:
     source = demo_dataset(seed, messages)
     options = RunOptions(source=source, out=out, overwrite=True)
     return run_pipeline(options, {"seed": seed, "mono": True}, messages, results)
+
+
+def run_small_drive(folder: Path) -> None:
+    """Run the chain on two small laps, with a pair and with one camera, so that its kernels are compiled afterwards."""
+    from slam.pipeline.pipeline import RunOptions, run_pipeline
+
+    config = SimulationConfig(length_m=150.0, speed_m_per_s=15.0, width=310, height=94, difficulty="standard")
+    source, quiet = simulate(config, folder / "drive"), Console(quiet=True)
+    for name, is_mono in (("pair", False), ("mono", True)):
+        settings = {"mono": is_mono, "save_recording": False, "save_map": False}
+        run_pipeline(RunOptions(source=source, out=folder / name), settings, quiet, quiet)

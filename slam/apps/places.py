@@ -45,7 +45,7 @@ from slam.pipeline.place_recognition import (
     write_results,
 )
 from slam.pipeline.places_summary import make_summary
-from slam.pipeline.progress import progress_bar, stop_on_interrupt
+from slam.pipeline.progress import announce_compilation, progress_bar, stop_on_interrupt
 from slam.pipeline.provenance import provenance
 from slam.pipeline.run_warnings import RunWarnings
 
@@ -200,7 +200,7 @@ def recognize_images(
     """
     config, matches = _config(options, images), path_of(options.paradigm)
     remarks = () if matches is None else check_matches_file(matches, len(images))
-    with RunFolder.create(options.out, options.overwrite) as folder:
+    with RunFolder.create(options.out, options.overwrite) as folder, announce_compilation(messages):
         warnings = RunWarnings(messages, folder.path)
         warnings.extend((*truth.remarks, *remarks, *_inspect(options.source, images, messages)))
         if reference is not None and options.reference is not None:

@@ -101,19 +101,21 @@ def _reject(settings: dict[str, Any], owner: str) -> None:
 
 
 def _render_drive(config: SimulationConfig, out: Path) -> None:
-    from slam.pipeline.progress import progress_bar
+    from slam.pipeline.progress import announce_compilation, progress_bar
     from slam.simulation import simulate as render
 
-    with progress_bar(Console(stderr=True), "Rendering") as progress:
+    messages = Console(stderr=True)
+    with announce_compilation(messages), progress_bar(messages, "Rendering") as progress:
         folder = render(config, out, progress)
     _say(f"{folder}: a drive in KITTI layout, sequence 00; run it with: revisit run {folder} --out DIR")
 
 
 def _render_room(config: RoomConfig, out: Path) -> None:
-    from slam.pipeline.progress import progress_bar
+    from slam.pipeline.progress import announce_compilation, progress_bar
     from slam.simulation import simulate_room
 
-    with progress_bar(Console(stderr=True), "Rendering") as progress:
+    messages = Console(stderr=True)
+    with announce_compilation(messages), progress_bar(messages, "Rendering") as progress:
         folder = simulate_room(config, out, progress)
     layout, mono = "KITTI" if config.sensor == "stereo" else "TUM RGB-D", " --mono" if config.sensor == "mono" else ""
     _say(f"{folder}: a room in {layout} layout; run it with: revisit run {folder}{mono} --out DIR")

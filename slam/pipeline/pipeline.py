@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from rich.console import Console
@@ -44,9 +45,8 @@ from slam.map_database.resume import (
 )
 from slam.map_database.session_writer import NullSessionRecorder, SessionInfo, SessionRecorder, open_session_recorder
 from slam.pipeline.finishing import finish_session
-from slam.pipeline.progress import progress_bar, run_progress, stop_on_interrupt
+from slam.pipeline.progress import announce_compilation, progress_bar, run_progress, stop_on_interrupt
 from slam.pipeline.provenance import provenance
-from slam.pipeline.result_files import PipelineResult, make_record, write_results
 from slam.pipeline.run_warnings import RunWarnings
 from slam.pipeline.visualization import VIEWS, RunVisualizer, open_viewer
 from slam.report.formatting import describe_motions, metric_value, summary_table
@@ -55,6 +55,9 @@ from slam.run_result import RunRecord
 from slam.system import Slam
 from slam.timing import timed
 from slam.viewer.viewer import Viewer
+
+if TYPE_CHECKING:
+    from slam.pipeline.result_files import PipelineResult
 
 _WARM_UP_FRAMES = 3  # the first frame with a motion, and one after it
 # Of the motions between frames. Drives that work measure 92 % and more, also one camera in the hand that turns away;
@@ -229,7 +232,7 @@ class Pipeline:
         remarks = check_files(self.config, self.dataset)
         # A part of a run does not take the place of earlier results. (A name that is no path is refused next.)
         replaces = os.access(self.options.out, os.F_OK)
-        with self.open_folder() as folder, log_to_file(folder.path / "run.log"):
+        with self.open_folder() as folder, log_to_file(folder.path / "run.log"), announce_compilation(messages):
             warnings = RunWarnings(messages, folder.path)
             warnings.extend((*remarks, *self._inspect(messages)))
             record, unreadable = self._process(folder, warnings, keep_partial=not replaces)
@@ -256,6 +259,9 @@ class Pipeline:
                 result = process_dataset(
                     self.dataset, self.config, viewer, warnings, recorder, self.build, keep_partial
                 )
+                # Late: matplotlib, which draws the pictures, takes a third of the time that a command needs to start.
+                from slam.pipeline.result_files import make_record, write_results
+
                 with stop_on_interrupt(warnings.messages):
                     record = make_record(result, origin)
                     warnings.attempt_to("end of the recording", lambda: viewer.finish(record))
@@ -318,7 +324,7 @@ def process_dataset(
     recorder: SessionRecorder | None = None,
     build: Build = build_components,
     keep_partial: bool = False,
-) -> PipelineResult:
+) -> "PipelineResult":
     """Process the frames one by one, from where the recorder's session stopped to the end or an interruption.
 
     A frame that cannot be read is an interruption if `keep_partial`, unless the recorder keeps the frames before it.
@@ -360,6 +366,8 @@ def process_dataset(
         raise unreadable[0]
     with stop_on_interrupt(warnings.messages):
         session = finish_session(slam, config.robust, run_log, recorder, warnings, ended=not is_cut)
+    from slam.pipeline.result_files import PipelineResult
+
     return PipelineResult(
         dataset=dataset,
         config=config,

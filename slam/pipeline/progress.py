@@ -57,6 +57,29 @@ def _columns(bar: ProgressColumn) -> tuple[ProgressColumn, ...]:
     )
 
 
+@contextmanager
+def announce_compilation(console: Console) -> Iterator[None]:
+    """Say once within the block that kernels are compiled, if they are: else the first run seems to stand still.
+
+    Kernels that numba has in its cache are none of these.
+    """
+    from numba.core import event
+
+    class Notice(event.Listener):
+        is_given = False
+
+        def on_start(self, event: object) -> None:
+            if not self.is_given:
+                self.is_given = True
+                console.print("Compiling kernels, once on this machine: up to a minute")
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Notice()):
+        yield
+
+
 class RunProgress(Protocol):
     """Shows the progress of a run."""
 

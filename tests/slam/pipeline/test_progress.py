@@ -6,9 +6,10 @@ import time
 
 import numpy as np
 import pytest
+from numba import njit
 from rich.console import Console
 
-from slam.pipeline.progress import LiveError, progress_bar, run_progress
+from slam.pipeline.progress import LiveError, announce_compilation, progress_bar, run_progress
 
 NUM_FRAMES = 60
 
@@ -81,3 +82,18 @@ def test_the_error_is_that_of_the_trajectory_after_the_loop_that_was_just_closed
     assert live.describe(54, True, lambda: bent(0.5)[:55]).startswith("ATE 2.0")  # too soon
     assert live.describe(56, False, lambda: bent(0.5)[:57]).startswith("ATE 2.0")
     assert live.describe(57, True, lambda: bent(0.5)[:58]).startswith("ATE 0.5")
+
+
+def test_compilation_is_announced_once_and_only_where_something_is_compiled():
+    @njit
+    def double(value):
+        return 2 * value
+
+    said = []
+    for value in (1, 1.0, 2):
+        out = io.StringIO()
+        with announce_compilation(Console(file=out, width=120)):
+            double(value)
+            double(value + 1j)
+        said.append(out.getvalue())
+    assert said == ["Compiling kernels, once on this machine: up to a minute\n"] * 2 + [""]
