@@ -34,14 +34,3 @@ def run_demo(out: Path, seed: int, messages: Console, results: Console) -> bool:
     source = demo_dataset(seed, messages)
     options = RunOptions(source=source, out=out, overwrite=True)
     return run_pipeline(options, {"seed": seed, "mono": True}, messages, results)
-
-
-def run_small_drive(folder: Path) -> None:
-    """Run the chain on two small laps, with a pair and with one camera, so that its kernels are compiled afterwards."""
-    from slam.pipeline.pipeline import RunOptions, run_pipeline
-
-    config = SimulationConfig(length_m=150.0, speed_m_per_s=15.0, width=310, height=94, difficulty="standard")
-    source, quiet = simulate(config, folder / "drive"), Console(quiet=True)
-    for name, is_mono in (("pair", False), ("mono", True)):
-        settings = {"mono": is_mono, "save_recording": False, "save_map": False}
-        run_pipeline(RunOptions(source=source, out=folder / name), settings, quiet, quiet)

@@ -1,8 +1,8 @@
 """`revisit doctor`: check of Python, packages and system libraries with remedies, and the licences of all packages.
 
 Uses the standard library and `slam.environment`, which needs no more, so that it also runs in a broken installation.
-`python -m slam.apps.doctor --install` installs missing system libraries if it has the rights and compiles all kernels,
-and `--install-browser` installs the browser that the tests of the report need.
+`python -m slam.apps.doctor --install` installs missing system libraries if it has the rights, and `--install-browser`
+the browser that the tests of the report need.
 """
 
 import ctypes
@@ -177,22 +177,6 @@ def install_libraries() -> int:
     return _install(missing_packages, "Open3D needs system libraries that are not installed")
 
 
-def compile_kernels() -> int:
-    """Run the whole chain on a small simulated drive, so that users' first runs find its kernels compiled.
-
-    Returns an exit code: always 0, as what cannot be compiled now is compiled where it is needed.
-    """
-    print("Compiling kernels, once on this machine: up to a minute", file=sys.stderr)
-    try:
-        from slam.apps.demo import run_small_drive
-
-        with tempfile.TemporaryDirectory() as folder:
-            run_small_drive(Path(folder))
-    except Exception as error:
-        print(f"The kernels are compiled with the first run, as now there was an error: {error}", file=sys.stderr)
-    return 0
-
-
 def install_browser() -> int:
     """Install the browser of the tests, or print the command for it if rights are missing. Returns an exit code."""
     return _install(missing_browser, "Some tests need a browser that is not installed, and are skipped")
@@ -254,10 +238,7 @@ def _is_installed(name: str) -> bool:
     return True
 
 
-_TASKS = {
-    "--install": lambda: install_libraries() or compile_kernels(),
-    "--install-browser": install_browser,
-}
+_TASKS = {"--install": install_libraries, "--install-browser": install_browser}
 
 if __name__ == "__main__":
     task = next((_TASKS[word] for word in sys.argv if word in _TASKS), None)
