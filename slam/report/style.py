@@ -16,19 +16,17 @@ import warnings
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties, findfont, fontManager, get_font
-from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from slam.errors import OutputError
+
+if TYPE_CHECKING:  # imported where it is used: a recording needs the colours, and no figure before the drive ends
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -77,14 +75,17 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> "Figure":
     """Make an empty figure, width and height in inches, that shares no state with others."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def style_axes(ax: Axes) -> None:
+def style_axes(ax: "Axes") -> None:
     """Give axes the common style of all figures."""
     ax.grid(True, linewidth=0.5, alpha=0.25, color=INK)
     ax.tick_params(colors=INK, labelsize=9)
@@ -95,7 +96,7 @@ def style_axes(ax: Axes) -> None:
         spine.set_color(INK)
 
 
-def save_png(figure: Figure, path: Path) -> None:
+def save_png(figure: "Figure", path: Path) -> None:
     """Write a figure as PNG; the same figure gives the same bytes.
 
     Raises:
@@ -107,14 +108,14 @@ def save_png(figure: Figure, path: Path) -> None:
         raise OutputError(f"{path}: cannot write the picture ({error.strerror}); choose another folder") from error
 
 
-def render_png(figure: Figure) -> bytes:
+def render_png(figure: "Figure") -> bytes:
     """Render a figure as PNG on white, without the date and version that matplotlib would add."""
     buffer = io.BytesIO()
     save_figure(figure, buffer, format="png", dpi=130, facecolor="white", metadata={"Software": None})
     return buffer.getvalue()
 
 
-def save_figure(figure: Figure, buffer: IO[Any], **options: Any) -> None:
+def save_figure(figure: "Figure", buffer: IO[Any], **options: Any) -> None:
     """Write a figure to a buffer as `Figure.savefig` does; a letter that no font has becomes a box."""
     set_font_fallbacks(figure)
     with warnings.catch_warnings():
@@ -122,8 +123,10 @@ def save_figure(figure: Figure, buffer: IO[Any], **options: Any) -> None:
         figure.savefig(buffer, **options)
 
 
-def set_font_fallbacks(figure: Figure) -> None:
+def set_font_fallbacks(figure: "Figure") -> None:
     """Give every text of a figure the installed fallback families after its own font."""
+    from matplotlib.text import Text
+
     for text in figure.findobj(Text):
         own = text.get_fontfamily()
         text.set_fontfamily([*own, *(family for family in _installed() if family not in own)])
@@ -131,12 +134,16 @@ def set_font_fallbacks(figure: Figure) -> None:
 
 @cache
 def _installed() -> tuple[str, ...]:
+    from matplotlib.font_manager import fontManager
+
     known = set(fontManager.get_font_names())
     return tuple(family for family in FALLBACK_FAMILIES if family in known and _is_readable(family))
 
 
 def _is_readable(family: str) -> bool:
     """Return whether a family's file can be opened; a damaged one would fail when the figure is drawn."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
     try:
         get_font(findfont(FontProperties(family=family), fallback_to_default=False))
     except (OSError, RuntimeError, ValueError):
@@ -144,7 +151,7 @@ def _is_readable(family: str) -> bool:
     return True
 
 
-def inline_svg(figure: Figure, name: str, title: str) -> Markup:
+def inline_svg(figure: "Figure", name: str, title: str) -> Markup:
     """Render a figure as an `svg` element.
 
     Args:
@@ -152,6 +159,8 @@ def inline_svg(figure: Figure, name: str, title: str) -> Markup:
         name: prefix that makes its ids unique within the page.
         title: description for readers who do not see the figure.
     """
+    import matplotlib
+
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         save_figure(figure, buffer, format="svg", dpi=120, transparent=True, metadata=_NO_METADATA)

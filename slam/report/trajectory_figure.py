@@ -5,12 +5,9 @@ of a long drive would hide it.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from odometry.se3 import inverse
@@ -19,6 +16,10 @@ from slam.report import style
 from slam.report.formatting import alignment_name, format_value, is_scaled, kept, metric_value, rejected
 from slam.report.style import INK, simplify_line, style_axes, thin_dots
 from slam.run_result import LoopRow, PointCloud, RunRecord
+
+if TYPE_CHECKING:  # imported where it is used: a recording needs the alignment, and no figure before the drive ends
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -132,7 +133,7 @@ def confidence_ellipses(poses: Array, covariances: Array, aligned: Similarity) -
     return centres[:, None, :] + np.swapaxes(outlines, 1, 2)
 
 
-def draw_before_after(record: RunRecord) -> Figure:
+def draw_before_after(record: RunRecord) -> "Figure":
     """Draw plan views (x to the right, z up, metres) and heights of odometry alone and of the corrected trajectory.
 
     With ground truth, both estimates are aligned with it in the same way as for their ATE.
@@ -153,15 +154,18 @@ def draw_before_after(record: RunRecord) -> Figure:
     return figure
 
 
-def set_limits(ax: Axes, centre: Array, half: Array) -> None:
+def set_limits(ax: "Axes", centre: Array, half: Array) -> None:
     """Set the limits to centre (2,) +- half (2,), x and z in metres, with equal scale in both directions."""
     ax.set_aspect("equal", adjustable="box")
     (left, bottom), (right, top) = centre - half, centre + half
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _canvas(tallness: float) -> tuple[Figure, list[Axes], list[Axes]]:
+def _canvas(tallness: float) -> tuple["Figure", list["Axes"], list["Axes"]]:
     """Make a figure of two panels for data with this ratio of height to width, and two profiles below them."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     width, above, between, profile, below = 12.0, 0.95, 0.75, 1.3, 0.95  # inches
     plan = float(np.clip(5.5 * tallness, 3.3, 6.6))
     height = above + plan + between + profile + below
@@ -222,7 +226,7 @@ def _ate(record: RunRecord, name: str) -> str:
     return f"ATE {ate}, {alignment_name(record.metrics, name)} alignment"
 
 
-def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
+def draw_plan_view(ax: "Axes", panel: Panel, record: RunRecord) -> None:
     """Draw the plan view of an estimate: map, trajectory, loops, start and end."""
     style_axes(ax)
     ax.set_title(panel.title, color=INK, fontsize=11, parse_math=False)
@@ -241,13 +245,15 @@ def draw_plan_view(ax: Axes, panel: Panel, record: RunRecord) -> None:
     _draw_ends(ax, panel)
 
 
-def draw_ellipses(ax: Axes, panel: Panel, gid: str) -> None:
+def draw_ellipses(ax: "Axes", panel: Panel, gid: str) -> None:
     """Draw the confidence ellipses of a plan view as one element of this id."""
+    from matplotlib.collections import LineCollection
+
     outlines = LineCollection(list(panel.ellipses), colors=panel.colour, lw=0.7, alpha=0.8, zorder=2.2, gid=gid)
     ax.add_collection(outlines, autolim=False)
 
 
-def _draw_height(ax: Axes, panel: Panel) -> None:
+def _draw_height(ax: "Axes", panel: Panel) -> None:
     """Draw the height over the distance travelled: drift that a plan view cannot show."""
     style_axes(ax)
     ax.set_xlabel("distance travelled [m]")
@@ -265,7 +271,9 @@ def _distances(positions: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])[: len(positions)]
 
 
-def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
+def _draw_loops(ax: "Axes", panel: Panel, rows: list[LoopRow], look: tuple[str, str, str]) -> None:
+    from matplotlib.collections import LineCollection
+
     label, colour, dashes = look
     pairs = np.array([(row.query, row.match) for row in rows], dtype=np.int64).reshape(-1, 2)
     ends = panel.positions[:, [0, 2]][pairs]
@@ -277,7 +285,7 @@ def _draw_loops(ax: Axes, panel: Panel, rows: list[LoopRow], look: tuple[str, st
     ax.plot(*ends[thin_dots(ends[:, 0]), 0].T, ".", color=colour, ms=8, alpha=0.25, mew=0, zorder=2)
 
 
-def _draw_ends(ax: Axes, panel: Panel) -> None:
+def _draw_ends(ax: "Axes", panel: Panel) -> None:
     if not len(panel.positions):
         return
     plan = panel.positions[:, [0, 2]]
