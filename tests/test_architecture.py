@@ -178,13 +178,39 @@ def test_the_search_for_what_can_run_finds_it():
     assert not unsafe_calls("re.compile(p)\nyaml.safe_load(t)\njson.load(f)")
 
 
-def test_help_loads_no_heavy_library():
-    code = (
-        "import sys, slam.cli.app; "
-        "heavy = {'numpy','gtsam','cv2','open3d','rerun','faiss','numba','matplotlib','scipy'} & set(sys.modules); "
-        "sys.exit(f'loaded: {heavy}' if heavy else 0)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+HEAVY = {
+    "cv2",
+    "dask",
+    "distributed",
+    "faiss",
+    "gtsam",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "onnxruntime",
+    "open3d",
+    "rerun",
+    "scipy",
+}
+
+
+@pytest.mark.parametrize(
+    ("beginning", "needed"),
+    [
+        ("from slam.cli.app import app; app(['--help'], standalone_mode=False)", set()),
+        ("from slam.cli.app import app; app(['run', '--help'], standalone_mode=False)", set()),
+        # A run draws when its drive has ended, and needs nothing else that is heavy.
+        (
+            "import slam.cli.app, slam.pipeline.pipeline, slam.viewer.rerun_viewer",
+            {"cv2", "gtsam", "numba", "numpy", "rerun", "scipy"},
+        ),
+    ],
+    ids=["help", "help of a command", "start of a run"],
+)
+def test_a_start_loads_only_the_heavy_libraries_that_it_needs(beginning: str, needed: set[str]):
+    code = f"{beginning}; import sys; print(*sorted({HEAVY} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True)
+    assert set(done.stdout.splitlines()[-1].split()) == needed
 
 
 def test_the_system_knows_no_files_no_sessions_and_no_viewer():
