@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odometry.klt_tracking import level_pair
-from odometry.stereo.stereo_matching import StereoMatchingConfig, match_right, refine_right
+from odometry.stereo.stereo_matching import Half, StereoMatchingConfig, halve, match_right, refine_right
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -99,6 +99,7 @@ class RightImage:
 
     def __init__(self, matching: StereoMatchingConfig | None = None) -> None:
         self._matching = matching or StereoMatchingConfig()
+        self._halved: tuple[Pair, tuple[Half, Half]] | None = None  # of the pair in which was searched last
 
     def check(self, left: Image, second: NDArray[Any], shape: tuple[int, int]) -> None:
         """Check that both images have the shape (H, W) and are uint8."""
@@ -115,7 +116,9 @@ class RightImage:
 
     def find(self, pair: Pair, pixels: Array) -> Array:
         """Places (N, 2) by a search along the rows."""
-        return match_right(*pair, pixels, self._matching)
+        if self._halved is None or self._halved[0] is not pair:  # callers may use one buffer for all images
+            self._halved = pair, halve(*pair)
+        return match_right(*pair, pixels, self._matching, self._halved[1])
 
     def follow(self, pair: Pair, pixels: Array, guess: Array) -> Array:
         """Places (N, 2) by Lucas and Kanade's tracker."""

@@ -52,13 +52,22 @@ def match_disparity(left: Image, right: Image, pixels: Array, config: StereoMatc
     return pixels[:, 0] - match_right(left, right, pixels, config)[:, 0]
 
 
-def match_right(left: Image, right: Image, pixels: Array, config: StereoMatchingConfig | None = None) -> Array:
-    """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where no match is reliable."""
+def match_right(
+    left: Image,
+    right: Image,
+    pixels: Array,
+    config: StereoMatchingConfig | None = None,
+    halves: tuple[Half, Half] | None = None,
+) -> Array:
+    """Places (N, 2) in the right image of pixels (N, 2) of the left one; NaN where no match is reliable.
+
+    Whoever matches twice in one pair makes the `halves` of its images but once, with `halve`.
+    """
     config = config or StereoMatchingConfig()
     pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    mirrored = np.ascontiguousarray(_half(right)[:, ::-1])
+    half, mirrored = halves or halve(left, right)
     reach = config.max_disparity_px // 2
-    shifts = _search((pixels - 0.5) / 2.0, _half(left), mirrored, reach, config.uniqueness_ratio)
+    shifts = _search((pixels - 0.5) / 2.0, half, mirrored, reach, config.uniqueness_ratio)
     guess = pixels - 2.0 * np.stack([shifts, 0.0 * shifts], axis=1)
     places = np.full_like(pixels, np.nan)
     known = np.isfinite(guess[:, 0]) & is_inside(pixels, left)
@@ -80,6 +89,11 @@ def refine_right(
     good &= np.linalg.norm(places - guess, axis=1) < config.max_refinement_px
     good &= (np.abs(places[:, 1] - pixels[:, 1]) < config.max_row_offset_px) & (places[:, 0] < pixels[:, 0] + 2.0)
     return np.where(good[:, None], places, np.nan)
+
+
+def halve(left: Image, right: Image) -> tuple[Half, Half]:
+    """The images of a pair at half size, the right one mirrored: those in which `match_right` searches."""
+    return _half(left), np.ascontiguousarray(_half(right)[:, ::-1])
 
 
 def _half(image: Image) -> Half:

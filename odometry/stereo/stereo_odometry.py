@@ -118,6 +118,8 @@ class StereoOdometry:
         self._lost: Reference[StereoObservation] | None = None
         # Reference frames before the present one, the latest last; the camera may come back to them.
         self._earlier: list[Reference[StereoObservation]] = []
+        # The two images tracked last, and the pair that was prepared from them.
+        self._latest: tuple[Image, NDArray[Any], Pair] | None = None
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
         self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
@@ -140,6 +142,7 @@ class StereoOdometry:
         """
         self._check(left, right)
         pair = left, self._second_view.prepare(left, right)
+        self._latest = left, right, pair
         self._front_end.mask = mask
         steps = self._frame_counter.frames_since_last(timestamp)
         self._unmeasured += steps
@@ -157,7 +160,11 @@ class StereoOdometry:
 
         NaN where there is no reliable match. For other stages that need depth, in the pair that was tracked last.
         """
-        places = self._second_view.find((left, self._second_view.prepare(left, right)), pixels)
+        if self._latest is not None and self._latest[0] is left and self._latest[1] is right:
+            pair = self._latest[2]  # what the second view has made of it, it makes but once
+        else:
+            pair = left, self._second_view.prepare(left, right)
+        places = self._second_view.find(pair, pixels)
         return self.calibration.correct_disparity(pixels, pixels[:, 0] - places[:, 0])
 
     def _check(self, left: Image, right: NDArray[Any]) -> None:

@@ -253,12 +253,10 @@ class _StereoAlignment:
         whiten[~seen] = 0.0
         error = self._measured - _stereo_pixels(self._camera, points_b)
         self._error = (whiten @ error[:, :, None])[:, :, 0]
-        # One more pixel of disparity in both images: change of the measurement, less change of the prediction
-        shift = np.array([0.0, 0.0, 1.0]) - np.einsum("kij,kj->ki", rotated, self._to_point[:, :, 2])
-        self._shift = (whiten @ shift[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of frame b by X x w - v, for xi = (w, v)
         motion = np.concatenate([skew(points_b), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
+        self._whiten, self._rotated = whiten, rotated
         return np.where(seen, np.sum(self._error**2, axis=1), np.inf)
 
     def _are_seen(self, points: Array) -> Mask:
@@ -280,7 +278,13 @@ class _StereoAlignment:
 
     def effect_of_disparity(self, weights: Array | Mask) -> Array:
         """Change of the solution (6,) for one pixel more of disparity everywhere."""
-        return self._solve(self._shift, weights)
+        return self._solve(self._disparity_errors(), weights)
+
+    def _disparity_errors(self) -> Array:
+        """Whitened errors (K, 3) of one more pixel of disparity in both images."""
+        # Change of the measurement, less change of the prediction
+        shift = np.array([0.0, 0.0, 1.0]) - np.einsum("kij,kj->ki", self._rotated, self._to_point[:, :, 2])
+        return np.asarray((self._whiten @ shift[:, :, None])[:, :, 0])
 
     def _solve(self, errors: Array, weights: Array | Mask) -> Array:
         right = self._jacobian.reshape(-1, 6).T @ (errors * weights[:, None]).ravel()

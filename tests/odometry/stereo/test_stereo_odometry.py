@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from odometry import Motion, StereoOdometry, StereoOdometryConfig, se3
+from odometry.stereo import second_view
 from odometry.stereo.stereo_self_calibration import CalibrationConfig
 
 
@@ -222,6 +223,32 @@ def test_the_callers_buffers_may_be_used_again(camera, drive):
             buffer[:] = image
         motions.append(odometry.track(*buffers))
     assert all(same(a, b) for a, b in zip(motions, tracked(camera, drive), strict=True))
+
+
+def test_disparities_of_the_pair_tracked_last_are_those_of_its_images_however_they_are_stored(camera, drive):
+    pixels = np.stack(np.meshgrid(np.arange(20.0, 600.0, 40.0), np.arange(20.0, 180.0, 20.0)), axis=-1).reshape(-1, 2)
+    buffers = [image.copy() for image in drive[0]]
+    reusing, other = StereoOdometry(camera), StereoOdometry(camera)
+    for pair in drive[:4]:
+        for buffer, image in zip(buffers, pair, strict=True):
+            buffer[:] = image
+        reusing.track(*buffers)
+        other.track(*pair)
+        copies = [image.copy() for image in pair]
+        expected = other.disparity(*copies, pixels)
+        assert np.isfinite(expected).sum() > 20
+        np.testing.assert_array_equal(other.disparity(*pair, pixels), expected)
+        np.testing.assert_array_equal(reusing.disparity(*buffers, pixels), expected)
+
+
+def test_images_of_a_pair_are_prepared_for_matching_once(camera, drive, monkeypatch):
+    halved, resize = [], second_view.halve
+    monkeypatch.setattr(second_view, "halve", lambda left, right: halved.append(1) or resize(left, right))
+    odometry = StereoOdometry(camera)
+    for pair in drive[:4]:
+        odometry.track(*pair)
+        odometry.disparity(*pair, np.array([[100.0, 60.0]]))
+    assert len(halved) == 4
 
 
 @pytest.mark.parametrize(("name", "bound"), [("05", 0.02), ("06", 0.02), ("01", 0.039)])

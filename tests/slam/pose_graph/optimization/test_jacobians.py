@@ -168,7 +168,7 @@ def test_the_effect_of_one_pixel_more_of_disparity(points: np.ndarray, alignment
         return predicted(T_A_B, pixels_a) + more[0] * one - predicted(T_A_B, pixels_a + more[0] * one)
 
     numeric = whitening(points) @ differences(error, 1)
-    np.testing.assert_allclose(alignment._shift, numeric[:, :, 0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(alignment._disparity_errors(), numeric[:, :, 0], rtol=1e-4, atol=1e-4)
 
 
 def test_one_step_finds_a_pose_nearby(points: np.ndarray) -> None:
