@@ -25,7 +25,13 @@ from slam.io.trajectory_files import read_tum
 from slam.keyframes import KeyFrameConfig
 from slam.mapping.birds_eye_view import PlaneWindow, render_birds_eye_view
 from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory, group_key_frames
-from slam.mapping.occupancy_grid import OccupancyGrid, build_occupancy_grid, write_occupancy_grid
+from slam.mapping.occupancy_grid import (
+    OccupancyGrid,
+    build_floor_grid,
+    build_occupancy_grid,
+    find_floor,
+    write_occupancy_grid,
+)
 from slam.mapping.submaps import SubmapStore, write_mesh
 from slam.mapping.tsdf import DEPTH_CAMERA_FUSION, FusionConfig
 from slam.pipeline.progress import progress_bar
@@ -41,6 +47,7 @@ RESULTS = (
     DENSE_PAGE, DENSE_RECORDING,
 )  # fmt: skip
 _SAME_TIME_S = 1e-6
+_ABOVE_CAMERA_M = 0.3  # from where on a room is left open: the ceiling would hide it
 _PIXEL_VOXELS = 4 / 3  # size of a pixel of the page's pictures: smaller ones leave gaps between the points
 
 
@@ -180,9 +187,9 @@ def build_dense_map(options: DenseOptions, messages: Console) -> str:
         with progress_bar(messages, "Fusing") as progress:
             for done in mapper.fuse(mapped.dataset, mapped.odometry, groups, store):
                 progress(done, total)
-        grid = build_occupancy_grid(store, mapped.corrected)
-        _write(run, store, mapped, grid)
-        _write_page(run / DENSE_PAGE, store, mapped, grid, config.fusion)
+        seen = _look_from_above(store, mapped)
+        _write(run, store, mapped, seen.grid)
+        _write_page(run / DENSE_PAGE, store, seen, config.fusion)
         _record(run, store, mapped, messages)
     written = [name for name in RESULTS if (run / name).exists()]
     return f"{run}: {total} key frames in {len(store)} submaps; see {', '.join(written)}"
@@ -208,14 +215,41 @@ def _write(run: Path, store: SubmapStore, mapped: MappedRun, grid: OccupancyGrid
     write_occupancy_grid(run / "occupancy.yaml", grid)
 
 
-def _write_page(page: Path, store: SubmapStore, mapped: MappedRun, grid: OccupancyGrid, config: FusionConfig) -> None:
-    positions = np.concatenate([poses[:, :3, 3] for poses in mapped.states.values()])
+@dataclass(frozen=True)
+class _SeenFromAbove:
+    """How a map is drawn from above.
+
+    Attributes:
+        states: trajectories before and after correction, (F, 4, 4), metres, in a level frame.
+        grid: occupancy grid of the corrected map.
+        max_height_m: height above which nothing is drawn.
+    """
+
+    states: dict[str, Array]
+    grid: OccupancyGrid
+    max_height_m: float
+
+
+def _look_from_above(store: SubmapStore, mapped: MappedRun) -> _SeenFromAbove:
+    """Say how a map is drawn: a street as its first camera saw it, a room by its floor and without its ceiling."""
+    if not mapped.has_depth:
+        return _SeenFromAbove(mapped.states, build_occupancy_grid(store, mapped.corrected), np.inf)
+    floor = find_floor(store, mapped.corrected)
+    states = {state: floor.T_level_world @ poses for state, poses in mapped.states.items()}
+    highest = float(max(-poses[:, 1, 3].min() for poses in states.values()))
+    return _SeenFromAbove(states, build_floor_grid(store, states["after"], floor), highest + _ABOVE_CAMERA_M)
+
+
+def _write_page(page: Path, store: SubmapStore, seen: _SeenFromAbove, config: FusionConfig) -> None:
+    positions = np.concatenate([poses[:, :3, 3] for poses in seen.states.values()])
     window = PlaneWindow.around(positions, config.max_depth_m, _PIXEL_VOXELS * config.voxel_m)
     maps = [
-        DenseOverview(state, render_birds_eye_view(store.surfaces_in_world(poses), window), poses[:, :3, 3])
-        for state, poses in mapped.states.items()
+        DenseOverview(
+            state, render_birds_eye_view(store.surfaces_in_world(poses), window, seen.max_height_m), poses[:, :3, 3]
+        )
+        for state, poses in seen.states.items()
     ]
-    write_dense_page(page, maps, window, grid)
+    write_dense_page(page, maps, window, seen.grid)
 
 
 def _record(run: Path, store: SubmapStore, mapped: MappedRun, messages: Console) -> None:

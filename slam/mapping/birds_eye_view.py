@@ -1,4 +1,4 @@
-"""Bird's eye view of a map: the height and brightness of the highest point in each cell of the ground plane."""
+"""Bird's eye view of a map: the height and colour of the highest point in each cell of the ground plane."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -54,20 +54,22 @@ class BirdsEyeView:
 
     Attributes:
         height: height above the first camera, (H, W), metres; NaN in empty cells.
-        grey: brightness, (H, W) uint8.
+        color: (H, W, 3) uint8, red first; three equal values where the images are grey.
     """
 
     height: NDArray[np.float32]
-    grey: NDArray[np.uint8]
+    color: NDArray[np.uint8]
 
 
-def render_birds_eye_view(surfaces: Iterable[Surface], window: PlaneWindow) -> BirdsEyeView:
-    """Render surfaces (metres, world frame) from above, one after the other."""
-    height, grey = np.full(window.shape, -np.inf, np.float32), np.zeros(window.shape, np.uint8)
+def render_birds_eye_view(
+    surfaces: Iterable[Surface], window: PlaneWindow, max_height_m: float = np.inf
+) -> BirdsEyeView:
+    """Render surfaces (metres, world frame) from above, one after the other, without what is above a height."""
+    height, color = np.full(window.shape, -np.inf, np.float32), np.zeros((*window.shape, 3), np.uint8)
     for surface in surfaces:
         cells, up = window.cells(surface.points.astype(np.float64)), -surface.points[:, 1].astype(np.float32)
-        seen = np.flatnonzero(window.contains(cells))
+        seen = np.flatnonzero(window.contains(cells) & (up <= max_height_m))
         seen = seen[up[seen] > height[tuple(cells[seen].T)]]
         seen = seen[np.argsort(up[seen], kind="stable")]  # within a cell the highest is written last
-        height[tuple(cells[seen].T)], grey[tuple(cells[seen].T)] = up[seen], surface.grey[seen]
-    return BirdsEyeView(np.where(np.isfinite(height), height, np.float32(np.nan)), grey)
+        height[tuple(cells[seen].T)], color[tuple(cells[seen].T)] = up[seen], surface.color[seen]
+    return BirdsEyeView(np.where(np.isfinite(height), height, np.float32(np.nan)), color)

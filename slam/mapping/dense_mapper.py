@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from odometry import se3
 from odometry.stereo.stereo_self_calibration import Calibration
 from slam.datasets.dataset import Dataset, Frame
-from slam.datasets.prefetch import prefetch
+from slam.datasets.prefetch import ColorFrames, Recording, has_color, prefetch
 from slam.keyframes import KeyFrameConfig, KeyFrameSelector
 from slam.mapping.dense_stereo import DenseStereo, DepthImage
 from slam.mapping.landmark_map import LandmarkMapConfig
@@ -103,7 +103,8 @@ class DenseMapper:
         Raises:
             DataError: an image cannot be read.
         """
-        frames = prefetch(_Subset(dataset, [index for group in groups for index in group]))
+        frames = ColorFrames(dataset) if has_color(dataset) else dataset
+        chosen = prefetch(_Subset(frames, [index for group in groups for index in group]))
         done = 0
         for group in groups:
             poses = odometry.T_world_camera[list(group)]
@@ -111,7 +112,7 @@ class DenseMapper:
             T_anchor_camera = se3.inverse(poses[middle]) @ poses
             volume = TsdfVolume(self._config.fusion)
             for T in T_anchor_camera:
-                frame = next(frames)
+                frame = next(chosen)
                 volume.integrate(self._source.depth_of(frame), T)
                 done += 1
                 yield done
@@ -120,13 +121,13 @@ class DenseMapper:
 
 @dataclass(frozen=True)
 class _Subset:
-    """Selected frames of a dataset."""
+    """Selected frames of a recording."""
 
-    dataset: Dataset
+    frames: Recording[Frame]
     indices: list[int]
 
     def __len__(self) -> int:
         return len(self.indices)
 
     def __getitem__(self, index: int) -> Frame:
-        return self.dataset[self.indices[index]]
+        return self.frames[self.indices[index]]

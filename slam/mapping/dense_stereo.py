@@ -31,16 +31,16 @@ _DISPARITY_SCALE = 16.0  # OpenCV's disparities are in sixteenths of a pixel
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depth and brightness of one frame.
+    """Depth and colour of one frame.
 
     Attributes:
         depth: depth along the axis of the left camera, (H, W), metres; 0 where unknown.
-        grey: rectified left image, (H, W) uint8.
+        color: rectified left image, (H, W, 3) uint8, red first; three equal values where it is grey.
         camera: ideal rectified camera of this image size.
     """
 
     depth: Depths
-    grey: Image
+    color: Image
     camera: StereoCamera
 
 
@@ -69,17 +69,18 @@ class DenseStereo:
     def depth_of(self, frame: Frame) -> DepthImage:
         """Return the depth of a frame, which has a right image."""
         assert frame.right is not None
-        return self.compute_depth(frame.left, frame.right)
+        return self.compute_depth(frame.left, frame.right, frame.color)
 
-    def compute_depth(self, left: Image, right: Image) -> DepthImage:
-        """Return the depth of a pair of images, (H, W) uint8, of the calibrated size."""
+    def compute_depth(self, left: Image, right: Image, color: Image | None = None) -> DepthImage:
+        """Return the depth of a pair of images, (H, W) uint8, of the calibrated size; the left one also in colour."""
+        picture = None if color is None else self._rectify(color, self._left)
         left, right = self._rectify(left, self._left), self._rectify(level_pair(left, right), self._right)
         disparity = self._matcher.compute(left, right).astype(np.float32) / np.float32(_DISPARITY_SCALE)
         min_disparity = self.camera.fx * self.camera.baseline / self._max_depth
         known = (disparity >= min_disparity) & self._inside
         depth = np.zeros_like(disparity)
         np.divide(np.float32(self.camera.fx * self.camera.baseline), disparity, out=depth, where=known)
-        return DepthImage(depth, left, self.camera)
+        return DepthImage(depth, as_color(left) if picture is None else picture, self.camera)
 
     def _rectification_maps(self, calibration: Calibration) -> tuple[Depths, Depths]:
         """Return the pixels (H, W, 2) of the downscaled left and right images that each rectified pixel comes from."""
@@ -96,6 +97,11 @@ class DenseStereo:
         size, s = (self.camera.width, self.camera.height), self._scale
         small = cv2.resize(image[: s * size[1], : s * size[0]], size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.remap(small, sources, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def as_color(grey: Image) -> Image:
+    """A grey image (H, W) with three equal channels (H, W, 3)."""
+    return np.repeat(grey[:, :, None], 3, axis=2)
 
 
 def downscale_camera(camera: StereoCamera, s: int) -> StereoCamera:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry.camera import StereoCamera
 from slam.datasets.dataset import Frame
-from slam.mapping.dense_stereo import DepthImage
+from slam.mapping.dense_stereo import DepthImage, as_color
 
 Depths = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -34,16 +34,17 @@ class MeasuredDepth:
         self.camera = StereoCamera(camera.fx / s, camera.fy / s, cx, cy, camera.baseline, width, height)
 
     def depth_of(self, frame: Frame) -> DepthImage:
-        """Depth and grey levels of a frame; depth 0 where it is unknown, too far or at an edge."""
+        """Depth and colour of a frame; depth 0 where it is unknown, too far or at an edge."""
         shape, s = (self.camera.height, self.camera.width), self._scale
         size = shape[::-1]
-        grey = np.asarray(cv2.resize(frame.left[: s * shape[0], : s * shape[1]], size, interpolation=cv2.INTER_AREA))
+        image = as_color(frame.left) if frame.color is None else frame.color
+        color = np.asarray(cv2.resize(image[: s * shape[0], : s * shape[1]], size, interpolation=cv2.INTER_AREA))
         if frame.depth is None:
-            return DepthImage(np.zeros(shape, np.float32), grey, self.camera)
+            return DepthImage(np.zeros(shape, np.float32), color, self.camera)
         depth = np.ascontiguousarray(frame.depth[s // 2 :: s, s // 2 :: s][: shape[0], : shape[1]])
         known = np.isfinite(depth) & (depth > 0)
         kept = known & (depth <= self._max_depth) & ~self._are_edges(depth, known)
-        return DepthImage(np.where(kept, depth, np.float32(0.0)), grey, self.camera)
+        return DepthImage(np.where(kept, depth, np.float32(0.0)), color, self.camera)
 
     def _are_edges(self, depth: Depths, known: Mask) -> Mask:
         """Which pixels (H, W) have a neighbour on another surface; unknown neighbours do not count."""

@@ -73,7 +73,7 @@ class SubmapStore:
                 frames=submap.frames,
                 T_anchor_camera=submap.T_anchor_camera,
                 points=surface.points.astype(np.float32),
-                grey=surface.grey,
+                color=surface.color,
                 triangles=surface.triangles,
             )
         self._count += 1
@@ -81,7 +81,7 @@ class SubmapStore:
     def __iter__(self) -> Iterator[Submap]:
         for index in range(self._count):
             with np.load(self._path(index)) as file:
-                surface = Surface(file["points"], file["grey"], file["triangles"])
+                surface = Surface(file["points"], file["color"], file["triangles"])
                 yield Submap(int(file["anchor"]), file["frames"], file["T_anchor_camera"], surface)
 
     def surfaces_in_world(self, T_world_camera: Array) -> Iterator[Surface]:
@@ -119,7 +119,7 @@ def write_mesh(path: Path, surfaces: Callable[[], Iterator[Surface]], with_trian
 
 def _vertices(surface: Surface) -> bytes:
     vertices = np.empty(len(surface.points), dtype=_VERTEX)
-    vertices["point"], vertices["colour"] = surface.points, surface.grey[:, None]
+    vertices["point"], vertices["colour"] = surface.points, surface.color
     return vertices.tobytes()
 
 

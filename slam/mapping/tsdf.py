@@ -49,23 +49,23 @@ class Surface:
 
     Attributes:
         points: vertices, (N, 3), metres.
-        grey: brightness of the vertices, (N,) uint8.
+        color: of the vertices, (N, 3) uint8, red first; three equal values where the images are grey.
         triangles: vertex indices of each triangle, (M, 3) int32.
     """
 
     points: NDArray[np.floating]
-    grey: NDArray[np.uint8]
+    color: NDArray[np.uint8]
     triangles: NDArray[np.int32]
 
     def transform(self, T_a_b: Array) -> "Surface":
         """Return the surface, which is given in frame b, in frame a."""
-        return Surface(se3.transform(T_a_b, self.points.astype(np.float64)), self.grey, self.triangles)
+        return Surface(se3.transform(T_a_b, self.points.astype(np.float64)), self.color, self.triangles)
 
 
 # Of a depth camera: three times the noise of its depth at 2 m, and as far as that noise stays within the truncation.
 DEPTH_CAMERA_FUSION = FusionConfig(voxel_m=0.02, max_depth_m=4.0)
 
-EMPTY_SURFACE = Surface(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8), np.zeros((0, 3), np.int32))
+EMPTY_SURFACE = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.int32))
 
 
 class TsdfVolume:
@@ -96,11 +96,11 @@ class TsdfVolume:
         self._empty = False
         tensor, picture = self._o3d.core.Tensor, self._o3d.t.geometry.Image
         depth = picture(tensor(np.ascontiguousarray(image.depth[:, :, None])))
-        colour = picture(tensor(np.repeat(image.grey[:, :, None], 3, axis=2).astype(np.float32)))
+        color = picture(tensor(image.color.astype(np.float32)))
         view = tensor(image.camera.K), tensor(se3.inverse(T_anchor_camera))
         limits = 1.0, self._config.max_depth_m, self._config.truncation_voxels
         blocks = self._grid.compute_unique_block_coordinates(depth, *view, *limits)
-        self._grid.integrate(blocks, depth, colour, *view, *limits)
+        self._grid.integrate(blocks, depth, color, *view, *limits)
 
     def extract_surface(self) -> Surface:
         """Extract the surface that enough images agree on, metres, in the anchor frame; the same bits each time."""
@@ -110,8 +110,8 @@ class TsdfVolume:
         mesh = self._grid.extract_triangle_mesh(weight_threshold=self._config.min_views - 0.5)
         if len(mesh.vertex.positions) == 0:
             return EMPTY_SURFACE
-        grey = np.clip(np.rint(mesh.vertex.colors.numpy()[:, 0]), 0, 255).astype(np.uint8)
-        return _in_order(Surface(mesh.vertex.positions.numpy(), grey, mesh.triangle.indices.numpy()))
+        color = np.clip(np.rint(mesh.vertex.colors.numpy()), 0, 255).astype(np.uint8)
+        return _in_order(Surface(mesh.vertex.positions.numpy(), color, mesh.triangle.indices.numpy()))
 
 
 def load_open3d() -> Any:  # its stubs know no numpy
@@ -132,4 +132,4 @@ def _in_order(surface: Surface) -> Surface:
     first = triangles.argmin(axis=1)[:, None]  # rotate corners: smallest index first, same orientation
     triangles = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
     triangles = triangles[np.lexsort(triangles.T[::-1])]
-    return Surface(surface.points[order], surface.grey[order], triangles)
+    return Surface(surface.points[order], surface.color[order], triangles)

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _MAX_SIDE_PX = 1200  # of a picture
+_MAX_COLOR_SIDE_PX = 1000  # of one in colour, which compresses less
 _WEBP_QUALITY = 80
 _HEIGHT_PERCENTILES = (2.0, 98.0)  # ends of the colour scale, so that a few outliers do not stretch it
 _FIRST_HUE = 50  # of 255: earlier colours are too dark for a dark page
@@ -39,7 +40,7 @@ class DenseOverview:
 
     Attributes:
         state: `before` or `after` correction.
-        view: heights and brightness of the map from above.
+        view: heights and colours of the map from above.
         positions: camera positions, (N, 3), metres.
     """
 
@@ -91,11 +92,14 @@ def write_dense_page(path: Path, maps: Sequence[DenseOverview], window: PlaneWin
 def _drawings(maps: Sequence[DenseOverview], window: PlaneWindow, grid: OccupancyGrid) -> list[Drawing]:
     heights = np.concatenate([one.view.height[np.isfinite(one.view.height)] for one in maps])
     low, high = np.percentile(heights, _HEIGHT_PERCENTILES) if len(heights) else (0.0, 1.0)
+    is_grey = all(is_without_color(one.view.color) for one in maps)
     scale = f"Colour is height above the first camera, from {_metres(low)} (violet) to {_metres(high)} (yellow)."
+    scale = scale if is_grey else "Colours are those of the images."
     drawings = []
     for one in maps:
         title, caption = _WORDS[one.state]
-        drawings.append(_drawing(one, window, (title, f"{caption} {scale}"), colour_heights(one.view, low, high)))
+        image = colour_heights(one.view, low, high) if is_grey else paint_colors(one.view)
+        drawings.append(_drawing(one, window, (title, f"{caption} {scale}"), image))
     return [*drawings, _floor_plan(maps[-1], grid)]
 
 
@@ -116,7 +120,7 @@ def _floor_plan(one: DenseOverview, grid: OccupancyGrid) -> Drawing:
     cells, (x, y), size = np.rot90(grid.cells), grid.origin.tolist(), grid.resolution_m
     rows, columns = cells.shape
     window = PlaneWindow(left=-y - size * columns, top=x + size * rows, cell_m=size, shape=(rows, columns))
-    caption = "White: road or pavement that was seen. Black: obstacles at the height of a car. Grey: unknown."
+    caption = "White: ground that was seen. Black: obstacles that stand on it. Grey: unknown."
     bgra = cv2.cvtColor(np.ascontiguousarray(cells), cv2.COLOR_GRAY2BGRA)
     return _drawing(one, window, ("Occupancy grid", caption), bgra)
 
@@ -127,15 +131,31 @@ def colour_heights(view: BirdsEyeView, low: float, high: float) -> Image:
     height = np.where(known, view.height, low)
     share = np.clip((height - low) / max(high - low, 1e-6), 0.0, 1.0)
     hue = cv2.applyColorMap((_FIRST_HUE + (255 - _FIRST_HUE) * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    bright = _MIN_BRIGHTNESS + (1.0 - _MIN_BRIGHTNESS) * view.grey[..., None] / 255.0
+    bright = _MIN_BRIGHTNESS + (1.0 - _MIN_BRIGHTNESS) * view.color.mean(axis=2, keepdims=True) / 255.0
     return np.dstack([hue * bright, np.where(known, 255, 0)]).astype(np.uint8)
 
 
+def is_without_color(color: Image) -> bool:
+    """Whether an image (H, W, 3) is grey, so that its brightness is all it shows."""
+    return bool((color[..., :1] == color).all())
+
+
+def paint_colors(view: BirdsEyeView) -> Image:
+    """Paint a view as it is in the images, (H, W, 4) uint8 BGRA, transparent where unknown."""
+    image = np.dstack([view.color[..., ::-1], np.where(np.isfinite(view.height), 255, 0)]).astype(np.uint8)
+    return _shrink(image, _MAX_COLOR_SIDE_PX)
+
+
 def _webp(image: Image) -> str:
-    shrink = min(1.0, _MAX_SIDE_PX / max(image.shape[:2]))
-    small = image if shrink == 1.0 else cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".webp", small, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])
+    _, data = cv2.imencode(".webp", _shrink(image, _MAX_SIDE_PX), [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])
     return base64.b64encode(data.tobytes()).decode()
+
+
+def _shrink(image: Image, max_side_px: int) -> Image:
+    ratio = min(1.0, max_side_px / max(image.shape[:2]))
+    if ratio == 1.0:
+        return image
+    return np.asarray(cv2.resize(image, None, fx=ratio, fy=ratio, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def round_length(max_length: float) -> float:

@@ -116,10 +116,10 @@ def draw_cloud(points: PointCloud, colour: str) -> rr.Points3D:
 
 
 def draw_mesh(surface: Surface) -> rr.Mesh3D:
-    """Draw a triangle mesh, as bright as it is in the images."""
+    """Draw a triangle mesh, in the colours of the images."""
     return rr.Mesh3D(
         vertex_positions=surface.points.astype(np.float32),
-        vertex_colors=np.repeat(surface.grey[:, None], 3, axis=1),
+        vertex_colors=surface.color,
         triangle_indices=surface.triangles,
     )
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.mapping.dense_stereo import DepthImage
+from slam.mapping.dense_stereo import DepthImage, as_color
 
 CAMERA = StereoCamera(359.4, 359.4, 309.5, 93.5, 0.54, 620, 188)
 CAMERA_HEIGHT = 1.71  # metres, and no multiple of a voxel, where the sign of a distance is a matter of rounding
@@ -38,7 +38,7 @@ def seen(T_world_camera: np.ndarray, max_depth: float = 25.0) -> DepthImage:
     """What a perfect depth camera sees of the street; grey is the row."""
     depth = street(CAMERA, T_world_camera)
     grey = np.repeat(np.arange(CAMERA.height, dtype=np.uint8)[:, None], CAMERA.width, axis=1)
-    return DepthImage(np.where(depth < max_depth, depth, 0).astype(np.float32), grey, CAMERA)
+    return DepthImage(np.where(depth < max_depth, depth, 0).astype(np.float32), as_color(grey), CAMERA)
 
 
 def ahead(*metres: float) -> np.ndarray:

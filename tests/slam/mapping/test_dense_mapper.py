@@ -19,7 +19,9 @@ from .scenes import ahead
 
 def surface(rng: np.random.Generator, points: int = 30) -> Surface:
     triangles = rng.integers(0, points, (points // 2, 3)).astype(np.int32)
-    return Surface(rng.normal(size=(points, 3)).astype(np.float32), rng.integers(0, 256, points, np.uint8), triangles)
+    return Surface(
+        rng.normal(size=(points, 3)).astype(np.float32), rng.integers(0, 256, (points, 3), np.uint8), triangles
+    )
 
 
 def filled(folder: Path, anchors: tuple[int, ...]) -> SubmapStore:
@@ -81,8 +83,8 @@ def test_another_program_reads_what_is_written(tmp_path: Path, with_triangles: b
     placed = list(store.surfaces_in_world(poses(3, 2)))
     cloud = open3d.io.read_point_cloud(path)
     np.testing.assert_allclose(cloud.points, np.concatenate([part.points for part in placed]), atol=1e-6)
-    grey = np.concatenate([part.grey for part in placed])
-    np.testing.assert_allclose(np.asarray(cloud.colors)[:, 0], grey / 255.0, atol=1e-6)
+    color = np.concatenate([part.color for part in placed])
+    np.testing.assert_allclose(cloud.colors, color / 255.0, atol=1e-6)
     if with_triangles:
         corners = np.asarray(cloud.points)[np.asarray(open3d.io.read_triangle_mesh(path).triangles)]
         expected = np.concatenate([part.points[part.triangles] for part in placed])

@@ -1,7 +1,7 @@
 """The dense map of a depth camera: its depth images without edges, fused to the surfaces of a box-shaped room."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,12 +13,14 @@ from odometry.stereo.stereo_self_calibration import ExactCalibration
 from slam.datasets.dataset import Frame
 from slam.mapping.dense_mapper import DenseMapConfig, DenseMapper, OdometryTrajectory
 from slam.mapping.measured_depth import MeasuredDepth
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, build_floor_grid, find_floor
 from slam.mapping.submaps import SubmapStore
 from slam.mapping.tsdf import DEPTH_CAMERA_FUSION
 
 CAMERA = StereoCamera(262.5, 262.5, 159.5, 119.5, 0.075, 320, 240)
 WALLS = np.array([2.0, 1.3, 2.5])  # distances from the middle of the room, metres
 NOISE_PX = 0.1
+ROOMY = replace(DEPTH_CAMERA_FUSION, voxel_m=0.04)
 
 
 def rays(camera: StereoCamera) -> NDArray[np.float64]:
@@ -45,7 +47,7 @@ def test_a_wall_is_kept_as_it_is():
     image = MeasuredDepth(CAMERA, 4.0).depth_of(frame(depth))
     assert image.camera == CAMERA
     np.testing.assert_array_equal(image.depth, depth)
-    assert (image.grey == 90).all()
+    assert (image.color == 90).all()
 
 
 def test_holes_and_far_pixels_are_unknown():
@@ -72,7 +74,7 @@ def test_a_large_image_is_read_at_every_second_pixel_where_its_camera_says():
     depth = (2.0 / (rays(large) @ normal)).astype(np.float32)
     left = np.zeros((960, 1280), np.uint8)
     image = MeasuredDepth(large, 4.0).depth_of(Frame(0, 0.0, left, None, depth=depth))
-    assert image.depth.shape == image.grey.shape == (480, 640)
+    assert image.depth.shape == image.color.shape[:2] == (480, 640)
     assert (image.camera.width, image.camera.height) == (640, 480)
     points = rays(image.camera) * image.depth[:, :, None]
     np.testing.assert_allclose(points @ normal, 2.0, atol=1e-5)
@@ -83,6 +85,7 @@ class Room:
     """A recording of the room, as far as the mapper needs it."""
 
     depths: list[NDArray[np.float32]]
+    color: tuple[int, int, int] | None = None
 
     def __len__(self) -> int:
         return len(self.depths)
@@ -92,6 +95,9 @@ class Room:
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def read_color(self, index: int) -> NDArray[np.uint8] | None:
+        return None if self.color is None else np.full((CAMERA.height, CAMERA.width, 3), self.color, np.uint8)
 
 
 @pytest.mark.parametrize(("factor", "is_good"), [(1.0, True), (1.05, False)], ids=["measured", "control"])
@@ -107,3 +113,56 @@ def test_the_fused_surface_is_that_of_the_room(tmp_path, factor, is_good):
     error = np.abs(np.abs(surface.points) - WALLS).min(axis=1)
     assert (np.median(error) < 0.01) == is_good
     assert (np.percentile(error, 95) < 0.04) == is_good
+
+
+@pytest.mark.parametrize(("color", "shown"), [((200, 10, 90), (200, 10, 90)), (None, (90, 90, 90))])
+def test_the_surface_has_the_colors_of_the_recording(tmp_path, color, shown):
+    poses = np.repeat(np.eye(4)[None], 5, axis=0)
+    store = SubmapStore(tmp_path)
+    mapper = DenseMapper(ExactCalibration.of(CAMERA), DenseMapConfig(fusion=DEPTH_CAMERA_FUSION), has_depth=True)
+    room = Room([see(T) for T in poses], color)
+    list(mapper.fuse(room, OdometryTrajectory(poses, np.zeros(5, bool)), [list(range(5))], store))
+    [submap] = store
+    assert len(submap.surface.points) > 1000
+    assert (submap.surface.color == shown).all()
+
+
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory):
+    """A box on the floor of the room, seen by a camera that looks down by 20 degrees; its store and its trajectory."""
+    lean = se3.exp(np.array([-0.35, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    turned = [se3.exp(np.array([0.0, 0.3 * k, 0.0, 0.0, 0.0, 0.0])) @ lean for k in range(21)]
+    poses = np.array([se3.inverse(turned[0]) @ T for T in turned])
+    store = SubmapStore(tmp_path_factory.mktemp("submaps"))
+    mapper = DenseMapper(ExactCalibration.of(CAMERA), DenseMapConfig(fusion=replace(ROOMY, min_views=1)), True)
+    room = Room([see(T) for T in turned])
+    list(mapper.fuse(room, OdometryTrajectory(poses, np.zeros(21, bool)), [list(range(21))], store))
+    return store, poses, se3.inverse(turned[0])
+
+
+def test_the_floor_of_a_room_is_found_however_the_camera_is_held(tilted):
+    store, poses, T_world_room = tilted
+    floor = find_floor(store, poses)
+    assert floor.down_m == pytest.approx(WALLS[1], abs=0.01)
+    down = floor.T_level_world[:3, :3] @ T_world_room[:3, 1]
+    assert np.degrees(np.arccos(down[1])) < 0.3
+    assert np.degrees(np.arccos(T_world_room[1, 1])) > 15  # control: the first camera is not level
+
+
+def test_the_floor_of_a_room_is_free_and_its_walls_are_occupied(tilted):
+    store, poses, _ = tilted
+    floor = find_floor(store, poses)
+    grid = build_floor_grid(store, floor.T_level_world @ poses, floor)
+    assert np.mean(grid.cells == FREE) > 0.5
+    rows, columns = np.nonzero(grid.cells[::-1] == OCCUPIED)
+    forward, left = (np.stack([columns, rows]) + 0.5) * grid.resolution_m + grid.origin[:, None]
+    off = np.minimum(np.abs(np.abs(forward) - WALLS[2]), np.abs(np.abs(left) - WALLS[0]))
+    assert len(off) > 150
+    assert np.percentile(off, 95) < 0.1
+
+
+def test_where_no_floor_is_seen_nothing_is_known(tmp_path):
+    floor = find_floor(SubmapStore(tmp_path), np.eye(4)[None])
+    assert np.isnan(floor.down_m)
+    grid = build_floor_grid(SubmapStore(tmp_path), np.eye(4)[None], floor)
+    assert (grid.cells == UNKNOWN).all()

@@ -65,7 +65,7 @@ def test_a_thing_that_moves_on_leaves_nothing() -> None:
 def test_two_fusions_give_the_same_bits_although_threads_race() -> None:
     first, second = (fused(ahead(*range(6))) for _ in range(2))
     np.testing.assert_array_equal(first.points, second.points)
-    np.testing.assert_array_equal(first.grey, second.grey)
+    np.testing.assert_array_equal(first.color, second.color)
     np.testing.assert_array_equal(first.triangles, second.triangles)
 
 
@@ -81,7 +81,16 @@ def test_grey_is_what_the_images_show() -> None:
     surface = fused(np.repeat(np.eye(4)[None], 5, axis=0))
     middle = np.abs(surface.points[:, 2] - 7.0) < 0.5
     row = 359.4 * surface.points[middle, 1] / surface.points[middle, 2] + 93.5
-    assert np.median(np.abs(surface.grey[middle] - row)) < 3.0
+    assert np.median(np.abs(surface.color[middle, 0] - row)) < 3.0
+
+
+def test_colors_are_those_of_the_images() -> None:
+    volume = TsdfVolume(FusionConfig())
+    for T in np.repeat(np.eye(4)[None], 5, axis=0):
+        image = seen(T)
+        color = np.broadcast_to(np.array([200, 10, 90], np.uint8), image.color.shape)
+        volume.integrate(replace(image, color=color), T)
+    assert (volume.extract_surface().color == [200, 10, 90]).all()
 
 
 def test_nothing_seen_is_an_empty_surface() -> None:

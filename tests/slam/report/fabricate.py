@@ -182,7 +182,7 @@ def dense_window(record):
 
 
 def top_view(height):
-    return BirdsEyeView(height, np.full(height.shape, 127, np.uint8))
+    return BirdsEyeView(height, np.full((*height.shape, 3), 127, np.uint8))
 
 
 def write_dense(path, record, grid=None):
@@ -191,6 +191,6 @@ def write_dense(path, record, grid=None):
     for state, poses, points in (
         ("before", record.odometry, record.map_before), ("after", record.corrected, record.map_after)
     ):  # fmt: skip
-        surface = Surface(points.points, points.grey, np.zeros((0, 3), np.int32))
+        surface = Surface(points.points, np.repeat(points.grey[:, None], 3, axis=1), np.zeros((0, 3), np.int32))
         maps.append(DenseOverview(state, render_birds_eye_view([surface], window), poses[:, :3, 3]))
     write_dense_page(path, maps, window, grid or OccupancyGrid(np.full((30, 50), 205, np.uint8), 0.5, np.zeros(2)))

@@ -11,7 +11,14 @@ import pytest
 from slam.errors import OutputError
 from slam.mapping.birds_eye_view import BirdsEyeView, PlaneWindow
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from slam.report.dense_map_section import DenseOverview, colour_heights, round_length, write_dense_page
+from slam.report.dense_map_section import (
+    DenseOverview,
+    colour_heights,
+    is_without_color,
+    paint_colors,
+    round_length,
+    write_dense_page,
+)
 from slam.report.html_report import write_report
 
 from . import fabricate
@@ -88,18 +95,27 @@ def test_height_is_hue_and_what_is_not_known_is_clear():
     assert (image[3] == image[4]).all()
 
 
+def test_colors_of_the_images_are_shown_as_they_are():
+    view = fabricate.top_view(np.array([[np.nan, 0.0]], np.float32))
+    assert is_without_color(view.color)
+    view.color[:] = [200, 10, 90]
+    assert not is_without_color(view.color)
+    assert paint_colors(view)[0].tolist() == [[90, 10, 200, 0], [90, 10, 200, 255]]
+
+
 @pytest.mark.parametrize(("most", "length"), [(1.0, 1.0), (33.0, 20.0), (99.9, 50.0), (100.0, 100.0), (0.07, 0.05)])
 def test_a_scale_has_a_round_length(most: float, length: float):
     assert round_length(most) == pytest.approx(length)
 
 
-def test_the_page_is_small_for_any_map(path: Path):
+@pytest.mark.parametrize("channels", [1, 3], ids=["grey", "colour"])
+def test_the_page_is_small_for_any_map(path: Path, channels: int):
     """Noise, which nothing compresses, takes less than 3 MB."""
     fabricate.write_dense(path, WHOLE)
     rng, size = np.random.default_rng(0), path.stat().st_size
     window, shape = PlaneWindow(0.0, 0.0, 1.0, (1200, 1200)), (1200, 1200)
-    grey = rng.integers(0, 256, shape, np.uint8)
-    views = [BirdsEyeView(rng.normal(size=shape).astype(np.float32), grey) for _ in range(2)]
+    color = np.zeros((*shape, 3), np.uint8) + rng.integers(0, 256, (*shape, channels), np.uint8)
+    views = [BirdsEyeView(rng.normal(size=shape).astype(np.float32), color) for _ in range(2)]
     maps = [DenseOverview(*both, WHOLE.odometry[:, :3, 3]) for both in zip(("before", "after"), views, strict=True)]
     grid = OccupancyGrid(rng.choice(np.array([FREE, OCCUPIED, UNKNOWN], np.uint8), (3000, 3000)), 0.2, np.zeros(2))
     write_dense_page(path, maps, window, grid)

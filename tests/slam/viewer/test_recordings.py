@@ -18,7 +18,9 @@ from slam.viewer.recordings import PlacedMap, has_room, merge_recordings, record
 from slam.viewer.rerun_viewer import RerunViewer
 
 CAMERA = StereoCamera(120.0, 120.0, 79.5, 29.5, 0.5, 160, 60)
-TRIANGLE = Surface(np.eye(3, dtype=np.float32), np.array([0, 127, 255], np.uint8), np.array([[0, 1, 2]], np.int32))
+TRIANGLE = Surface(
+    np.eye(3, dtype=np.float32), np.diag([10, 127, 255]).astype(np.uint8), np.array([[0, 1, 2]], np.int32)
+)
 
 
 def record(path: Path, frame: int, run: str = "run") -> None:
