@@ -5,6 +5,7 @@ Corners are the points that Lucas and Kanade's tracker can hold (Shi and Tomasi,
 predicted place, and a track is accepted if tracking it back ends where it began.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -20,6 +21,9 @@ _MIN_GAIN, _MAX_GAIN = 0.85, 1 / 0.85
 _MAX_MEAN_DIFFERENCE = 12.0
 _MAX_LEVEL_GAIN = 5.0  # an image that needs more, or less than its inverse, is covered or blank, and is left as it is
 
+# Width up to which the pyramid's levels are those of the settings; each doubling has one more, for the same reach.
+_USUAL_WIDTH_PX = 1280
+
 _HALF = 2  # corners are detected in the image at half its size: a quarter of the time, and less noise
 
 
@@ -33,7 +37,8 @@ class TrackingConfig:
         min_spacing_px: smallest distance of a new corner from any track, pixels.
         min_quality: smallest corner strength, as a share of the strongest in the image.
         window_px: side of the window that is compared, pixels, odd.
-        pyramid_levels: levels of the pyramid above the image itself; each doubles the reach.
+        pyramid_levels: levels of the pyramid above the image itself; each doubles the reach. Larger images than usual
+            have more.
         max_return_error_px: largest distance between where tracking back ends and where it began, pixels.
         wide_blur_px: standard deviation by which a wider search blurs both images, pixels: one that motion has blurred
             then looks like a clear one; 0 for none.
@@ -84,7 +89,8 @@ def track_points(images: tuple[Image, Image], pixels: Array, guess: Array, confi
     Returns pixels (N, 2) in the second image, NaN where the track was lost.
     """
     first, second = images
-    ahead, found = lucas_kanade((first, second), pixels, guess, config)
+    levels = config.pyramid_levels + _more_levels(first.shape[1])
+    ahead, found = lucas_kanade((first, second), pixels, guess, replace(config, pyramid_levels=levels))
     # Back over one level only: it starts where it ought to end, so it needs no reach, and a track on
     # the wrong thing does not come back to the point it left.
     back, returned = lucas_kanade((second, first), ahead, pixels, TrackingConfig(config.window_px, pyramid_levels=1))
@@ -109,6 +115,11 @@ def lucas_kanade(
     )
     moved = moved.reshape(-1, 2).astype(np.float64)
     return moved, (status.ravel() > 0) & np.isfinite(moved).all(axis=1)
+
+
+def _more_levels(width_px: int) -> int:
+    """Levels that an image of this width has beyond those of the settings."""
+    return max(0, round(math.log2(width_px / _USUAL_WIDTH_PX)))
 
 
 def is_inside(pixels: Array, image: Image, margin: float = 4.0) -> NDArray[np.bool_]:
