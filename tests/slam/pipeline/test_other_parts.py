@@ -30,31 +30,26 @@ def corrected(run_folder: Path) -> np.ndarray:
     return read_tum(run_folder / "trajectory_corrected.tum")[1]
 
 
-@pytest.fixture(scope="module")
-def chain(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("parts") / "chain"
-    run(circle_drive, out)
-    return out
-
-
 def test_its_own_odometry_and_matches_from_files_give_the_same_trajectory(
-    circle_drive: Path, chain: Path, tmp_path: Path
+    circle_drive: Path, circle_run: Path, tmp_path: Path
 ):
-    odometry, matches = chain / "trajectory_odometry.tum", chain / "matches.csv"
+    odometry, matches = circle_run / "trajectory_odometry.tum", circle_run / "matches.csv"
     metrics = run(circle_drive, tmp_path / "out", odometry_file=str(odometry), paradigm=f"file:{matches}")
-    np.testing.assert_allclose(corrected(tmp_path / "out"), corrected(chain), rtol=0, atol=1e-6)
-    known = json.loads((chain / "metrics.json").read_text())
+    np.testing.assert_allclose(corrected(tmp_path / "out"), corrected(circle_run), rtol=0, atol=1e-6)
+    known = json.loads((circle_run / "metrics.json").read_text())
     assert metrics["loops"]["kept"] == known["loops"]["kept"] > 50
     for name in ("recall_at_100_precision", "average_precision"):
         assert metrics["places"][name] == pytest.approx(known["places"][name])
 
 
-def test_seventy_per_cent_of_false_matches_do_not_worsen_the_odometry(circle_drive: Path, chain: Path, tmp_path: Path):
+def test_seventy_per_cent_of_false_matches_do_not_worsen_the_odometry(
+    circle_drive: Path, circle_run: Path, tmp_path: Path
+):
     rng = np.random.default_rng(5)
-    true = [belief for belief in read_matches(chain / "matches.csv") if belief.accepted][::2]
+    true = [belief for belief in read_matches(circle_run / "matches.csv") if belief.accepted][::2]
     answered, lines = {belief.query for belief in true}, ["query,match,score"]
     lines += [f"{belief.query},{belief.match},0.5" for belief in true]
-    free = [query for query in range(60, len(corrected(chain))) if query not in answered]
+    free = [query for query in range(60, len(corrected(circle_run))) if query not in answered]
     # Queries with a true match get a surer false one beside it: the geometry tells them apart.
     lines += [f"{belief.query},{belief.match // 2},0.9" for belief in true[::3] if belief.match > 100]
     for query in rng.choice(free, min(len(free), round(len(true) * 0.7 / 0.3)), replace=False):
@@ -69,7 +64,9 @@ def test_seventy_per_cent_of_false_matches_do_not_worsen_the_odometry(circle_dri
     assert metrics["places"]["recall_at_100_precision"] < 0.5  # of the file, which is mostly wrong
 
 
-def test_another_odometry_is_bridged_and_corrected_by_trusted_poses(circle_drive: Path, chain: Path, tmp_path: Path):
+def test_another_odometry_is_bridged_and_corrected_by_trusted_poses(
+    circle_drive: Path, circle_run: Path, tmp_path: Path
+):
     drive, rng = open_dataset(circle_drive), np.random.default_rng(3)
     truth, poses = drive.ground_truth, [np.eye(4)]
     for before, after in pairwise(truth):
@@ -78,7 +75,7 @@ def test_another_odometry_is_bridged_and_corrected_by_trusted_poses(circle_drive
     kept = np.setdiff1d(np.arange(len(truth)), range(100, 110))
     write_tum(tmp_path / "other.tum", drive.timestamps[kept], np.array(poses)[kept])
     lines = ["query,match,score,x,y,z,qx,qy,qz,qw"]
-    for belief in read_matches(chain / "matches.csv"):
+    for belief in read_matches(circle_run / "matches.csv"):
         if belief.accepted:
             T = se3.inverse(truth[belief.match]) @ truth[belief.query]
             numbers = (*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat())

@@ -18,7 +18,6 @@ from slam.evaluation.trajectory_errors import umeyama
 from slam.io.frames_and_loops_csv import read_loops
 from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.submaps import SubmapStore
-from slam.pipeline.pipeline import RunOptions, run_pipeline
 from slam.simulation import SimulationConfig
 from slam.simulation.simulator import MANIFEST, ground_truth_surfaces
 from slam.viewer.rerun_viewer import RerunViewer
@@ -30,16 +29,8 @@ QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
-def circle(circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a run over two laps of 160 m, images at half of KITTI's size."""
-    out = tmp_path_factory.mktemp("circle") / "run"
-    run_pipeline(RunOptions(source=circle_drive, out=out), {"save_recording": False}, QUIET, QUIET)
-    return out
-
-
-@pytest.fixture(scope="module")
-def metrics(circle: Path) -> dict:
-    return json.loads((circle / "metrics.json").read_text())
+def metrics(circle_run: Path) -> dict:
+    return json.loads((circle_run / "metrics.json").read_text())
 
 
 def test_the_second_lap_is_recognised_and_no_false_loop_is_kept(metrics: dict):
@@ -61,14 +52,14 @@ def test_metrics_of_the_recogniser_stand_beside_those_of_the_trajectory(metrics:
     assert metrics["places"]["truth_rows"] > 100
 
 
-def test_every_belief_has_a_row_with_a_reason(circle: Path):
-    rows = read_loops(circle / "loops.csv")
+def test_every_belief_has_a_row_with_a_reason(circle_run: Path):
+    rows = read_loops(circle_run / "loops.csv")
     assert all(row.reason for row in rows)
     assert [row.query for row in rows] == sorted({row.query for row in rows})
 
 
-def test_every_kept_loop_was_verified(circle: Path):
-    assert all(row.accepted and row.verified for row in read_loops(circle / "loops.csv") if row.in_graph)
+def test_every_kept_loop_was_verified(circle_run: Path):
+    assert all(row.accepted and row.verified for row in read_loops(circle_run / "loops.csv") if row.in_graph)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +72,10 @@ def town(circle_drive: Path) -> open3d.t.geometry.RaycastingScene:
     return scene
 
 
-def test_the_dense_map_lies_on_the_true_surfaces(circle: Path, town: open3d.t.geometry.RaycastingScene, tmp_path: Path):
-    run, store = read_run(circle), SubmapStore(tmp_path)
+def test_the_dense_map_lies_on_the_true_surfaces(
+    circle_run: Path, town: open3d.t.geometry.RaycastingScene, tmp_path: Path
+):
+    run, store = read_run(circle_run), SubmapStore(tmp_path)
     groups = group_key_frames(run.odometry, run.key_frames, 20)
     chosen = [groups[1], groups[-2]]  # one of each lap
     assert list(DenseMapper(run.calibration).fuse(run.dataset, run.odometry, chosen, store))[-1] == len(
@@ -106,14 +99,14 @@ def test_true_surfaces_are_where_the_camera_sees_them(town: open3d.t.geometry.Ra
 
 
 @pytest.fixture
-def short(circle: Path, tmp_path: Path) -> Path:
+def short(circle_run: Path, tmp_path: Path) -> Path:
     """Make a run that was interrupted after 40 frames."""
     run = tmp_path / "run"
     run.mkdir()
     for name in ("calibration.toml", "config.toml", "metrics.json"):
-        shutil.copy(circle / name, run)
+        shutil.copy(circle_run / name, run)
     for name, lines in (("trajectory_odometry.tum", 40), ("trajectory_corrected.tum", 40), ("frames.csv", 41)):
-        (run / name).write_text("".join((circle / name).read_text().splitlines(keepends=True)[:lines]))
+        (run / name).write_text("".join((circle_run / name).read_text().splitlines(keepends=True)[:lines]))
     return run
 
 
@@ -130,8 +123,8 @@ def test_dense_maps_of_a_run_are_written_beside_it_and_never_lost_by_accident(sh
     assert (short / "mesh_after.ply").read_bytes() == first
 
 
-def test_the_dense_map_has_a_page_to_which_the_report_links_and_a_recording(circle: Path, short: Path):
-    assert '<a href="dense.html">' in (circle / "report.html").read_text(encoding="utf-8")
+def test_the_dense_map_has_a_page_to_which_the_report_links_and_a_recording(circle_run: Path, short: Path):
+    assert '<a href="dense.html">' in (circle_run / "report.html").read_text(encoding="utf-8")
     RerunViewer(short / "recording.rrd", read_run(short).dataset.camera).close()
     assert build_dense_map(DenseOptions(short), QUIET).endswith("dense.html, dense.rrd")
     assert (short / "dense.html").read_text(encoding="utf-8").count("data:image/webp;base64,") >= 3
@@ -169,7 +162,7 @@ SHOWN = {
 
 
 @pytest.fixture(scope="module")
-def everything(circle: Path, circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def everything(circle_run: Path, circle_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that has what the pages speak of, under the names they use."""
     folder = tmp_path_factory.mktemp("everything")
     for name in ("my_drive", "SOURCE", "data/circle", "data/kitti"):
@@ -177,8 +170,8 @@ def everything(circle: Path, circle_drive: Path, tmp_path_factory: pytest.TempPa
     shutil.copytree(circle_drive / "sequences" / "00", folder / "data" / "kitti" / "sequences" / "05")
     shutil.copy(circle_drive / "poses" / "00.txt", folder / "data" / "kitti" / "poses" / "05.txt")
     for name in ("runs/demo", "runs/kitti05", "runs/places05"):
-        shutil.copytree(circle, folder / name)
-    shutil.copy(circle / "loops.csv", folder / "runs" / "places05" / "matches.csv")
+        shutil.copytree(circle_run, folder / name)
+    shutil.copy(circle_run / "loops.csv", folder / "runs" / "places05" / "matches.csv")
     truth = np.load(circle_drive / "loops_00.npz")["truth"]
     savemat(folder / "groundTruthKITTI05.mat", {"truth": truth.astype(np.uint8)})
     return folder
