@@ -14,6 +14,7 @@ authors' network with random weights, the control of every measurement.
 """
 
 import argparse
+import importlib.util
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from command_line import existing, run_script
 
 from slam.errors import DataError
 
+PACKAGES = ("torch", "torchvision", "onnx", "onnxruntime")
 IMAGENET = {"mean": "0.485 0.456 0.406", "std": "0.229 0.224 0.225"}
 
 
@@ -95,6 +97,10 @@ def main() -> None:
     parser.add_argument("--stand-in", action="store_true")
     parser.add_argument("--count", type=int, default=1000, help="maximum number of key points of local features")
     given = parser.parse_args()
+    if missing := [name for name in PACKAGES if importlib.util.find_spec(name) is None]:
+        raise DataError(
+            f"export: expected {', '.join(PACKAGES)}, found no {', '.join(missing)}: pip install {' '.join(PACKAGES)}"
+        )
     if given.name in ALIKED:
         export_aliked(given)
         return
@@ -163,11 +169,11 @@ def export_aliked(given: argparse.Namespace) -> None:
     Raises:
         DataError: there is no repository of the authors, or the file answers otherwise than the model.
     """
+    if given.repository is None or not (given.repository / "nets" / "aliked.py").is_file():
+        raise DataError(f"{given.name}: expected --repository with nets/aliked.py, found none; clone Shiaoming/ALIKED")
     import onnx
     import torch
 
-    if given.repository is None or not (given.repository / "nets" / "aliked.py").is_file():
-        raise DataError(f"{given.name}: expected --repository with nets/aliked.py, found none; clone Shiaoming/ALIKED")
     sys.path.insert(0, str(given.repository))
     sys.modules["custom_ops"] = None  # type: ignore[assignment]  # compiled by few; without it the model has Python code
     from nets import aliked
@@ -305,12 +311,14 @@ def _describe(head: Any, features: Any, pixels: Any) -> Any:
 
     channels, positions = features.shape[1], head.n_pos
     sides = torch._shape_as_tensor(features)[2:]
-    wide = torch.nn.functional.pad(features[0], (1, 1, 1, 1)).reshape(channels, -1)
-    corner = pixels.long()
-    rows, columns = (
-        corner[:, axis, None, None] + torch.arange(3).reshape(shape) for axis, shape in ((1, (3, 1)), (0, (1, 3)))
-    )
-    patches = wide[:, (rows * (sides[1] + 2) + columns).reshape(-1)].reshape(channels, -1, 3, 3).transpose(0, 1)
+    # gathered one by one: a map with a border of zeros would be copied whole
+    around = torch.arange(3) - 1
+    y = pixels.long()[:, 1, None, None] + around.reshape(3, 1)
+    x = pixels.long()[:, 0, None, None] + around.reshape(1, 3)
+    inside = (x >= 0) & (x < sides[1]) & (y >= 0) & (y < sides[0])
+    places = torch.where(inside, y * sides[1] + x, torch.zeros_like(x))
+    patches = features.reshape(channels, -1)[:, places.reshape(-1)].reshape(channels, -1, 3, 3).transpose(0, 1)
+    patches = patches * inside[:, None].to(patches)
     limit = sides.max() / 4
     offsets = torch.minimum(torch.maximum(head.offset_conv(patches), -limit), limit)
     places = pixels[:, None] + offsets.reshape(-1, 2, positions).transpose(1, 2)

@@ -26,6 +26,7 @@ WRONG_PATHS = {
     "compare_versions": ["compare", NOWHERE, NOWHERE],
     "default_vocabulary": [NOWHERE],
     "dense_map": [NOWHERE],
+    "export_networks": ["aliked-n16", "made", "--repository", NOWHERE],
     "image_descriptors": [NOWHERE, NOWHERE],
     "indoors": [NOWHERE],
     "kill_and_resume": [NOWHERE],

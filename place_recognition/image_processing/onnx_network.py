@@ -179,6 +179,13 @@ def check_image(image: Image) -> None:
         raise ValueError(f"expected an image (H, W) or (H, W, 3) uint8, got {image.shape} {image.dtype}")
 
 
+def is_even(image: Image) -> bool:
+    """Return whether all pixels of an image (H, W) or (H, W, 3) are the same."""
+    first = image[:1, :1]
+    # a few of them first: they tell nearly all images at once, where all of them take 2 ms
+    return bool((image[::16, ::16] == first).all()) and bool((image == first).all())
+
+
 def _crop(image: Image, aspect: float) -> Image:
     """The middle of an image of the aspect height / width."""
     height, width = image.shape[:2]

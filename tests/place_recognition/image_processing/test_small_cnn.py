@@ -52,6 +52,13 @@ def test_vectors_have_unit_length_and_even_images_are_zeros():
         assert not SmallCnn().describe(np.full((100, 200, 3), value, np.uint8)).any()
 
 
+@pytest.mark.parametrize("place", [(0, 0), (33, 57), (99, 199)])
+def test_an_image_with_one_pixel_that_differs_is_not_even(place):
+    image = np.full((100, 200, 3), 77, np.uint8)
+    image[place][2] = 78
+    assert np.linalg.norm(SmallCnn().describe(image)) == pytest.approx(1, rel=1e-6)
+
+
 def test_a_dark_view_of_a_place_is_more_alike_than_another_place():
     world, descriptor = textured_world(1600, seed=8), SmallCnn()
     places = [np.ascontiguousarray(world[:, s : s + 320]) for s in range(0, 1280, 160)]
