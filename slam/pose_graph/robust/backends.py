@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from slam.errors import ConfigError, GraphError
 from slam.pose_graph.optimization.gauss_newton import irls
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
-from slam.pose_graph.robust.consensus import grow_consensus
+from slam.pose_graph.robust.consensus import fitting_loops, grow_consensus
 from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO
@@ -165,7 +165,12 @@ def _pcm(problem: LoopProblem, screening: Screening) -> BackEndResult:
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     """Loops accepted by likelihood ratio and pairwise consistency, misfits removed by GNC, until none follows."""
     consensus = grow_consensus(screening)
-    return _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
+    result = _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
+    if screening.condensed.is_exact:
+        return result
+    # Moved along odometry to poses that stayed, loops have larger covariances: an error that hid there shows now.
+    fits = fitting_loops(problem, consensus, result.poses)
+    return result if fits[result.kept].all() else _fit_nearby(problem, result.kept & fits, result.poses)
 
 
 # The problem and the screening of its loops -> poses and weights; `solve` adds the reasons.

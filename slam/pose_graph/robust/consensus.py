@@ -264,6 +264,18 @@ def _fit_inliers(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus
     return replace(state, poses=poses, kept=kept, fitted_scale=scale)
 
 
+def fitting_loops(problem: LoopProblem, consensus: Consensus, poses: Array) -> Mask:
+    """(L,) loops of the whole problem that are likely where its fit (N, n, n) to the kept ones is taken for the truth.
+
+    Args:
+        problem: the whole problem; the consensus may be that of a condensed one.
+        consensus: the accepted loops.
+        poses: (N, n, n) poses fitted to the trusted edges and the kept loops, metres.
+    """
+    likelihood = replace(consensus.likelihood, loops=problem.loops)
+    return _fits(problem, poses, likelihood, _residual_scale(problem, consensus, poses, consensus.kept))
+
+
 def _fits(problem: LoopProblem, poses: Array, likelihood: LoopLikelihood, scale: float) -> Mask:
     """(L,) loops that are likely where the fit is taken for the truth."""
     at_fit = replace(likelihood, errors=problem.loops.errors(poses))

@@ -20,6 +20,8 @@ Rows = NDArray[np.int64]
 
 # Pairs grow with the square of the loops: every pair of the seeds is tested, the other loops against the seeds only.
 SEEDS = 150
+_MAX_PAIRS = 200_000  # of other loops and seeds: of many other loops each is tested against fewer seeds
+_MIN_TESTED_SEEDS = 16
 _LIMIT_FACTOR = 2.0  # on the chi-square limit of a cycle: the scale of single covariances is uncertain
 _MIN_AGREEING_SHARE = 0.8  # of the accepted seeds, with which another loop must agree
 _NEIGHBORS = 8  # loops nearest to a loop, itself included, that vote on it
@@ -43,8 +45,14 @@ def pairwise_consistent(likelihood: LoopLikelihood, rows: Rows, scale: float) ->
     seeds, others = rows[order[:SEEDS]], rows[np.sort(order[SEEDS:])]
     agree = pairwise_consistency(likelihood, seeds, seeds, scale)
     good = seeds[greedy_max_weight_clique(agree & agree.T, log_ratio[order[:SEEDS]])]
-    share = pairwise_consistency(likelihood, others, good, scale).sum(axis=1)
-    return np.sort(np.concatenate([good, others[share >= _MIN_AGREEING_SHARE * len(good)]]))
+    tested = _spread(good, max(_MAX_PAIRS // max(len(others), 1), _MIN_TESTED_SEEDS))
+    share = pairwise_consistency(likelihood, others, tested, scale).sum(axis=1)
+    return np.sort(np.concatenate([good, others[share >= _MIN_AGREEING_SHARE * len(tested)]]))
+
+
+def _spread(rows: Rows, count: int) -> Rows:
+    """At most `count` of the rows, evenly spread."""
+    return rows if len(rows) <= count else rows[np.linspace(0, len(rows) - 1, count).round().astype(np.int64)]
 
 
 def contradicted_by_neighbors(likelihood: LoopLikelihood, rows: Rows, scale: float) -> Rows:
@@ -120,20 +128,21 @@ def _cycles(likelihood: LoopLikelihood, a: Rows, b: Rows) -> tuple[Array, Array]
     chi2, log_det = [np.zeros(0)], [np.zeros(0)]
     for k in range(0, len(a), _PAIRS_PER_CHUNK):
         part = slice(k, k + _PAIRS_PER_CHUNK)
-        values = _cycle(likelihood.posterior, likelihood.loops[a[part]], likelihood.loops[b[part]])
+        values = _cycle(likelihood.posterior, likelihood.loops, a[part], b[part])
         chi2.append(values[0])
         log_det.append(values[1])
     return np.concatenate(chi2), np.concatenate(log_det)
 
 
-def _cycle(posterior: Posterior, one: Edges, other: Edges) -> tuple[Array, Array]:
+def _cycle(posterior: Posterior, loops: Edges, a: Rows, b: Rows) -> tuple[Array, Array]:
     """Chi-squares (P,) of the cycles through P pairs of loops, and log-determinants of their covariances.
 
     A cycle runs from the second end of the first loop back to it: the first loop backwards, the poses between the
     two first ends, the other loop, the poses between the two second ends. Its covariance is that of the two
     measurements and that of the four poses, whose correlations the samples of the posterior carry.
     """
-    poses, samples, adjoint = posterior.poses, posterior.samples, one.group.adjoint
+    one, other = loops[a], loops[b]
+    poses, samples, adjoint = posterior.poses, posterior.samples, loops.group.adjoint
     T_first_first = inverse(poses[one.first]) @ poses[other.first]
     T_second_second = inverse(poses[other.second]) @ poses[one.second]
     T_other_end = other.motions @ T_second_second
@@ -146,7 +155,7 @@ def _cycle(posterior: Posterior, one: Edges, other: Edges) -> tuple[Array, Array
         - adjoint(inverse(T_first_first @ T_other_end)) @ samples[one.first]
     )
     Ad = adjoint(T_back)
-    measured = one.covariance + Ad @ other.covariance @ np.swapaxes(Ad, 1, 2)
+    measured = loops.covariance[a] + Ad @ loops.covariance[b] @ np.swapaxes(Ad, 1, 2)
     count, dof = moved.shape[2], moved.shape[1]
     # count - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
     covariance = moved @ np.swapaxes(moved, 1, 2) / (count - dof - 1) + measured

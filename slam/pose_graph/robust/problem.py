@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
+MAX_POSES = 10_000  # of an exact condensation
+_MIN_MOVED_SPACING = 5  # poses from one that stays to the next, where loops are moved
 _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
 
@@ -71,11 +73,13 @@ class CondensedProblem:
         problem: the condensed problem; its trusted edges join successive poses that stayed.
         rows: (K,) rows in the whole problem of the poses that stayed.
         whole: (N, n, n) start of the whole problem, metres.
+        is_exact: whether every loop ends at poses that stayed; else loops were moved there along odometry.
     """
 
     problem: LoopProblem
     rows: NDArray[np.int64]
     whole: Array
+    is_exact: bool = True
 
     def expand(self, poses: Array) -> Array:
         """Poses (N, n, n) of the whole problem from those that stayed (K, n, n); corrections are interpolated."""
@@ -99,13 +103,45 @@ def condense(problem: LoopProblem) -> CondensedProblem:
     successive = len(trusted) == count - 1 and bool(
         (trusted.first[order] == np.arange(count - 1)).all() and (trusted.second == trusted.first + 1).all()
     )
-    if not successive or len(rows) == count:
+    if not successive or len(rows) == count <= MAX_POSES:
         return CondensedProblem(problem, np.arange(count), problem.start)
+    is_exact = len(rows) <= MAX_POSES
+    if not is_exact:
+        spacing = max(_MIN_MOVED_SPACING, -(-count // MAX_POSES))
+        rows = np.unique(np.append(np.arange(0, count, spacing), count - 1))
+        loops = _move_ends(loops, trusted[order], problem.start, rows)
     renumbered = Edges(
         np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
     )
     small = LoopProblem(_compose_steps(trusted[order], problem.start, rows), renumbered, problem.start[rows])
-    return CondensedProblem(small, rows, problem.start)
+    return CondensedProblem(small, rows, problem.start, is_exact)
+
+
+def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+    """Loops between the rows nearest to their ends, moved there along the N - 1 steps that lead to poses (N, n, n).
+
+    The covariance of the steps on the way is added to that of the loop.
+    """
+    middle = (rows[:-1] + rows[1:] + 1) // 2
+    first, second = (rows[np.searchsorted(middle, ends, side="right")] for ends in (loops.first, loops.second))
+    adjoint = loops.group.adjoint
+    # Errors of steps add up in the frame of the first pose, so that of any way is a difference of two sums.
+    Ad = adjoint(poses[1:])
+    sums = np.concatenate([np.zeros_like(Ad[:1]), np.cumsum(Ad @ steps.covariance @ np.swapaxes(Ad, 1, 2), axis=0)])
+
+    def between(one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
+        return sums[np.maximum(one, other)] - sums[np.minimum(one, other)]
+
+    def rotate(Ad: Array, covariance: Array) -> Array:
+        return Ad @ covariance @ np.swapaxes(Ad, 1, 2)
+
+    T_second_moved = inverse(poses[loops.second]) @ poses[second]
+    T_first_moved = loops.motions @ T_second_moved
+    covariance = rotate(adjoint(inverse(T_second_moved)), loops.covariance)
+    covariance += rotate(adjoint(inverse(poses[second])), between(loops.second, second))
+    covariance += rotate(adjoint(inverse(poses[loops.first] @ T_first_moved)), between(loops.first, first))
+    motions = inverse(poses[first]) @ poses[loops.first] @ T_first_moved
+    return Edges(first, second, motions, np.linalg.inv(0.5 * (covariance + np.swapaxes(covariance, 1, 2))))
 
 
 def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
