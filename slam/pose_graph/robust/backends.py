@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from slam.errors import ConfigError, GraphError
 from slam.pose_graph.optimization.gauss_newton import irls
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
-from slam.pose_graph.robust.consensus import fitting_loops, grow_consensus
+from slam.pose_graph.robust.consensus import Consensus, fitting_loops, grow_consensus, outlying_loops
 from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO
@@ -166,11 +166,22 @@ def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     """Loops accepted by likelihood ratio and pairwise consistency, misfits removed by GNC, until none follows."""
     consensus = grow_consensus(screening)
     result = _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
-    if screening.condensed.is_exact:
+    return result if screening.condensed.is_exact else _without_misfits(problem, consensus, result)
+
+
+def _without_misfits(problem: LoopProblem, consensus: Consensus, result: BackEndResult) -> BackEndResult:
+    """The result without kept loops that the others contradict in the whole problem.
+
+    Loops that were moved along odometry have larger covariances, in which an error may hide.
+    """
+    suspects = result.kept & outlying_loops(problem, consensus, result.poses)
+    if not suspects.any():
         return result
-    # Moved along odometry to poses that stayed, loops have larger covariances: an error that hid there shows now.
-    fits = fitting_loops(problem, consensus, result.poses)
-    return result if fits[result.kept].all() else _fit_nearby(problem, result.kept & fits, result.poses)
+    others = _fit_nearby(problem, result.kept & ~suspects, result.poses)
+    kept = others.kept | (suspects & fitting_loops(problem, consensus, others.poses))
+    if (kept == result.kept).all():
+        return result
+    return others if (kept == others.kept).all() else _fit_nearby(problem, kept, others.poses)
 
 
 # The problem and the screening of its loops -> poses and weights; `solve` adds the reasons.

@@ -265,15 +265,25 @@ def _fit_inliers(problem: LoopProblem, state: Consensus, use: Mask) -> Consensus
 
 
 def fitting_loops(problem: LoopProblem, consensus: Consensus, poses: Array) -> Mask:
-    """(L,) loops of the whole problem that are likely where its fit (N, n, n) to the kept ones is taken for the truth.
+    """(L,) loops that are likely where a fit (N, n, n) of a problem is taken for the truth.
 
     Args:
-        problem: the whole problem; the consensus may be that of a condensed one.
+        problem: trusted edges and loops; the consensus may be that of its condensed form.
         consensus: the accepted loops.
-        poses: (N, n, n) poses fitted to the trusted edges and the kept loops, metres.
+        poses: (N, n, n) poses fitted to the trusted edges and to most of the accepted loops, metres.
     """
     likelihood = replace(consensus.likelihood, loops=problem.loops)
     return _fits(problem, poses, likelihood, _residual_scale(problem, consensus, poses, consensus.kept))
+
+
+def outlying_loops(problem: LoopProblem, consensus: Consensus, poses: Array) -> Mask:
+    """(L,) loops with a larger error at a fit (N, n, n) of a problem than true loops have but for one in ten thousand.
+
+    Args: as in `fitting_loops`.
+    """
+    scale = _residual_scale(problem, consensus, poses, consensus.kept)
+    outlying: Mask = problem.loops.chi2(poses) > max_inlier_chi2(problem.loops.group.dof) * scale
+    return outlying
 
 
 def _fits(problem: LoopProblem, poses: Array, likelihood: LoopLikelihood, scale: float) -> Mask:

@@ -18,7 +18,6 @@ Mask = NDArray[np.bool_]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
 MAX_POSES = 10_000  # of an exact condensation
-_MIN_MOVED_SPACING = 5  # poses from one that stays to the next, where loops are moved
 _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
 
@@ -107,7 +106,7 @@ def condense(problem: LoopProblem) -> CondensedProblem:
         return CondensedProblem(problem, np.arange(count), problem.start)
     is_exact = len(rows) <= MAX_POSES
     if not is_exact:
-        spacing = max(_MIN_MOVED_SPACING, -(-count // MAX_POSES))
+        spacing = max(_MAX_SPACING, -(-count // MAX_POSES))
         rows = np.unique(np.append(np.arange(0, count, spacing), count - 1))
         loops = _move_ends(loops, trusted[order], problem.start, rows)
     renumbered = Edges(

@@ -1,0 +1,161 @@
+"""A route driven many times: the batch decides on a smaller graph, and its result is that of the whole one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.pose_graph.optimization.edges import Edges, concatenate
+from slam.pose_graph.optimization.gtsam_solver import optimize
+from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
+from slam.pose_graph.robust import pcm, problem
+from slam.pose_graph.robust.backends import LoopProblem, solve
+from slam.pose_graph.robust.covariance_calibration import screen
+from slam.pose_graph.robust.problem import condense
+
+LAP, LAPS = 60, 20
+COUNT = LAP * LAPS
+MAX_POSES = 300
+
+
+@pytest.fixture
+def few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every graph of more than `MAX_POSES` poses is a long one."""
+    monkeypatch.setattr(problem, "MAX_POSES", MAX_POSES)
+
+
+def sigmas_of(group: LieGroup) -> np.ndarray:
+    sigmas = np.full(group.dof, 0.02)
+    sigmas[group.rotation] = 0.002
+    return sigmas
+
+
+def route(group: LieGroup) -> np.ndarray:
+    """True poses of a circle that is driven `LAPS` times."""
+    step = np.zeros(group.dof)
+    step[group.translation.start], step[group.rotation.stop - 1] = 1.0, 2 * np.pi / LAP
+    return compose(np.eye(group.size), np.tile(group.exp(step[None]), (COUNT - 1, 1, 1)))
+
+
+def measure(poses: np.ndarray, group: LieGroup, first: np.ndarray, second: np.ndarray, seed: int) -> Edges:
+    sigmas = sigmas_of(group)
+    noise = group.exp(np.random.default_rng(seed).normal(size=(len(first), group.dof)) * sigmas)
+    information = np.tile(np.diag(sigmas**-2.0), (len(first), 1, 1))
+    return Edges(first, second, inverse(poses[first]) @ poses[second] @ noise, information)
+
+
+def long_drive(group: LieGroup) -> LoopProblem:
+    """Every frame of every later lap has a loop, to the first lap or to the one before."""
+    poses, query = route(group), np.arange(LAP, COUNT)
+    match = np.where(query % 3 == 0, query - LAP, query % LAP)
+    trusted = measure(poses, group, np.arange(COUNT - 1), np.arange(1, COUNT), 0)
+    return LoopProblem(trusted, measure(poses, group, match, query, 1), compose(np.eye(group.size), trusted.motions))
+
+
+def with_false(clean: LoopProblem) -> LoopProblem:
+    """The drive with lone false loops, and with a run of them that agree with one another."""
+    rng, group = np.random.default_rng(5), clean.loops.group
+    query = rng.integers(4 * LAP, COUNT, 40)
+    match = (rng.random(40) * (query - LAP)).astype(np.int64)
+    lone = measure(route(group), group, match, query, 2)
+    lone = replace(lone, motions=group.exp(rng.normal(size=(40, group.dof))))
+    poses, run = route(group), np.arange(8)
+    agreeing = measure(poses, group, LAP // 2 + run, 10 * LAP + run, 3)
+    there, wrong = poses[10 * LAP + run], group.exp(np.full((1, group.dof), 0.5))
+    agreeing = replace(agreeing, motions=agreeing.motions @ inverse(there) @ wrong @ there)
+    return replace(clean, loops=concatenate(clean.loops, concatenate(lone, agreeing)))
+
+
+@pytest.mark.parametrize("group", [SE2(), SE3()])
+@pytest.mark.usefixtures("few_poses")
+def test_false_loops_are_left_out_and_the_poses_are_those_of_the_true_ones(group: LieGroup) -> None:
+    clean, truth = long_drive(group), route(group)
+    whole = with_false(clean)
+    result = solve(whole)
+    best = optimize(clean.edges_with(np.ones(len(clean.loops), bool)), clean.start)
+    error = np.linalg.norm((best - truth)[:, :-1, -1], axis=1).mean()
+    odometry_error = np.linalg.norm((clean.start - truth)[:, :-1, -1], axis=1).mean()
+    difference = np.linalg.norm((result.poses - best)[:, :-1, -1], axis=1).mean()
+    assert len(screen(whole).condensed.rows) <= MAX_POSES < COUNT
+    assert error < 0.2 * odometry_error
+    assert difference < 0.02 * error
+    assert result.kept[: len(clean.loops)].mean() > 0.995
+    assert not result.kept[len(clean.loops) :].any()
+
+
+@pytest.mark.usefixtures("few_poses")
+def test_a_small_error_that_hides_in_the_smaller_graph_is_found_in_the_whole_one() -> None:
+    clean = long_drive(SE2())
+    motions = clean.loops.motions.copy()
+    motions[505, 0, 2] += 0.25
+    kept = solve(replace(clean, loops=replace(clean.loops, motions=motions))).kept
+    assert not kept[505]
+    assert np.delete(kept, 505).mean() > 0.995
+
+
+@pytest.mark.parametrize("group", [SE2(), SE3()])
+@pytest.mark.usefixtures("few_poses")
+def test_a_loop_that_agrees_with_odometry_agrees_wherever_its_ends_are_moved(group: LieGroup) -> None:
+    drive = long_drive(group)
+    exact = inverse(drive.start[drive.loops.first]) @ drive.start[drive.loops.second]
+    whole = replace(drive, loops=replace(drive.loops, motions=exact))
+    small = condense(whole)
+    assert not small.is_exact
+    assert len(small.rows) < COUNT / 9
+    np.testing.assert_allclose(small.problem.loops.chi2(small.problem.start), 0.0, atol=1e-9)
+    assert (np.abs(small.rows[small.problem.loops.second] - drive.loops.second) <= 5).all()
+
+
+@pytest.mark.parametrize("group", [SE2(), SE3()])
+@pytest.mark.usefixtures("few_poses")
+def test_a_moved_loop_is_as_uncertain_as_odometry_on_the_way_and_the_loop_together(group: LieGroup) -> None:
+    """Errors of simulated steps and loops, moved, have the stated covariance."""
+    drive, poses, chi2 = long_drive(group), route(group), []
+    rows = np.arange(COUNT - 1)
+    loops = slice(507, 512)  # all of one stretch, moved by different ways
+    for seed in range(150):
+        trusted = measure(poses, group, rows, rows + 1, 10 + seed)
+        measured = measure(poses, group, drive.loops.first, drive.loops.second, 1000 + seed)
+        small = condense(LoopProblem(trusted, measured, compose(np.eye(group.size), trusted.motions)))
+        moved = small.problem.loops[loops]
+        chi2.append(moved.chi2(poses[small.rows]) / group.dof)
+    np.testing.assert_allclose(np.mean(chi2, axis=0), 1.0, atol=0.25)
+
+
+def test_a_graph_that_is_not_long_stays_as_it_was() -> None:
+    drive = long_drive(SE2())
+    assert condense(drive).problem is drive
+    assert condense(drive).is_exact
+
+
+def test_the_poses_of_the_smaller_graph_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(problem, "MAX_POSES", 50)
+    assert len(condense(long_drive(SE2())).rows) <= 51
+
+
+@pytest.mark.usefixtures("few_poses")
+def test_the_pairs_of_the_consistency_do_not_grow_with_the_square_of_the_loops(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pcm, "SEEDS", 20)
+    monkeypatch.setattr(pcm, "_MAX_PAIRS", 2000)
+    monkeypatch.setattr(pcm, "_MIN_TESTED_SEEDS", 2)
+    drive = long_drive(SE2())
+    likelihood = screen(drive).likelihood
+    largest, inner = [0], pcm._cycle
+
+    def count(posterior: object, loops: Edges, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        largest.append(len(a))
+        return inner(posterior, loops, a, b)  # type: ignore[arg-type]
+
+    def pairs(loops: int) -> int:
+        largest.clear()
+        rows = np.linspace(0, len(drive.loops) - 1, loops).astype(np.int64)
+        accepted = pcm.pairwise_consistent(likelihood, rows, 4.0)
+        assert len(accepted) > 0.9 * loops
+        return sum(largest)
+
+    monkeypatch.setattr(pcm, "_cycle", count)
+    few, many = pairs(280), pairs(1120)
+    assert few <= 20**2 + 2000
+    assert many <= 20**2 + 2 * 1120
