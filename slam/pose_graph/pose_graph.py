@@ -27,6 +27,7 @@ from slam.pose_graph.optimization.sim3 import (
 )
 from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
+from slam.pose_graph.robust.problem import MAX_POSES, condense, sum_errors_of_steps
 
 Array = NDArray[np.float64]
 
@@ -147,9 +148,33 @@ class PoseGraph:
         return self._chain.covariances()
 
     def covariances(self, optimized: OptimizationResult) -> Array:
-        """Covariances (N, 6, 6) of the poses of an optimisation, by odometry and the loops that it kept."""
+        """Covariances (N, 6, 6) of the poses of an optimisation, by odometry and the loops that it kept.
+
+        Those of a long drive are computed for some of the poses, and interpolated.
+        """
         loops = [self.config.with_noise_floor(self._loops[number]) for number in np.flatnonzero(optimized.kept)]
-        return marginal_covariances(self._with_drift(self._edges), loops, optimized.poses, self._chain.bias_sigmas())
+        motions, bias_sigmas = self._with_drift(self._edges), self._chain.bias_sigmas()
+        if len(self) <= MAX_POSES:
+            return marginal_covariances(motions, loops, optimized.poses, bias_sigmas)
+        small = condense(_edges_of(motions, loops, optimized.poses))
+        steps, ends = small.problem.trusted, small.problem.loops
+        moved = [
+            replace(
+                loops[k],
+                match=int(ends.first[k]),
+                query=int(ends.second[k]),
+                T_match_query=ends.motions[k],
+                covariance=ends.covariance[k],
+            )
+            for k in small.most_certain_loops()
+        ]
+        covariances = marginal_covariances(
+            list(zip(steps.motions, steps.covariance, strict=True)),
+            moved,
+            small.problem.start,
+            sum_errors_of_steps(optimized.poses, small.rows, bias_sigmas[:, :, None] * np.eye(6)),
+        )
+        return small.expand_covariances(covariances)
 
     @property
     def num_online_nodes(self) -> int:
@@ -208,12 +233,8 @@ class PoseGraph:
 
     def _problem(self, scales: Array) -> back_ends.LoopProblem:
         edges, closures = self.in_common_scale(scales)
-        motions = self._with_drift(edges)
         floored = [self.config.with_noise_floor(loop) for loop in closures]
-        before, ends = np.arange(len(motions)), [(loop.match, loop.query) for loop in floored]
-        chain = from_measurements(np.column_stack([before, before + 1]), motions)
-        loops = from_measurements(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in floored])
-        return back_ends.LoopProblem(chain, loops, chain_motions([T for T, _ in edges]))
+        return _edges_of(self._with_drift(edges), floored, chain_motions([T for T, _ in edges]))
 
     def _check(self, closure: LoopClosure) -> None:
         if not 0 <= closure.match < closure.query < len(self):
@@ -237,6 +258,14 @@ class PoseGraph:
             f"{residual:.1f} sigma (limit {np.sqrt(self.config.max_gate_chi2):.1f})"
         )
         return GateResult(passed, residual, reason)
+
+
+def _edges_of(motions: list[tuple[Array, Array]], loops: list[LoopClosure], poses: Array) -> back_ends.LoopProblem:
+    """The problem of N - 1 motions with their covariances, of loops, and of poses (N, 4, 4) to start from."""
+    before, ends = np.arange(len(motions)), [(loop.match, loop.query) for loop in loops]
+    chain = from_measurements(np.column_stack([before, before + 1]), motions)
+    measured = from_measurements(np.array(ends), [(loop.T_match_query, loop.covariance) for loop in loops])
+    return back_ends.LoopProblem(chain, measured, poses)
 
 
 def _check_covariance(covariance: Array, name: str) -> Array:

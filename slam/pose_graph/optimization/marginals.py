@@ -39,7 +39,8 @@ def marginal_covariances(
         motions: N - 1 motions T_previous_current (4, 4) with their covariances (6, 6), in order.
         loops: loops to which the poses are fitted.
         poses: T_world_camera (N, 4, 4), metres, the solution of the graph.
-        bias_sigmas: (N - 1, 6) standard deviation of the bias's error in each motion; all share its sign.
+        bias_sigmas: (N - 1, 6) standard deviation of the bias's error in each motion; all share its sign. Or
+            (N - 1, 6, 6), the error in each motion by each of six biases of one sigma, one column each.
     """
     graph, values = _graph(motions, loops), factors.to_values(poses)
     linear, marginals = graph.linearize(values), gtsam.Marginals(graph, values)
@@ -69,7 +70,8 @@ def _response(linear: gtsam.GaussianFactorGraph, count: int, bias_sigmas: Array)
     # The Jacobian of a motion with respect to its second pose is the matrix that whitens its error.
     same_pose = sparse.block_diag([np.ones((_DOF, _DOF))] * count, format="csr")
     whitening = motions.multiply(same_pose).tocsr()
-    errors = np.concatenate([np.zeros((1, _DOF)), bias_sigmas])[:, :, None] * np.eye(_DOF)
+    matrices = bias_sigmas[:, :, None] * np.eye(_DOF) if bias_sigmas.ndim == 2 else bias_sigmas
+    errors = np.concatenate([np.zeros((1, _DOF, _DOF)), matrices])
     right = A[: count * _DOF].T @ (whitening @ errors.reshape(-1, _DOF))
     return factorize((A.T @ A).tocsc()).solve(right).reshape(count, _DOF, _DOF)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges, concatenate
-from slam.pose_graph.optimization.planar_or_spatial import inverse
+from slam.pose_graph.optimization.planar_or_spatial import group_of, inverse
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -85,13 +85,40 @@ class CondensedProblem:
         if len(self.rows) == len(self.whole):
             return poses
         correction = poses @ inverse(self.whole[self.rows])
-        row = np.arange(len(self.whole))
-        # Each pose lies between two that stayed; the last one belongs to the interval before it.
-        at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
-        share = (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
+        at, share = self._intervals
         group = self.problem.trusted.group
         change = group.log(inverse(correction[at]) @ correction[at + 1])
         return np.asarray(correction[at] @ group.exp(share[:, None] * change) @ self.whole)
+
+    def expand_covariances(self, covariances: Array) -> Array:
+        """Covariances (N, dof, dof) of the whole problem's start from those of the poses that stayed (K, dof, dof).
+
+        They are interpolated in the frame of the first pose: there the covariance of a chain of poses grows by
+        a share with each of them.
+        """
+        adjoint, (at, share) = self.problem.trusted.group.adjoint, self._intervals
+        common = _rotate(adjoint(self.whole[self.rows]), covariances)
+        between = common[at] + share[:, None, None] * (common[at + 1] - common[at])
+        return _rotate(adjoint(inverse(self.whole)), between)
+
+    def most_certain_loops(self) -> NDArray[np.int64]:
+        """Rows of the loops of which each is the most certain between its two poses.
+
+        Loops that were moved to the same two poses share errors of odometry: all of them together would state less
+        than the true covariance.
+        """
+        loops = self.problem.loops
+        order = np.lexsort((np.trace(loops.covariance, axis1=1, axis2=2), loops.second, loops.first))
+        _, best = np.unique(np.column_stack([loops.first, loops.second])[order], axis=0, return_index=True)
+        return np.sort(order[best])
+
+    @property
+    def _intervals(self) -> tuple[NDArray[np.int64], Array]:
+        """(N,) number of the pose that stayed before each pose, and the share of the way to the next that stayed."""
+        row = np.arange(len(self.whole))
+        # Each pose lies between two that stayed; the last one belongs to the interval before it.
+        at = np.minimum(np.searchsorted(self.rows, row, side="right") - 1, len(self.rows) - 2)
+        return at, (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
 
 
 def condense(problem: LoopProblem) -> CondensedProblem:
@@ -126,19 +153,16 @@ def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]
     adjoint = loops.group.adjoint
     # Errors of steps add up in the frame of the first pose, so that of any way is a difference of two sums.
     Ad = adjoint(poses[1:])
-    sums = np.concatenate([np.zeros_like(Ad[:1]), np.cumsum(Ad @ steps.covariance @ np.swapaxes(Ad, 1, 2), axis=0)])
+    sums = np.concatenate([np.zeros_like(Ad[:1]), np.cumsum(_rotate(Ad, steps.covariance), axis=0)])
 
     def between(one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
         return sums[np.maximum(one, other)] - sums[np.minimum(one, other)]
 
-    def rotate(Ad: Array, covariance: Array) -> Array:
-        return Ad @ covariance @ np.swapaxes(Ad, 1, 2)
-
     T_second_moved = inverse(poses[loops.second]) @ poses[second]
     T_first_moved = loops.motions @ T_second_moved
-    covariance = rotate(adjoint(inverse(T_second_moved)), loops.covariance)
-    covariance += rotate(adjoint(inverse(poses[second])), between(loops.second, second))
-    covariance += rotate(adjoint(inverse(poses[loops.first] @ T_first_moved)), between(loops.first, first))
+    covariance = _rotate(adjoint(inverse(T_second_moved)), loops.covariance)
+    covariance += _rotate(adjoint(inverse(poses[second])), between(loops.second, second))
+    covariance += _rotate(adjoint(inverse(poses[loops.first] @ T_first_moved)), between(loops.first, first))
     motions = inverse(poses[first]) @ poses[loops.first] @ T_first_moved
     return Edges(first, second, motions, np.linalg.inv(0.5 * (covariance + np.swapaxes(covariance, 1, 2))))
 
@@ -147,6 +171,24 @@ def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges
     """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
     ends = np.repeat(rows[1:], np.diff(rows))
     Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])
-    covariance = np.add.reduceat(Ad @ steps.covariance @ np.swapaxes(Ad, 1, 2), rows[:-1], axis=0)
+    covariance = np.add.reduceat(_rotate(Ad, steps.covariance), rows[:-1], axis=0)
     at = np.arange(len(rows) - 1)
     return Edges(at, at + 1, inverse(poses[rows[:-1]]) @ poses[rows[1:]], np.linalg.inv(covariance))
+
+
+def sum_errors_of_steps(poses: Array, rows: NDArray[np.int64], errors: Array) -> Array:
+    """Errors (K - 1, dof, M) of the motions between successive rows of poses (N, n, n), by M causes.
+
+    Args:
+        poses: (N, n, n) poses.
+        rows: (K,) rows of some of them, with the first and the last one.
+        errors: (N - 1, dof, M) errors of the steps between successive poses, as right perturbations.
+    """
+    ends = np.repeat(rows[1:], np.diff(rows))
+    Ad = group_of(poses).adjoint(inverse(poses[ends]) @ poses[1:])
+    return np.asarray(np.add.reduceat(Ad @ errors, rows[:-1], axis=0))
+
+
+def _rotate(Ad: Array, covariance: Array) -> Array:
+    """Covariances (M, dof, dof) in other frames, by the adjoints (M, dof, dof) to them."""
+    return np.asarray(Ad @ covariance @ np.swapaxes(Ad, 1, 2))
