@@ -11,6 +11,7 @@ pose at a time.
 """
 
 import argparse
+import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -28,10 +29,11 @@ from slam.evaluation.pose_graph_errors import absolute_error, find_truth
 from slam.io.g2o import read_g2o
 from slam.io.g2o_problem import classify_edges
 from slam.loop_closing.loop_closer import LoopClosure
-from slam.pose_graph.optimization.edges import Edges
+from slam.pipeline.provenance import peak_memory_mb
+from slam.pose_graph.optimization.edges import Edges, from_measurements
 from slam.pose_graph.optimization.gtsam_solver import chordal_initialization, optimize, refine
-from slam.pose_graph.optimization.planar_or_spatial import inverse
-from slam.pose_graph.pose_graph import PoseGraph
+from slam.pose_graph.optimization.planar_or_spatial import SE3, compose, inverse
+from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 
 Array = NDArray[np.float64]
@@ -41,6 +43,12 @@ FALSE_SIGMAS = (2.0, 0.5, 0.1)  # m, m, rad: standard deviations of the motions 
 MAX_RUN_GAP = 15  # poses between the loops of one run
 FACTORS = (1.0, 1 / 16, 16.0)
 STANDARD = ("smallGrid3D", "CSAIL", "intel", "manhattan", "parking-garage", "sphere2500", "torus3D", "city10000")
+LONG_DRIVES = ((18_000, 17_260), (100_000, 100_000))  # frames, loops
+LAP_FRAMES, LAP_STEP_M = 300, 1.2  # of a lap of the circle
+FALSE_SHARE, FALSE_RUN = 0.05, 10  # of all loops, half of them in runs of ten
+ODOMETRY_SIGMAS = np.repeat([2e-4, 0.01], 3)  # rad and m for each frame
+ODOMETRY_BIAS = np.array([0.0, 8e-5, 0.0, 0.0, 0.0, 0.002])
+LOOP_SIGMAS = np.repeat([2e-3, 0.03], 3)
 
 
 @dataclass(frozen=True)
@@ -225,6 +233,90 @@ def time_online(drive: SyntheticDrive) -> None:
     )
 
 
+@dataclass(frozen=True)
+class LongDrive:
+    """A circle driven many times.
+
+    Attributes:
+        problem: odometry and loops, with covariances as a run states them.
+        true: (L,) which loops are true.
+        positions: (N, 3) true positions, metres.
+    """
+
+    problem: LoopProblem
+    true: Mask
+    positions: Array
+
+
+def make_long_drive(frames: int, loops: int) -> LongDrive:
+    """Make a drive with true loops to all earlier laps, and false ones: lone ones, and runs that agree.
+
+    False loops measure small motions, as images of two places that look alike do.
+    """
+    rng, group, config = np.random.default_rng(0), SE3(), PoseGraphConfig()
+    step = np.array([0.0, 2 * np.pi / LAP_FRAMES, 0.0, 0.0, 0.0, LAP_STEP_M])
+    truth = compose(np.eye(4), np.tile(group.exp(step[None]), (frames - 1, 1, 1)))
+    before, noise = np.arange(frames - 1), group.exp(ODOMETRY_BIAS + rng.normal(size=(frames - 1, 6)) * ODOMETRY_SIGMAS)
+    motions = inverse(truth[:-1]) @ truth[1:] @ noise
+    trusted = from_measurements(
+        np.column_stack([before, before + 1]),
+        [(T, config.drift.of_motion(T, np.diag(ODOMETRY_SIGMAS**2))) for T in motions],
+    )
+    start = compose(np.eye(4), motions)
+    query = np.sort(rng.choice(np.arange(LAP_FRAMES, frames), loops, replace=loops > frames - LAP_FRAMES))
+    match = query - LAP_FRAMES * rng.integers(1, query // LAP_FRAMES + 1)
+    measured = inverse(truth[match]) @ truth[query] @ group.exp(rng.normal(size=(loops, 6)) * LOOP_SIGMAS)
+    true = np.ones(loops, dtype=bool)
+    true[rng.choice(loops, round(0.5 * FALSE_SHARE * loops), replace=False)] = False
+    runs = rng.choice(loops - FALSE_RUN, round(0.5 * FALSE_SHARE * loops / FALSE_RUN), replace=False)
+    true[(runs[:, None] + np.arange(FALSE_RUN)).ravel()] = False
+    false = np.flatnonzero(~true)
+    match[false] = (rng.random(len(false)) * (query[false] - LAP_FRAMES // 4)).astype(np.int64)
+    measured[false] = group.exp(rng.normal(size=(len(false), 6)) * np.repeat([0.1, 1.0], 3))
+    for begin in runs:
+        row = np.arange(begin, begin + FALSE_RUN)
+        match[row] = np.minimum(match[begin] + query[row] - query[begin], query[row] - 1)
+        back = inverse(start[match[row]]) @ start[match[begin]]
+        measured[row] = back @ measured[begin] @ inverse(start[query[begin]]) @ start[query[row]]
+    covariance = np.diag(LOOP_SIGMAS**2 + np.repeat(np.square([config.loop_sigma_rad, config.loop_sigma_m]), 3))
+    edges = from_measurements(np.column_stack([match, query]), [(T, covariance) for T in measured])
+    return LongDrive(LoopProblem(trusted, edges, start), true, truth[:, :3, 3])
+
+
+def print_long_case(drive: LongDrive, label: str, work: Callable[[], tuple[Array, Mask]]) -> None:
+    """Print one line: ATE, loops and cost of a back end in a process of its own."""
+
+    def measure() -> None:
+        start, clock = time.perf_counter(), time.process_time()
+        poses, kept = work()
+        seconds, busy = time.perf_counter() - start, time.process_time() - clock
+        ate = absolute_error(poses, drive.positions)
+        print(
+            f"{label:12} {seconds:7.1f} s ({busy:7.1f} busy) {peak_memory_mb():7.0f} MB   ATE {ate:7.3f} m   "
+            f"{kept[~drive.true].sum():5d} false kept, {(~kept[drive.true]).sum():6d} true left out",
+            flush=True,
+        )
+
+    process = multiprocessing.get_context("fork").Process(target=measure)
+    process.start()
+    process.join()
+
+
+def print_long(folder: Path, back_ends: list[str]) -> None:
+    """Print cost and accuracy on long drives, beside odometry and the true loops alone."""
+    for frames, loops in LONG_DRIVES:
+        drive = make_long_drive(frames, loops)
+        problem, none = drive.problem, np.zeros(loops, dtype=bool)
+        print(f"{frames} frames, {loops} loops, {(~drive.true).sum()} of them false")
+        print_long_case(drive, "odometry", lambda: (problem.start, none))
+        print_long_case(
+            drive, "true loops", lambda: (refine(problem.edges_with(drive.true), problem.start), drive.true)
+        )
+        for back_end in back_ends:
+            outcome = lambda: solve(problem, back_end)
+            print_long_case(drive, back_end, lambda: (lambda r: (r.poses, r.kept))(solve(problem, back_end)))
+
+
 def summarize(times: list[float]) -> str:
     """Sum up times in three numbers."""
     return f"median {np.median(times):.2f}, p99 {np.percentile(times, 99):.1f}, worst {max(times):.0f}"
@@ -237,7 +329,7 @@ def print_online(folder: Path, back_ends: list[str]) -> None:
             time_online(synthetic_drive(folder, sequence, every))
 
 
-PARTS = {"real": print_real, "few": print_few, "standard": print_standard, "online": print_online}
+PARTS = {"real": print_real, "few": print_few, "standard": print_standard, "online": print_online, "long": print_long}
 
 
 def main() -> None:

@@ -19,9 +19,13 @@ from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Reweight = Callable[[Array, int], Array]  # chi-squares (M,), number of the step -> weights (M,)
+# Jacobian (M, N dof), right-hand side (N dof,), dof -> solution (N dof,) of the normal equations
+NormalSolver = Callable[[sparse.csr_array, Array, int], Array]
 
 _DAMPING = 1e-9  # relative to the diagonal; poses that no weighted edge holds stay where they are
 _MAX_HALVINGS = 4  # of a step that makes the fit worse
+_CG_TOLERANCE = 1e-5  # of the residual, relative to the right-hand side
+_MAX_CG_STEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,65 @@ class IrlsSchedule:
     min_steps: int = 1  # taken in any case, while a schedule of weights runs
 
 
-def irls(poses: Array, edges: Edges, reweight: Reweight, schedule: IrlsSchedule | None = None) -> Array:
+def solve_by_factors(jacobian: sparse.csr_array, right: Array, dof: int) -> Array:
+    """Solve normal equations by sparse factors: exact, but places that are joined many times fill the factors."""
+    return np.asarray(factorize_jacobian(jacobian).solve(right))
+
+
+def conjugate_gradients(coarse: sparse.csr_array) -> NormalSolver:
+    """Solver of normal equations by conjugate gradients, in memory that grows with the edges alone.
+
+    The preconditioner has two levels (Dryja and Widlund 1987): the blocks between successive poses, which are the chain
+    of odometry and each loop's hold on its own two poses, and the modes that are cheap for loops and chain alike.
+
+    Args:
+        coarse: (N dof, K) basis of these modes.
+    """
+
+    def solve(jacobian: sparse.csr_array, right: Array, dof: int) -> Array:
+        H = (jacobian.T @ jacobian).tocsr()
+        entries, basis = H.tocoo(), coarse[dof:]
+        near = np.abs(entries.row // dof - entries.col // dof) <= 1
+        chain = sparse.csc_array((entries.data[near], (entries.row[near], entries.col[near])), shape=H.shape)
+        fine, few = factorize_damped(chain), factorize_damped((basis.T @ H @ basis).tocsc())
+        restrict = basis.T.tocsr()
+
+        def precondition(residual: Array) -> Array:
+            return np.asarray(fine.solve(residual) + basis @ few.solve(restrict @ residual))
+
+        return _conjugate_gradients(H, right, precondition)
+
+    return solve
+
+
+def _conjugate_gradients(H: sparse.csr_array, right: Array, precondition: Callable[[Array], Array]) -> Array:
+    """Solution x (n,) of H x = right."""
+    x, residual, direction = np.zeros_like(right), right, precondition(right)
+    old, limit = _dot(right, direction), _CG_TOLERANCE**2 * _dot(right, right)
+    for _ in range(_MAX_CG_STEPS):
+        if _dot(residual, residual) <= limit:
+            break
+        image = H @ direction
+        length = old / _dot(direction, image)
+        x, residual = x + length * direction, residual - length * image
+        preconditioned = precondition(residual)
+        new = _dot(residual, preconditioned)
+        direction, old = preconditioned + new / old * direction, new
+    return x
+
+
+def _dot(a: Array, b: Array) -> float:
+    """Inner product, whose rounding does not depend on the number of threads as that of BLAS does."""
+    return float((a * b).sum())
+
+
+def irls(
+    poses: Array,
+    edges: Edges,
+    reweight: Reweight,
+    schedule: IrlsSchedule | None = None,
+    solve: NormalSolver = solve_by_factors,
+) -> Array:
     """Poses (N, n, n) by iteratively reweighted least squares; the first pose stays where it is.
 
     Args:
@@ -43,13 +105,14 @@ def irls(poses: Array, edges: Edges, reweight: Reweight, schedule: IrlsSchedule 
         edges: M edges of a connected graph.
         reweight: gives the weights (M,) of the edges' chi-squares before every step.
         schedule: when to end.
+        solve: solver of the normal equations of each step.
     """
     schedule = schedule or IrlsSchedule()
     for number in range(schedule.max_steps):
         chi2 = edges.chi2(poses)
         weights = reweight(chi2, number)
         before = float(weights @ chi2)
-        poses, after = _step(poses, edges, weights, before)
+        poses, after = _step(poses, edges, weights, before, solve)
         if number + 1 >= schedule.min_steps and before - after <= schedule.tolerance * before / len(edges):
             break
     return poses
@@ -83,9 +146,12 @@ def _jacobian(poses: Array, edges: Edges, weight: Array) -> sparse.csr_array:
 
 def factorize_jacobian(jacobian: sparse.csr_array) -> SuperLU:
     """Sparse factors of the normal equations of a Jacobian."""
-    H = (jacobian.T @ jacobian).tocsc()
-    H = H + sparse.diags_array(_DAMPING * H.diagonal() + np.finfo(float).tiny, format="csc")
-    return factorize(H)
+    return factorize_damped((jacobian.T @ jacobian).tocsc())
+
+
+def factorize_damped(H: sparse.csc_array) -> SuperLU:
+    """Sparse factors of a symmetric, positive semidefinite matrix; what nothing holds stays where it is."""
+    return factorize(H + sparse.diags_array(_DAMPING * H.diagonal() + np.finfo(float).tiny, format="csc"))
 
 
 def factorize(H: sparse.csc_array) -> SuperLU:
@@ -93,13 +159,13 @@ def factorize(H: sparse.csc_array) -> SuperLU:
     return splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def _step(poses: Array, edges: Edges, weights: Array, before: float) -> tuple[Array, float]:
+def _step(poses: Array, edges: Edges, weights: Array, before: float, solve: NormalSolver) -> tuple[Array, float]:
     """Poses after one step and their weighted chi-square; the poses stay if every length of the step is worse."""
     dof = edges.group.dof
     scale = np.repeat(np.sqrt(weights), dof)
     jacobian = sparse.csr_array(sparse.diags_array(scale) @ whitened_jacobian(poses, edges)[:, dof:])
     errors = scale * np.einsum("mij,mj->mi", edges.sqrt_information, edges.errors(poses)).ravel()
-    step = -factorize_jacobian(jacobian).solve(jacobian.T @ errors)
+    step = -solve(jacobian, jacobian.T @ errors, dof)
     step = np.concatenate([np.zeros(dof), step]).reshape(len(poses), dof)
     for halving in range(_MAX_HALVINGS):
         moved = poses @ edges.group.exp(0.5**halving * step)

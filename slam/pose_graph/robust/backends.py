@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from slam.errors import ConfigError, GraphError
-from slam.pose_graph.optimization.gauss_newton import irls
+from slam.pose_graph.optimization.gauss_newton import IrlsSchedule, conjugate_gradients, irls
 from slam.pose_graph.optimization.gtsam_solver import optimize, refine
 from slam.pose_graph.robust.consensus import Consensus, fitting_loops, grow_consensus, outlying_loops
 from slam.pose_graph.robust.covariance_calibration import Screening, screen
 from slam.pose_graph.robust.gnc import gnc, least_squares
 from slam.pose_graph.robust.likelihood_ratio import MIN_LOG_RATIO
 from slam.pose_graph.robust.pcm import pairwise_consistent
-from slam.pose_graph.robust.problem import MIN_KEPT_WEIGHT, BackEndResult, LoopProblem
+from slam.pose_graph.robust.problem import MIN_KEPT_WEIGHT, BackEndResult, CondensedProblem, LoopProblem
 
 __all__ = [
     "BACK_ENDS",
@@ -40,6 +40,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DEFAULT = "pcm+gnc"
+
+# The whole fit of a long drive starts from that of the condensed problem.
+_MAX_LONG_STEPS = 10
+_LONG_TOLERANCE = 1e-3  # mean chi-squares of an edge
 
 Kernel = Callable[[Array, float], Array]  # chi-squares (M,), limit -> weights (M,)
 
@@ -165,11 +169,17 @@ def _pcm(problem: LoopProblem, screening: Screening) -> BackEndResult:
 def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     """Loops accepted by likelihood ratio and pairwise consistency, misfits removed by GNC, until none follows."""
     consensus = grow_consensus(screening)
-    result = _fit_nearby(problem, consensus.kept, screening.condensed.expand(consensus.poses))
-    return result if screening.condensed.is_exact else _without_misfits(problem, consensus, result)
+    poses = screening.condensed.expand(consensus.poses)
+    if screening.condensed.is_exact:
+        return _fit_nearby(problem, consensus.kept, poses)
+    return _without_misfits(
+        problem, screening, consensus, _fit_long(problem, screening.condensed, consensus.kept.astype(np.float64), poses)
+    )
 
 
-def _without_misfits(problem: LoopProblem, consensus: Consensus, result: BackEndResult) -> BackEndResult:
+def _without_misfits(
+    problem: LoopProblem, screening: Screening, consensus: Consensus, result: BackEndResult
+) -> BackEndResult:
     """The result without kept loops that the others contradict in the whole problem.
 
     Loops that were moved along odometry have larger covariances, in which an error may hide.
@@ -177,22 +187,51 @@ def _without_misfits(problem: LoopProblem, consensus: Consensus, result: BackEnd
     suspects = result.kept & outlying_loops(problem, consensus, result.poses)
     if not suspects.any():
         return result
-    others = _fit_nearby(problem, result.kept & ~suspects, result.poses)
+    others = _fit_long(problem, screening.condensed, np.where(suspects, 0.0, result.weights), result.poses)
     kept = others.kept | (suspects & fitting_loops(problem, consensus, others.poses))
     if (kept == result.kept).all():
         return result
-    return others if (kept == others.kept).all() else _fit_nearby(problem, kept, others.poses)
+    return (
+        others
+        if (kept == others.kept).all()
+        else _fit_long(problem, screening.condensed, kept.astype(np.float64), others.poses)
+    )
+
+
+def _on_condensed(run: "BackEnd") -> "BackEnd":
+    """Back end that decides on the condensed problem of a long drive, and fits the whole one by those weights."""
+
+    def run_condensed(problem: LoopProblem, screening: Screening) -> BackEndResult:
+        condensed = screening.condensed
+        if condensed.is_exact:
+            return run(problem, screening)
+        small = run(condensed.problem, screening)
+        return _fit_long(problem, condensed, small.weights, condensed.expand(small.poses))
+
+    return run_condensed
+
+
+def _fit_long(problem: LoopProblem, condensed: CondensedProblem, weights: Array, poses: Array) -> BackEndResult:
+    """Weighted least squares on a long drive from poses near the minimum."""
+    use = weights > 0.0
+    if not use.any():
+        return BackEndResult(problem.start, weights, ())
+    factors = np.concatenate([np.ones(len(problem.trusted)), weights[use]])
+    schedule = IrlsSchedule(max_steps=_MAX_LONG_STEPS, tolerance=_LONG_TOLERANCE)
+    solve_normal = conjugate_gradients(condensed.place_modes(weights >= MIN_KEPT_WEIGHT, poses))
+    fitted = irls(poses, problem.edges_with(use), lambda chi2, step: factors, schedule, solve_normal)
+    return BackEndResult(fitted, weights, ())
 
 
 # The problem and the screening of its loops -> poses and weights; `solve` adds the reasons.
 BackEnd = Callable[[LoopProblem, Screening], BackEndResult]
 BACK_ENDS: dict[str, BackEnd] = {
-    "none": _all_loops,
-    "huber": _with_kernel(huber),
-    "dcs": _with_kernel(dcs),
-    "switchable": _with_kernel(switchable),
-    "gnc": _gnc,
-    "pcm": _pcm,
+    "none": _on_condensed(_all_loops),
+    "huber": _on_condensed(_with_kernel(huber)),
+    "dcs": _on_condensed(_with_kernel(dcs)),
+    "switchable": _on_condensed(_with_kernel(switchable)),
+    "gnc": _on_condensed(_gnc),
+    "pcm": _on_condensed(_pcm),
     "pcm+gnc": _pcm_gnc,
 }
 

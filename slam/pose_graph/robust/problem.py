@@ -8,9 +8,11 @@ take a third of the time on it.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges, concatenate
+from slam.pose_graph.optimization.gauss_newton import factorize
 from slam.pose_graph.optimization.planar_or_spatial import group_of, inverse
 
 Array = NDArray[np.float64]
@@ -18,6 +20,11 @@ Mask = NDArray[np.bool_]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
 MAX_POSES = 10_000  # of an exact condensation
+# Of a condensation that moves loops: places that are passed hundreds of times join all laps with one another, and the
+# factors of such a graph fill up.
+_MIN_MOVED_POSES = 1000
+_MAX_FACTOR_BLOCKS = 350_000  # 100 MB in space, about three seconds
+_MIN_POSES_BETWEEN_VISITS = 5  # that stayed: else a place would grow along the chain
 _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
 
@@ -112,6 +119,30 @@ class CondensedProblem:
         _, best = np.unique(np.column_stack([loops.first, loops.second])[order], axis=0, return_index=True)
         return np.sort(order[best])
 
+    def place_modes(self, kept: Mask, poses: Array) -> sparse.csr_array:
+        """Basis (N dof, K dof) of rigid motions of K places, interpolated along all poses (N, n, n).
+
+        All poses of a place that the kept loops (L,) join move together: loops resist that least.
+        """
+        count, loops, group = len(self.rows), self.problem.loops[kept], self.problem.trusted.group
+        place = np.arange(count)
+        early, late = np.minimum(loops.first, loops.second), np.maximum(loops.first, loops.second)
+        far = late - early > _MIN_POSES_BETWEEN_VISITS
+        np.minimum.at(place, late[far], early[far])
+        while (place != place[place]).any():
+            place = place[place]
+        place = np.unique(place, return_inverse=True)[1]
+        at, share = self._intervals
+        Ad, dof, row = group.adjoint(inverse(poses)), group.dof, np.arange(len(poses))
+        blocks = [(1.0 - share)[:, None, None] * Ad, share[:, None, None] * Ad]
+        modes = [
+            sparse.bsr_array(
+                (block, place[end], np.arange(len(row) + 1)), shape=(len(row) * dof, (place.max() + 1) * dof)
+            )
+            for block, end in zip(blocks, (at, at + 1), strict=True)
+        ]
+        return (modes[0].tocsr() + modes[1].tocsr()).tocsr()
+
     @property
     def _intervals(self) -> tuple[NDArray[np.int64], Array]:
         """(N,) number of the pose that stayed before each pose, and the share of the way to the next that stayed."""
@@ -133,8 +164,7 @@ def condense(problem: LoopProblem) -> CondensedProblem:
         return CondensedProblem(problem, np.arange(count), problem.start)
     is_exact = len(rows) <= MAX_POSES
     if not is_exact:
-        spacing = max(_MAX_SPACING, -(-count // MAX_POSES))
-        rows = np.unique(np.append(np.arange(0, count, spacing), count - 1))
+        rows = _choose_rows(loops, count)
         loops = _move_ends(loops, trusted[order], problem.start, rows)
     renumbered = Edges(
         np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
@@ -143,13 +173,43 @@ def condense(problem: LoopProblem) -> CondensedProblem:
     return CondensedProblem(small, rows, problem.start, is_exact)
 
 
+def _choose_rows(loops: Edges, count: int) -> NDArray[np.int64]:
+    """Evenly spaced rows of N poses, as close as the fill of the factors allows."""
+
+    def spaced(spacing: int) -> NDArray[np.int64]:
+        return np.unique(np.append(np.arange(0, count, spacing), count - 1))
+
+    closest = max(_MAX_SPACING, -(-count // MAX_POSES))
+    spacing = max(closest, -(-count // _MIN_MOVED_POSES))
+    while spacing > closest:
+        closer = max(spacing // 2, closest)
+        if _count_factor_blocks(loops, spaced(closer)) > _MAX_FACTOR_BLOCKS:
+            break
+        spacing = closer
+    return spaced(spacing)
+
+
+def _count_factor_blocks(loops: Edges, rows: NDArray[np.int64]) -> int:
+    """Blocks in the factors of the normal equations of loops moved to rows, and of the chain that joins these."""
+    first, second = (_nearest(rows, ends) for ends in (loops.first, loops.second))
+    at = np.arange(len(rows) - 1)
+    i, j = np.concatenate([first, at]), np.concatenate([second, at + 1])
+    links = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(rows), len(rows))).tocsc()
+    links = links + links.T
+    return int(factorize(links + sparse.diags_array(2.0 * links.sum(axis=0) + 1.0, format="csc")).L.nnz)
+
+
+def _nearest(rows: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(M,) numbers of the rows nearest to poses (M,)."""
+    return np.searchsorted((rows[:-1] + rows[1:] + 1) // 2, ends, side="right")
+
+
 def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
     """Loops between the rows nearest to their ends, moved there along the N - 1 steps that lead to poses (N, n, n).
 
     The covariance of the steps on the way is added to that of the loop.
     """
-    middle = (rows[:-1] + rows[1:] + 1) // 2
-    first, second = (rows[np.searchsorted(middle, ends, side="right")] for ends in (loops.first, loops.second))
+    first, second = (rows[_nearest(rows, ends)] for ends in (loops.first, loops.second))
     adjoint = loops.group.adjoint
     # Errors of steps add up in the frame of the first pose, so that of any way is a difference of two sums.
     Ad = adjoint(poses[1:])
