@@ -240,12 +240,12 @@ class LongDrive:
     Attributes:
         problem: odometry and loops, with covariances as a run states them.
         true: (L,) which loops are true.
-        positions: (N, 3) true positions, metres.
+        truth: (N, 4, 4) true poses, metres.
     """
 
     problem: LoopProblem
     true: Mask
-    positions: Array
+    truth: Array
 
 
 def make_long_drive(frames: int, loops: int) -> LongDrive:
@@ -280,7 +280,7 @@ def make_long_drive(frames: int, loops: int) -> LongDrive:
         measured[row] = back @ measured[begin] @ inverse(start[query[begin]]) @ start[query[row]]
     covariance = np.diag(LOOP_SIGMAS**2 + np.repeat(np.square([config.loop_sigma_rad, config.loop_sigma_m]), 3))
     edges = from_measurements(np.column_stack([match, query]), [(T, covariance) for T in measured])
-    return LongDrive(LoopProblem(trusted, edges, start), true, truth[:, :3, 3])
+    return LongDrive(LoopProblem(trusted, edges, start), true, truth)
 
 
 def print_long_case(drive: LongDrive, label: str, work: Callable[[], tuple[Array, Mask]]) -> None:
@@ -290,7 +290,7 @@ def print_long_case(drive: LongDrive, label: str, work: Callable[[], tuple[Array
         start, clock = time.perf_counter(), time.process_time()
         poses, kept = work()
         seconds, busy = time.perf_counter() - start, time.process_time() - clock
-        ate = absolute_error(poses, drive.positions)
+        ate = absolute_error(poses, drive.truth[:, :3, 3])
         print(
             f"{label:12} {seconds:7.1f} s ({busy:7.1f} busy) {peak_memory_mb():7.0f} MB   ATE {ate:7.3f} m   "
             f"{kept[~drive.true].sum():5d} false kept, {(~kept[drive.true]).sum():6d} true left out",

@@ -27,7 +27,7 @@ from slam.pose_graph.optimization.sim3 import (
 )
 from slam.pose_graph.robust import backends as back_ends
 from slam.pose_graph.robust.backends import GateResult, OptimizationResult
-from slam.pose_graph.robust.problem import MAX_POSES, condense, sum_errors_of_steps
+from slam.pose_graph.robust.problem import MAX_POSES, condensed_covariances
 
 Array = NDArray[np.float64]
 
@@ -156,25 +156,8 @@ class PoseGraph:
         motions, bias_sigmas = self._with_drift(self._edges), self._chain.bias_sigmas()
         if len(self) <= MAX_POSES:
             return marginal_covariances(motions, loops, optimized.poses, bias_sigmas)
-        small = condense(_edges_of(motions, loops, optimized.poses))
-        steps, ends = small.problem.trusted, small.problem.loops
-        moved = [
-            replace(
-                loops[k],
-                match=int(ends.first[k]),
-                query=int(ends.second[k]),
-                T_match_query=ends.motions[k],
-                covariance=ends.covariance[k],
-            )
-            for k in small.most_certain_loops()
-        ]
-        covariances = marginal_covariances(
-            list(zip(steps.motions, steps.covariance, strict=True)),
-            moved,
-            small.problem.start,
-            sum_errors_of_steps(optimized.poses, small.rows, bias_sigmas[:, :, None] * np.eye(6)),
-        )
-        return small.expand_covariances(covariances)
+        errors = bias_sigmas[:, :, None] * np.eye(6)
+        return condensed_covariances(_edges_of(motions, loops, optimized.poses), errors)
 
     @property
     def num_online_nodes(self) -> int:

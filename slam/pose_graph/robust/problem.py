@@ -5,7 +5,7 @@ poses that stay is composed, its covariance moved along by the adjoint (Barfoot 
 take a third of the time on it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sparse
@@ -13,17 +13,20 @@ from numpy.typing import NDArray
 
 from slam.pose_graph.optimization.edges import Edges, concatenate
 from slam.pose_graph.optimization.gauss_newton import factorize
-from slam.pose_graph.optimization.planar_or_spatial import group_of, inverse
+from slam.pose_graph.optimization.marginals import marginals_by_factors
+from slam.pose_graph.optimization.planar_or_spatial import inverse
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
 MAX_POSES = 10_000  # of an exact condensation
 # Of a condensation that moves loops: places that are passed hundreds of times join all laps with one another, and the
 # factors of such a graph fill up.
-_MIN_MOVED_POSES = 1000
+_MIN_MOVED_POSES = 500
 _MAX_FACTOR_BLOCKS = 350_000  # 100 MB in space, about three seconds
+_MAX_COVARIANCE_BLOCKS = 100_000
 _MIN_POSES_BETWEEN_VISITS = 5  # that stayed: else a place would grow along the chain
 _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 
@@ -83,7 +86,7 @@ class CondensedProblem:
     """
 
     problem: LoopProblem
-    rows: NDArray[np.int64]
+    rows: Rows
     whole: Array
     is_exact: bool = True
 
@@ -107,17 +110,6 @@ class CondensedProblem:
         common = _rotate(adjoint(self.whole[self.rows]), covariances)
         between = common[at] + share[:, None, None] * (common[at + 1] - common[at])
         return _rotate(adjoint(inverse(self.whole)), between)
-
-    def most_certain_loops(self) -> NDArray[np.int64]:
-        """Rows of the loops of which each is the most certain between its two poses.
-
-        Loops that were moved to the same two poses share errors of odometry: all of them together would state less
-        than the true covariance.
-        """
-        loops = self.problem.loops
-        order = np.lexsort((np.trace(loops.covariance, axis1=1, axis2=2), loops.second, loops.first))
-        _, best = np.unique(np.column_stack([loops.first, loops.second])[order], axis=0, return_index=True)
-        return np.sort(order[best])
 
     def place_modes(self, kept: Mask, poses: Array) -> sparse.csr_array:
         """Basis (N dof, K dof) of rigid motions of K places, interpolated along all poses (N, n, n).
@@ -144,7 +136,7 @@ class CondensedProblem:
         return (modes[0].tocsr() + modes[1].tocsr()).tocsr()
 
     @property
-    def _intervals(self) -> tuple[NDArray[np.int64], Array]:
+    def _intervals(self) -> tuple[Rows, Array]:
         """(N,) number of the pose that stayed before each pose, and the share of the way to the next that stayed."""
         row = np.arange(len(self.whole))
         # Each pose lies between two that stayed; the last one belongs to the interval before it.
@@ -152,8 +144,13 @@ class CondensedProblem:
         return at, (row - self.rows[at]) / (self.rows[at + 1] - self.rows[at])
 
 
-def condense(problem: LoopProblem) -> CondensedProblem:
-    """Condense a problem; one whose trusted edges are no chain of successive poses stays as it is."""
+def condense(problem: LoopProblem, max_factor_blocks: int = _MAX_FACTOR_BLOCKS) -> CondensedProblem:
+    """Condense a problem; one whose trusted edges are no chain of successive poses stays as it is.
+
+    Args:
+        problem: trusted edges and loops.
+        max_factor_blocks: maximum number of blocks in the factors of the normal equations where loops are moved.
+    """
     count, loops, trusted = len(problem.start), problem.loops, problem.trusted
     order = np.argsort(trusted.first, kind="stable")
     rows = np.unique(np.concatenate([loops.first, loops.second, np.arange(0, count, _MAX_SPACING), [count - 1]]))
@@ -164,7 +161,7 @@ def condense(problem: LoopProblem) -> CondensedProblem:
         return CondensedProblem(problem, np.arange(count), problem.start)
     is_exact = len(rows) <= MAX_POSES
     if not is_exact:
-        rows = _choose_rows(loops, count)
+        rows = _choose_rows(loops, count, max_factor_blocks)
         loops = _move_ends(loops, trusted[order], problem.start, rows)
     renumbered = Edges(
         np.searchsorted(rows, loops.first), np.searchsorted(rows, loops.second), loops.motions, loops.information
@@ -173,23 +170,23 @@ def condense(problem: LoopProblem) -> CondensedProblem:
     return CondensedProblem(small, rows, problem.start, is_exact)
 
 
-def _choose_rows(loops: Edges, count: int) -> NDArray[np.int64]:
+def _choose_rows(loops: Edges, count: int, max_factor_blocks: int) -> Rows:
     """Evenly spaced rows of N poses, as close as the fill of the factors allows."""
 
-    def spaced(spacing: int) -> NDArray[np.int64]:
+    def spaced(spacing: int) -> Rows:
         return np.unique(np.append(np.arange(0, count, spacing), count - 1))
 
     closest = max(_MAX_SPACING, -(-count // MAX_POSES))
     spacing = max(closest, -(-count // _MIN_MOVED_POSES))
     while spacing > closest:
         closer = max(spacing // 2, closest)
-        if _count_factor_blocks(loops, spaced(closer)) > _MAX_FACTOR_BLOCKS:
+        if _count_factor_blocks(loops, spaced(closer)) > max_factor_blocks:
             break
         spacing = closer
     return spaced(spacing)
 
 
-def _count_factor_blocks(loops: Edges, rows: NDArray[np.int64]) -> int:
+def _count_factor_blocks(loops: Edges, rows: Rows) -> int:
     """Blocks in the factors of the normal equations of loops moved to rows, and of the chain that joins these."""
     first, second = (_nearest(rows, ends) for ends in (loops.first, loops.second))
     at = np.arange(len(rows) - 1)
@@ -199,12 +196,12 @@ def _count_factor_blocks(loops: Edges, rows: NDArray[np.int64]) -> int:
     return int(factorize(links + sparse.diags_array(2.0 * links.sum(axis=0) + 1.0, format="csc")).L.nnz)
 
 
-def _nearest(rows: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+def _nearest(rows: Rows, ends: Rows) -> Rows:
     """(M,) numbers of the rows nearest to poses (M,)."""
-    return np.searchsorted((rows[:-1] + rows[1:] + 1) // 2, ends, side="right")
+    return np.asarray(np.searchsorted((rows[:-1] + rows[1:] + 1) // 2, ends, side="right"))
 
 
-def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: Rows) -> Edges:
     """Loops between the rows nearest to their ends, moved there along the N - 1 steps that lead to poses (N, n, n).
 
     The covariance of the steps on the way is added to that of the loop.
@@ -215,7 +212,7 @@ def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]
     Ad = adjoint(poses[1:])
     sums = np.concatenate([np.zeros_like(Ad[:1]), np.cumsum(_rotate(Ad, steps.covariance), axis=0)])
 
-    def between(one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
+    def between(one: Rows, other: Rows) -> Array:
         return sums[np.maximum(one, other)] - sums[np.minimum(one, other)]
 
     T_second_moved = inverse(poses[loops.second]) @ poses[second]
@@ -224,10 +221,11 @@ def _move_ends(loops: Edges, steps: Edges, poses: Array, rows: NDArray[np.int64]
     covariance += _rotate(adjoint(inverse(poses[second])), between(loops.second, second))
     covariance += _rotate(adjoint(inverse(poses[loops.first] @ T_first_moved)), between(loops.first, first))
     motions = inverse(poses[first]) @ poses[loops.first] @ T_first_moved
-    return Edges(first, second, motions, np.linalg.inv(0.5 * (covariance + np.swapaxes(covariance, 1, 2))))
+    symmetric = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    return Edges(first, second, motions, np.asarray(np.linalg.inv(symmetric), dtype=np.float64))
 
 
-def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges:
+def _compose_steps(steps: Edges, poses: Array, rows: Rows) -> Edges:
     """Edges between successive rows of the poses (N, n, n) that N - 1 steps lead to."""
     ends = np.repeat(rows[1:], np.diff(rows))
     Ad = steps.group.adjoint(inverse(poses[ends]) @ poses[1:])
@@ -236,17 +234,47 @@ def _compose_steps(steps: Edges, poses: Array, rows: NDArray[np.int64]) -> Edges
     return Edges(at, at + 1, inverse(poses[rows[:-1]]) @ poses[rows[1:]], np.linalg.inv(covariance))
 
 
-def sum_errors_of_steps(poses: Array, rows: NDArray[np.int64], errors: Array) -> Array:
-    """Errors (K - 1, dof, M) of the motions between successive rows of poses (N, n, n), by M causes.
+def condensed_covariances(problem: LoopProblem, errors: Array) -> Array:
+    """Covariances (N, dof, dof) of the poses of a long drive: those of some poses, interpolated.
 
     Args:
-        poses: (N, n, n) poses.
-        rows: (K,) rows of some of them, with the first and the last one.
-        errors: (N - 1, dof, M) errors of the steps between successive poses, as right perturbations.
+        problem: N - 1 trusted edges between successive poses, loops to which the poses are fitted, and the poses.
+        errors: (N - 1, dof, M) errors of the trusted edges by M causes of one standard deviation.
     """
-    ends = np.repeat(rows[1:], np.diff(rows))
-    Ad = group_of(poses).adjoint(inverse(poses[ends]) @ poses[1:])
-    return np.asarray(np.add.reduceat(Ad @ errors, rows[:-1], axis=0))
+    small, poses = condense(problem, _MAX_COVARIANCE_BLOCKS), problem.start
+    trusted, loops, before = small.problem.trusted, small.problem.loops, problem.loops
+    if not small.is_exact:
+        share = _share_of_information(before, loops, small.rows)
+        loops = replace(loops, information=loops.information * share[:, None, None])
+    adjoint, rows = trusted.group.adjoint, small.rows
+    moved = adjoint(poses[1:]) @ errors
+    sums = np.concatenate([np.zeros_like(moved[:1]), np.cumsum(moved, axis=0)])  # in the frame of the first pose
+    of_steps = adjoint(inverse(poses[rows[1:]])) @ np.diff(sums[rows], axis=0)
+    first, second = rows[loops.first], rows[loops.second]
+    # What moved a loop along odometry has odometry's errors.
+    of_loops = adjoint(inverse(poses[second])) @ (sums[second] - sums[before.second] + sums[before.first] - sums[first])
+    of_both = np.concatenate([of_steps, of_loops])
+    return small.expand_covariances(marginals_by_factors(poses[rows], concatenate(trusted, loops), of_both))
+
+
+def _share_of_information(loops: Edges, moved: Edges, rows: Rows) -> Array:
+    """(L,) share that loops have in the information that they state once they are moved to the nearest of the rows.
+
+    Loops that come to one pose from one side share the errors of odometry there. They are added from the farthest to
+    the nearest, as observations of a random walk, in scalars (traces of covariances).
+    """
+    own, after = (np.trace(edges.covariance, axis1=1, axis2=2) for edges in (loops, moved))
+    way = np.maximum(after - own, 0.0)
+    nearer, share = np.argsort(-way, kind="stable"), np.ones(len(loops))
+    for end, pose in ((loops.first, moved.first), (loops.second, moved.second)):
+        side = 2 * pose + (end > rows[pose])
+        variances, ways = np.full(2 * len(rows), np.inf), np.zeros(2 * len(rows))
+        for k in nearer:
+            before = variances[side[k]] + ways[side[k]] - way[k]
+            variances[side[k]], ways[side[k]] = 1.0 / (1.0 / before + 1.0 / own[k]), way[k]
+        stated = np.bincount(side, 1.0 / after, 2 * len(rows))
+        share = np.minimum(share, 1.0 / ((variances + ways)[side] * stated[side]))
+    return share
 
 
 def _rotate(Ad: Array, covariance: Array) -> Array:

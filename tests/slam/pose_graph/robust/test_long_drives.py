@@ -5,17 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam.pose_graph import pose_graph
+from slam.pose_graph.optimization import gauss_newton
 from slam.pose_graph.optimization.edges import Edges, concatenate
 from slam.pose_graph.optimization.gtsam_solver import optimize
+from slam.pose_graph.optimization.marginals import marginals_by_factors
 from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust import pcm, problem
 from slam.pose_graph.robust.backends import LoopProblem, solve
 from slam.pose_graph.robust.covariance_calibration import screen
-from slam.pose_graph.robust.problem import condense
+from slam.pose_graph.robust.problem import condense, condensed_covariances
+
+from ...laps import laps
 
 LAP, LAPS = 60, 20
 COUNT = LAP * LAPS
 MAX_POSES = 300
+PARTS = (slice(0, 3), slice(3, 6))  # rotation and position of a covariance
 
 
 @pytest.fixture
@@ -159,3 +165,93 @@ def test_the_pairs_of_the_consistency_do_not_grow_with_the_square_of_the_loops(
     few, many = pairs(280), pairs(1120)
     assert few <= 20**2 + 2000
     assert many <= 20**2 + 2 * 1120
+
+
+def every_lap_with_every_other() -> LoopProblem:
+    """The drive in space with loops to any lap before, which join all laps with one another."""
+    rng, drive, query = np.random.default_rng(3), long_drive(SE3()), np.arange(LAP, COUNT)
+    match = query - LAP * rng.integers(1, query // LAP + 1)
+    return replace(drive, loops=measure(route(SE3()), SE3(), match, query, 1))
+
+
+def test_poses_stay_as_close_as_the_fill_of_the_factors_allows(
+    few_poses: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(problem, "_MIN_MOVED_POSES", 30)
+    drive = every_lap_with_every_other()
+    sizes = [len(condense(drive, blocks).rows) for blocks in (100_000, 3000, 0)]
+    assert sizes == [121, 61, 31]
+    fill = [problem._count_factor_blocks(drive.loops, np.arange(0, COUNT, spacing)) for spacing in (10, 20)]
+    assert fill[0] > 3000 > fill[1]
+
+
+@pytest.mark.usefixtures("few_poses")
+def test_a_few_steps_solve_the_whole_drive_once_rigid_motions_of_places_are_taken_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drive, all_loops = every_lap_with_every_other(), np.ones(COUNT - LAP, dtype=bool)
+    jacobian = gauss_newton.whitened_jacobian(route(SE3()), drive.edges_with(all_loops))[:, 6:]
+    right = np.random.default_rng(0).normal(size=jacobian.shape[1])
+    modes = condense(drive).place_modes(all_loops, route(SE3()))
+    assert modes.shape[1] <= 6 * LAP // 5
+    exact = gauss_newton.solve_by_factors(jacobian, right, 6)
+    monkeypatch.setattr(gauss_newton, "_MAX_CG_STEPS", 40)
+    with_places = gauss_newton.conjugate_gradients(modes)(jacobian, right, 6)
+    without = gauss_newton.conjugate_gradients(modes[:, :0])(jacobian, right, 6)
+    size = np.linalg.norm(exact)
+    assert np.linalg.norm(with_places - exact) < 1e-3 * size
+    assert np.linalg.norm(without - exact) > 1e-2 * size
+
+
+def sigma_ratios(drive: LoopProblem, bias: np.ndarray, percentiles: list[float]) -> np.ndarray:
+    """Standard deviations (P, 2) of a long drive over those of all its poses, rotation and position, in percentiles.
+
+    With a bias (6, 6) of each step, those by the bias alone.
+    """
+    errors = np.tile(bias, (COUNT - 1, 1, 1))
+    edges, of_edges = concatenate(drive.trusted, drive.loops), np.zeros((COUNT - 1 + len(drive.loops), 6, 6))
+    full = marginals_by_factors(drive.start, edges, of_edges)
+    short = condensed_covariances(drive, 0.0 * errors)
+    if bias.any():
+        of_edges[: COUNT - 1] = bias
+        full = marginals_by_factors(drive.start, edges, of_edges) - full
+        short = condensed_covariances(drive, errors) - short
+    parts = [np.trace(short[1:, p, p], axis1=1, axis2=2) / np.trace(full[1:, p, p], axis1=1, axis2=2) for p in PARTS]
+    return np.sqrt(np.percentile(parts, percentiles, axis=1))
+
+
+def some_loops(every: int) -> LoopProblem:
+    """The drive in space at its true poses, with the loop of every so many frames."""
+    drive = long_drive(SE3())
+    return LoopProblem(drive.trusted, drive.loops[np.arange(0, len(drive.loops), every)], route(SE3()))
+
+
+@pytest.mark.parametrize(("every", "low", "high"), [(1, 1.0, 1.28), (2, 0.95, 1.15), (COUNT, 0.999, 1.002)])
+@pytest.mark.usefixtures("few_poses")
+def test_covariances_of_a_long_drive_are_nearly_those_of_all_its_poses(every: int, low: float, high: float) -> None:
+    ratios = sigma_ratios(some_loops(every), np.zeros((6, 6)), [5, 50, 95])
+    assert ratios.min() > low
+    assert ratios.max() < high
+    np.testing.assert_allclose(ratios[1], 1.0, atol=0.12)
+
+
+@pytest.mark.parametrize("every", [1, 2, 10, COUNT])
+@pytest.mark.usefixtures("few_poses")
+def test_a_bias_of_odometry_shifts_a_long_drive_as_it_shifts_all_its_poses(every: int) -> None:
+    ratios = sigma_ratios(some_loops(every), np.diag([1e-5] * 3 + [1e-3] * 3), [5, 50, 95])
+    np.testing.assert_allclose(ratios[1], 1.0, atol=0.02)
+
+
+def test_a_pose_graph_takes_the_covariances_of_a_long_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = laps(laps=6)
+    graph = drive.graph()
+    result = graph.optimize()
+    full = graph.covariances(result)
+    for module in (problem, pose_graph):
+        monkeypatch.setattr(module, "MAX_POSES", 60)
+    short = graph.covariances(result)
+    ratios = [
+        np.sqrt(np.trace(short[1:, p, p], axis1=1, axis2=2) / np.trace(full[1:, p, p], axis1=1, axis2=2)) for p in PARTS
+    ]
+    assert (np.abs(np.percentile(ratios, [5, 50, 95], axis=1) - 1.0) < [[0.1], [0.03], [0.12]]).all()
+    assert not np.array_equal(short, full)
