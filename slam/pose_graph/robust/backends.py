@@ -172,30 +172,26 @@ def _pcm_gnc(problem: LoopProblem, screening: Screening) -> BackEndResult:
     poses = screening.condensed.expand(consensus.poses)
     if screening.condensed.is_exact:
         return _fit_nearby(problem, consensus.kept, poses)
-    return _without_misfits(
-        problem, screening, consensus, _fit_long(problem, screening.condensed, consensus.kept.astype(np.float64), poses)
-    )
+    return _without_misfits(problem, screening.condensed, consensus, poses)
 
 
 def _without_misfits(
-    problem: LoopProblem, screening: Screening, consensus: Consensus, result: BackEndResult
+    problem: LoopProblem, condensed: CondensedProblem, consensus: Consensus, poses: Array
 ) -> BackEndResult:
-    """The result without kept loops that the others contradict in the whole problem.
+    """Least squares on the accepted loops of a long drive, from poses near the minimum, without misfits.
 
-    Loops that were moved along odometry have larger covariances, in which an error may hide.
+    Loops that were moved along odometry have larger covariances, in which an error may hide. Those that do not fit
+    now leave, and come back if they fit the others.
     """
-    suspects = result.kept & outlying_loops(problem, consensus, result.poses)
+    whole = _fit_long(problem, condensed, consensus.kept, poses)
+    suspects = whole.kept & outlying_loops(problem, consensus, whole.poses)
     if not suspects.any():
-        return result
-    others = _fit_long(problem, screening.condensed, np.where(suspects, 0.0, result.weights), result.poses)
-    kept = others.kept | (suspects & fitting_loops(problem, consensus, others.poses))
-    if (kept == result.kept).all():
-        return result
-    return (
-        others
-        if (kept == others.kept).all()
-        else _fit_long(problem, screening.condensed, kept.astype(np.float64), others.poses)
-    )
+        return whole
+    others = _fit_long(problem, condensed, whole.kept & ~suspects, whole.poses)
+    back = suspects & fitting_loops(problem, consensus, others.poses)
+    if (back == suspects).all():
+        return whole
+    return _fit_long(problem, condensed, others.kept | back, others.poses) if back.any() else others
 
 
 def _on_condensed(run: "BackEnd") -> "BackEnd":
@@ -211,8 +207,11 @@ def _on_condensed(run: "BackEnd") -> "BackEnd":
     return run_condensed
 
 
-def _fit_long(problem: LoopProblem, condensed: CondensedProblem, weights: Array, poses: Array) -> BackEndResult:
+def _fit_long(
+    problem: LoopProblem, condensed: CondensedProblem, loop_weights: Array | Mask, poses: Array
+) -> BackEndResult:
     """Weighted least squares on a long drive from poses near the minimum."""
+    weights = loop_weights.astype(np.float64)
     use = weights > 0.0
     if not use.any():
         return BackEndResult(problem.start, weights, ())

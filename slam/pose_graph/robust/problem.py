@@ -3,6 +3,9 @@
 Condensation leaves out most poses that no loop touches; the solution is the same to first order. Odometry between the
 poses that stay is composed, its covariance moved along by the adjoint (Barfoot and Furgale, T-RO 2014). The back ends
 take a third of the time on it.
+
+Where loops touch more than `MAX_POSES` poses, a long drive, they are moved along odometry to the nearest pose that
+stays. Back ends decide on these, and the whole problem is fitted from there (docs/decisions/robust_consensus.md).
 """
 
 from dataclasses import dataclass, replace
@@ -21,12 +24,12 @@ Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 
 MIN_KEPT_WEIGHT = 0.5  # of a loop that counts as kept
-MAX_POSES = 10_000  # of an exact condensation
-# Of a condensation that moves loops: places that are passed hundreds of times join all laps with one another, and the
-# factors of such a graph fill up.
+MAX_POSES = 10_000  # of a condensed problem; with more of them loops are moved
+# Places that are passed hundreds of times join all laps with one another, and the factors of the normal equations fill
+# up. In space 350,000 blocks are 100 MB, and take some seconds for each fit.
 _MIN_MOVED_POSES = 500
-_MAX_FACTOR_BLOCKS = 350_000  # 100 MB in space, about three seconds
-_MAX_COVARIANCE_BLOCKS = 100_000
+_MAX_FACTOR_BLOCKS = 350_000
+_MAX_COVARIANCE_BLOCKS = 100_000  # the inverse takes longer than the factors
 _MIN_POSES_BETWEEN_VISITS = 5  # that stayed: else a place would grow along the chain
 _MAX_SPACING = 10  # poses from one that stays to the next, so that the shape of the trajectory remains
 

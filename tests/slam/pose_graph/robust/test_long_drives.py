@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sparse
+from scipy.sparse.linalg import SuperLU
 
 from slam.pose_graph import pose_graph
 from slam.pose_graph.optimization import gauss_newton
 from slam.pose_graph.optimization.edges import Edges, concatenate
+from slam.pose_graph.optimization.gauss_newton import factorize_jacobian
 from slam.pose_graph.optimization.gtsam_solver import optimize
 from slam.pose_graph.optimization.marginals import marginals_by_factors
 from slam.pose_graph.optimization.planar_or_spatial import SE2, SE3, LieGroup, compose, inverse
 from slam.pose_graph.robust import pcm, problem
-from slam.pose_graph.robust.backends import LoopProblem, solve
+from slam.pose_graph.robust.backends import BACK_ENDS, DEFAULT, LoopProblem, solve
 from slam.pose_graph.robust.covariance_calibration import screen
 from slam.pose_graph.robust.problem import condense, condensed_covariances
 
@@ -86,6 +89,25 @@ def test_false_loops_are_left_out_and_the_poses_are_those_of_the_true_ones(group
     assert error < 0.2 * odometry_error
     assert difference < 0.02 * error
     assert result.kept[: len(clean.loops)].mean() > 0.995
+    assert not result.kept[len(clean.loops) :].any()
+
+
+@pytest.mark.parametrize("name", [name for name in BACK_ENDS if name not in ("none", DEFAULT)])
+@pytest.mark.usefixtures("few_poses")
+def test_every_robust_back_end_decides_on_the_smaller_graph(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    clean, truth, sizes = long_drive(SE2()), route(SE2()), []
+
+    def count(jacobian: sparse.csr_array) -> SuperLU:
+        sizes.append(jacobian.shape[1] // 3 + 1)
+        return factorize_jacobian(jacobian)
+
+    monkeypatch.setattr(gauss_newton, "factorize_jacobian", count)
+    result = solve(with_false(clean), name)
+    error, odometry_error = (
+        np.linalg.norm((poses - truth)[:, :-1, -1], axis=1).mean() for poses in (result.poses, clean.start)
+    )
+    assert max(sizes, default=0) <= MAX_POSES
+    assert error < 0.3 * odometry_error
     assert not result.kept[len(clean.loops) :].any()
 
 
