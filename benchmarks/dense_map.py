@@ -1,9 +1,10 @@
-"""Errors of the dense map of a simulated drive against the true surfaces, before and after correction, and its cost.
+"""Errors of the dense map of a simulated drive or room against the true surfaces, before and after correction.
 
-Run from the root, on a run of a drive that `revisit simulate` has rendered:
+Run from the root, on a run of a drive, or of a room with a depth camera, that `revisit simulate` has rendered:
 `python benchmarks/dense_map.py RUN [PICTURE.png]`. An error is the distance of a point of the map, seen
-from at most 25 m, to the nearest static surface of the town; points of moving cars count as errors. The map is aligned
-with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE.
+from at most 25 m, to the nearest static surface; points of moving cars count as errors. The map is aligned
+with the truth twice: by its first camera, and by SE(3) alignment of the trajectory, as for the ATE. The control is the
+map on the trajectory of the odometry. The cost is printed as well.
 """
 
 import argparse
@@ -21,12 +22,13 @@ from rich.console import Console
 from rich.table import Table
 
 from odometry import se3
-from slam.apps.dense import MappedRun, read_run
+from slam.apps.dense import DenseOptions, MappedRun, read_run
 from slam.evaluation.trajectory_errors import Similarity, umeyama
 from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
 from slam.pipeline.provenance import peak_memory_mb
+from slam.simulation.room_simulator import SURFACES
 from slam.simulation.scenario.config import SimulationConfig
 from slam.simulation.scenario.vehicle_path import plan_trajectory
 from slam.simulation.simulator import MANIFEST, ground_truth_surfaces
@@ -40,11 +42,29 @@ def fuse_run(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
     """Fuse the recording of a run; return the submaps and a line about the cost."""
     store, groups = SubmapStore(folder), group_key_frames(run.odometry, run.key_frames, 20)
     wall, processor = time.perf_counter(), time.process_time()
-    done = len(list(DenseMapper(run.calibration).fuse(run.dataset, run.odometry, groups, store)))
+    mapper = DenseMapper(run.calibration, DenseOptions(folder).config(run.has_depth), run.has_depth)
+    done = len(list(mapper.fuse(run.dataset, run.odometry, groups, store)))
     wall, processor = (time.perf_counter() - wall) / done, (time.process_time() - processor) / done
     held = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
     cost = f"{1e3 * wall:.1f} ms a key frame by the clock, {1e3 * processor:.1f} ms of processor, reading included"
     return store, f"{done} key frames in {len(store)} submaps, {held:.0f} MB: {cost}"
+
+
+def load_surfaces(source: Path) -> open3d.t.geometry.RaycastingScene:
+    """Return the true surfaces of a simulated recording, in the frame of its true poses."""
+    scene = open3d.t.geometry.RaycastingScene()
+    if (source / SURFACES).exists():
+        scene.add_triangles(open3d.t.io.read_triangle_mesh(str(source / SURFACES)))
+        return scene
+    corners = ground_truth_surfaces(read_town(source)).astype(np.float32)
+    rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
+    scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
+    return scene
+
+
+def read_town(source: Path) -> SimulationConfig:
+    """Return the configuration of a simulated drive."""
+    return SimulationConfig(**json.loads((source / MANIFEST).read_text())["config"])
 
 
 def distances(store: SubmapStore, poses: Array, scene: open3d.t.geometry.RaycastingScene) -> Array:
@@ -102,27 +122,29 @@ def main() -> None:
     folder = arguments.run
     run = read_run(folder)
     source = Path(json.loads((folder / "metrics.json").read_text())["source"])
-    spec = SimulationConfig(**json.loads((source / MANIFEST).read_text())["config"])
-    corners = ground_truth_surfaces(spec).astype(np.float32)
-    scene = open3d.t.geometry.RaycastingScene()
-    rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
-    scene.add_triangles(open3d.core.Tensor(corners.reshape(-1, 3)), open3d.core.Tensor(rows))
+    scene = load_surfaces(source)
     truth = run.dataset.ground_truth
     assert truth is not None
     trajectories = {"odometry": run.odometry.T_world_camera, "corrected": run.corrected, "true poses": truth}
-    table = Table("map on", "aligned by", "median [m]", "75 % [m]", "90 % [m]", "over 0.3 m", box=None)
+    table = Table("map on", "aligned by", "median [m]", "75 % [m]", "90 % [m]", "over 2 cm", "over 0.3 m", box=None)
     medians = {}
     with tempfile.TemporaryDirectory() as temporary:
         store, cost = fuse_run(run, Path(temporary))
         for name, poses in trajectories.items():
             fit = umeyama(poses[:, :3, 3], truth[: len(poses), :3, 3])
-            for alignment, aligned in (("first camera", poses), ("alignment", fit.apply_poses(poses))):
+            for alignment, aligned in (
+                ("first camera", truth[0] @ se3.inverse(poses[0]) @ poses),
+                ("alignment", fit.apply_poses(poses)),
+            ):
                 found = distances(store, aligned, scene)
                 quartiles = np.percentile(found, [50, 75, 90])
                 medians[name, alignment] = quartiles[0]
-                table.add_row(name, alignment, *(f"{value:.3f}" for value in quartiles), f"{np.mean(found > 0.3):.1%}")
-        fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
-        cells = agreement(build_occupancy_grid(store, run.corrected), fit, spec, scene)
+                shares = (f"{np.mean(found > limit_m):.1%}" for limit_m in (0.02, 0.3))
+                table.add_row(name, alignment, *(f"{value:.4f}" for value in quartiles), *shares)
+        if not (source / SURFACES).exists():
+            fit = umeyama(run.corrected[:, :3, 3], truth[: len(run.corrected), :3, 3])
+            grid = build_occupancy_grid(store, run.corrected)
+            Console().print(agreement(grid, fit, read_town(source), scene))
         if arguments.picture:
             draw(store, {name: trajectories[name] for name in ("odometry", "corrected")}, arguments.picture)
     Console().print(table)
@@ -130,7 +152,6 @@ def main() -> None:
         Console().print(
             f"after / before, {alignment}: {medians['corrected', alignment] / medians['odometry', alignment]:.2f}"
         )
-    Console().print(cells)
     Console().print(cost)
     Console().print(f"{peak_memory_mb():.0f} MB of memory at most, including the benchmark's own town")
 

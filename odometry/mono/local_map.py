@@ -87,8 +87,10 @@ class LocalMap:
         self._tracking = tracking
         self._frames: list[MapFrame] = []
 
-    def keep(self, frame: MapFrame) -> None:
-        """Keep a frame, unless one is kept that shows the same view."""
+    def keep(self, frame: MapFrame, T_map_staying: Array | None = None) -> None:
+        """Keep a frame, unless one is kept, or stays in the bundle at (4, 4), that shows the same view."""
+        if T_map_staying is not None and _distance(T_map_staying, frame) <= _SAME_VIEW:
+            return
         if len(frame.ids) >= _MIN_LANDMARKS and all(
             _distance(frame.T_map_camera, kept) > _SAME_VIEW for kept in self._frames
         ):

@@ -72,6 +72,7 @@ class MonoBundle:
         self._config, self._lens_config = config, lens_config
         self._frames: list[FrameObservations] = []
         self.numbers: list[int] = []
+        self._num_named = 0  # frames that have had a number: none is given twice, even if the newest frame leaves
         self.lens, self.poses, self.points = lens, np.zeros((0, 4, 4)), Points.empty()
         self.noise_px = _NOISE_AT_FIRST
 
@@ -128,8 +129,8 @@ class MonoBundle:
 
     def _name(self, count: int) -> list[int]:
         """Numbers for new frames."""
-        begin = self.numbers[-1] + 1 if self.numbers else 0
-        return list(range(begin, begin + count))
+        self._num_named += count
+        return list(range(self._num_named - count, self._num_named))
 
     def replace_newest(self, seen: FrameObservations) -> None:
         """Replace the newest frame's observations: outliers are gone and new points are there."""
@@ -209,6 +210,7 @@ class MonoBundle:
             "lens_covariance": self.lens.covariance,
             "poses": self.poses,
             "numbers": list(self.numbers),
+            "num_named": self._num_named,
             "points": dict(vars(self.points)),
             "noise_px": self.noise_px,
         }
@@ -218,7 +220,7 @@ class MonoBundle:
         self._frames = [FrameObservations(**frame) for frame in state["frames"]]
         self.lens = LensDistortion(self.lens.camera, state["lens_coefficients"], state["lens_covariance"])
         self.poses, self.points = state["poses"], Points(**state["points"])
-        self.numbers = list(state["numbers"])
+        self.numbers, self._num_named = list(state["numbers"]), state["num_named"]
         self.noise_px = state["noise_px"]
 
 

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _FEW_KNOWN = 0.2  # share of all tracks with known depth, below which landmarks of the bundle are looked for again
+# Parallax between two frames of a full bundle, in those at which an image becomes a reference frame, from which on both
+# stay. In a turn each image becomes one, and twelve of them have no baseline that could hold depths and rotation.
+_MIN_SPACING = 3.0
 _MAX_DEPTH_CHANGE = 5.0  # of the median depth from one map to the next: units cannot run to zero or infinity
 
 
@@ -102,12 +105,15 @@ class MonoMap:
 
     def add(self, tracks: MonoTracks, T_map_camera: Array, adjust: bool) -> MonoTracks:
         """Add an image at (4, 4) to the bundle, with landmarks of the local map and new corners."""
-        if self.bundle.is_full:
-            self._archive(self._choose_leaving(T_map_camera))
+        leaving = self._choose_leaving(T_map_camera) if self.bundle.is_full else None
+        if leaving == 0:
+            self._archive(0)
         known = self.bundle.points.select(tracks.ids).is_sure(self.bundle.noise_px)
         has_few = known.sum() < _FEW_KNOWN * self._config.tracking.max_corners
         mask, window = self._front_end.mask, self._views() if has_few else []
         found = self._local_map.find(tracks.image, T_map_camera, tracks.ids, self.bundle.lens, mask, window)
+        if leaving:  # after the search: else the newest frame would be found, and drive out the oldest
+            self._archive(leaving)
         if found is not None:
             tracks = tracks.merge(found.ids, found.pixels)
             if found.frame.number not in self.bundle.numbers:
@@ -130,8 +136,9 @@ class MonoMap:
         return [self.bundle.landmarks_of(k, self._images[k]) for k in range(len(self._images) - 1)]
 
     def _archive(self, place: int) -> None:
-        """Move a frame of the bundle to the local map."""
-        self._local_map.keep(self.bundle.landmarks_of(place, self._images[place]))
+        """Move a frame of the bundle to the local map; the newest one only with a view of its own."""
+        T_map_staying = self.bundle.poses[-2] if place == len(self.bundle.poses) - 1 else None
+        self._local_map.keep(self.bundle.landmarks_of(place, self._images[place]), T_map_staying)
         self.bundle.remove(place)
         del self._images[place]
 
@@ -143,12 +150,13 @@ class MonoMap:
     def _choose_leaving(self, T_map_camera: Array) -> int:
         """Frame of a full bundle that makes room for a camera at (4, 4).
 
-        The oldest one; but the newest one where the camera has hardly moved since the one before that. While it turns
-        on the spot the frames with the parallax stay, and all depths with them.
+        The oldest one; but the newest one where the camera has moved little since the one before that. While it turns
+        the frames with the parallax stay, and all depths with them.
         """
         moved = float(np.linalg.norm(T_map_camera[:3, 3] - self.bundle.poses[-2, :3, 3]))
         parallax_px = self._camera.fx * moved * self.bundle.points.median_inverse_depth
-        return len(self.bundle.poses) - 1 if parallax_px < self._config.reference_parallax_px else 0
+        min_parallax_px = _MIN_SPACING * self._config.reference_parallax_px
+        return len(self.bundle.poses) - 1 if parallax_px < min_parallax_px else 0
 
     def _renew(self, tracks: MonoTracks) -> MonoTracks:
         """Add new corners to the newest frame of the bundle."""

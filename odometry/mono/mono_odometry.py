@@ -133,6 +133,8 @@ class MonoOdometry:
             again = self._relocalize(self._reference, image, motion)
             if again is not None:
                 return again
+            if reason == _TOO_FAR:
+                motion = self._turn_expected(self._reference, located.followed.tracks, motion)
         if self._candidate is not None:
             begun = self._begin(self._candidate, image, motion)
             if isinstance(begun, Motion):
@@ -186,6 +188,19 @@ class MonoOdometry:
             return None
         T_first_second = se3.inverse(self._T_map_reference) @ self.bundle.poses[-1] @ found.T_first_second
         return self._check_turn(replace(found, T_first_second=T_first_second), predicted)
+
+    def _turn_expected(self, reference: Reference[MonoTracks], tracks: MonoTracks, motion: Array) -> Array:
+        """The motion (4, 4) since the previous image with the rotation that the tracks show, if they agree on one.
+
+        Where no depth is known, the translation is not measured; the rotation is, all the same.
+        """
+        found = estimate_rotation(self.bundle.lens, tracks.reference_pixels, tracks.pixels, self._map.median_depth)
+        if found.inliers.mean() < _MIN_TURNED:
+            return motion
+        T_reference_current = se3.inverse(self._T_map_reference) @ self.bundle.poses[-1] @ found.T_first_second
+        turned = motion.copy()
+        turned[:3, :3] = reference.T_reference_previous[:3, :3].T @ T_reference_current[:3, :3]
+        return turned
 
     def _shows_translation(self, estimate: PoseEstimate) -> bool:
         """Whether a pose is away from the last reference frame by far more than its uncertainty."""

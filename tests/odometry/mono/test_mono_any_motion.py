@@ -45,6 +45,17 @@ def test_turning_away_from_all_known_depths_and_back_keeps_the_scale(camera, wor
     assert se3.angle(se3.inverse(poses[-1]) @ T) < 5e-3
 
 
+def test_reference_frames_of_a_slow_turn_keep_a_baseline(camera, world):
+    """Each image of the turn becomes a reference frame; the window still reaches back by more than twelve of them."""
+    step = se3.pose(turn(0.025)[:3, :3], np.array([0.12, 0.0, 0.12]))
+    odometry = MonoOdometry(camera)
+    for T in chain([AHEAD] * 6 + [step] * 24):
+        odometry.track(world.pair(T)[0])
+    T_oldest_newest = se3.inverse(odometry.bundle.poses[0]) @ odometry.bundle.poses[-1]
+    assert len(odometry.bundle.poses) == 12
+    assert se3.angle(T_oldest_newest) > 14 * 0.025
+
+
 def test_a_state_while_turned_away_goes_on_with_the_same_bits(camera, world):
     poses = chain([AHEAD] * 6 + [turn(0.055)] * 12 + [turn(-0.055)] * 12 + [AHEAD] * 2)
     images = [world.pair(T)[0] for T in poses]
