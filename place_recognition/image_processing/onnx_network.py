@@ -19,6 +19,7 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 ONNX = "onnx:"  # first letters of the name of a learned descriptor or learned features, before the path of the file
+LEARNED_KIND = "onnx-"  # first letters of the kind of their descriptors
 # Keys of the metadata of a file: numbers, those of several channels apart by spaces or commas.
 HEIGHT, WIDTH, MEAN, DEVIATION, CROP = "height", "width", "mean", "std", "crop"
 
@@ -104,7 +105,7 @@ class OnnxNetwork:
         self.outputs = tuple(output.name for output in self._session.get_outputs())
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
         self.input = self._read_input(config, defaults)
-        self.kind = f"onnx-{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
+        self.kind = f"{LEARNED_KIND}{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
 
     def run(self, prepared: Floats) -> list[NDArray[Any]]:
         """Return the outputs for an input (1, C, H, W), in the order of their names.

@@ -12,7 +12,7 @@ from place_recognition.belief.place_filter import PlaceFilterConfig
 from place_recognition.image_processing.extractors import make_extractor
 from place_recognition.image_processing.global_descriptors import is_learned, make_global_descriptor
 from place_recognition.image_processing.local_features import FeatureCache, FeatureExtractor
-from place_recognition.image_processing.onnx_network import OnnxConfig
+from place_recognition.image_processing.onnx_network import LEARNED_KIND, OnnxConfig
 from place_recognition.image_processing.surf import Surf, SurfConfig
 from place_recognition.map.image_history import ImageHistory
 from place_recognition.paradigms import published
@@ -217,6 +217,8 @@ def _stages(
     name: str, features: FeatureCache, history: ImageHistory, proposer: Proposer, config: ParadigmsConfig
 ) -> StagedRecognizer:
     verification = replace(config.verification, epipolar=replace(config.verification.epipolar, seed=config.seed))
+    if features.kind.startswith(LEARNED_KIND):
+        verification = replace(verification, max_ratio=verification.max_learned_ratio)
     if config.preset == "published":
         epipolar = replace(verification.epipolar, min_inliers=MINIMAL_SAMPLE + 1)  # the decision has its own number
         exact = replace(verification, max_candidates=1, refine_radius=0, epipolar=epipolar)

@@ -114,6 +114,7 @@ class CandidateVerificationConfig:
     Attributes:
         max_ratio: largest ratio of nearest to second nearest descriptor distance of a match (Lowe). Of 0.75 to 0.95 on
             pairs of real images up to 30 m apart, 0.8 separates best.
+        max_learned_ratio: the same for local features of a network, whose descriptors lie closer together.
         max_candidates: number of candidates of a query that are verified.
         refine_radius: number of images before and after the best candidate among which the best match is sought.
         refine_features: number of strongest features of each image that are compared for this.
@@ -122,6 +123,7 @@ class CandidateVerificationConfig:
     """
 
     max_ratio: float = 0.8
+    max_learned_ratio: float = 0.95
     max_candidates: int = 5
     refine_radius: int = 3
     refine_features: int = 200

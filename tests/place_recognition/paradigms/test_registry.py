@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from place_images import CachingSurf, two_laps
+from place_images import LAP_IMAGES, CachingSurf, changed, two_laps
 
 from place_recognition import staged_recognizer
 from place_recognition.evaluation.memory import count_array_bytes, map_size
@@ -128,3 +128,23 @@ def test_a_recogniser_that_knows_its_size_is_believed():
 
     size = map_size(Sized())
     assert (size.words, size.bytes) == (7, 123)
+
+
+def test_matches_of_learned_features_may_be_less_clear_than_those_of_surf():
+    class Learned(CachingSurf):
+        """The same features under the name of a network."""
+
+        kind = "onnx-surf"
+
+    images = two_laps()
+    seen = [changed(image, k) for k, image in enumerate(images[LAP_IMAGES:])]
+    inliers = []
+    for extractor in (CachingSurf(), Learned()):
+        recognizer = make_recognizer("global-descriptor", FeatureCache(extractor))
+        answers = [
+            answer
+            for k, image in enumerate([*images[:LAP_IMAGES], *seen])
+            for answer in recognizer.observe(k, image, float("nan"))
+        ] + recognizer.finish()
+        inliers.append(sum(answer.inliers or 0 for answer in answers))
+    assert inliers[1] > 1.02 * inliers[0] > 0
