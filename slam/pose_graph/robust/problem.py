@@ -267,16 +267,16 @@ def _share_of_information(loops: Edges, moved: Edges, rows: Rows) -> Array:
     the nearest, as observations of a random walk, in scalars (traces of covariances).
     """
     own, after = (np.trace(edges.covariance, axis1=1, axis2=2) for edges in (loops, moved))
-    way = np.maximum(after - own, 0.0)
-    nearer, share = np.argsort(-way, kind="stable"), np.ones(len(loops))
+    added = np.maximum(after - own, 0.0)
+    nearer, share = np.argsort(-added, kind="stable"), np.ones(len(loops))
     for end, pose in ((loops.first, moved.first), (loops.second, moved.second)):
         side = 2 * pose + (end > rows[pose])
-        variances, ways = np.full(2 * len(rows), np.inf), np.zeros(2 * len(rows))
+        variances, left = np.full(2 * len(rows), np.inf), np.zeros(2 * len(rows))
         for k in nearer:
-            before = variances[side[k]] + ways[side[k]] - way[k]
-            variances[side[k]], ways[side[k]] = 1.0 / (1.0 / before + 1.0 / own[k]), way[k]
+            before = variances[side[k]] + left[side[k]] - added[k]
+            variances[side[k]], left[side[k]] = 1.0 / (1.0 / before + 1.0 / own[k]), added[k]
         stated = np.bincount(side, 1.0 / after, 2 * len(rows))
-        share = np.minimum(share, 1.0 / ((variances + ways)[side] * stated[side]))
+        share = np.minimum(share, 1.0 / ((variances + left)[side] * stated[side]))
     return share
 
 

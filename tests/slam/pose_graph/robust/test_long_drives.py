@@ -136,7 +136,7 @@ def test_a_loop_that_agrees_with_odometry_agrees_wherever_its_ends_are_moved(gro
 
 @pytest.mark.parametrize("group", [SE2(), SE3()])
 @pytest.mark.usefixtures("few_poses")
-def test_a_moved_loop_is_as_uncertain_as_odometry_on_the_way_and_the_loop_together(group: LieGroup) -> None:
+def test_a_moved_loop_is_as_uncertain_as_the_loop_and_odometry_together(group: LieGroup) -> None:
     """Errors of simulated steps and loops, moved, have the stated covariance."""
     drive, poses, chi2 = long_drive(group), route(group), []
     rows = np.arange(COUNT - 1)
