@@ -24,6 +24,7 @@ from rich.table import Table
 from odometry import se3
 from slam.apps.dense import DenseOptions, MappedRun, read_run
 from slam.evaluation.trajectory_errors import Similarity, umeyama
+from slam.io.trajectory_reader import read_trajectory
 from slam.mapping.dense_mapper import DenseMapper, group_key_frames
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, build_occupancy_grid
 from slam.mapping.submaps import SubmapStore
@@ -51,10 +52,13 @@ def fuse_run(run: MappedRun, folder: Path) -> tuple[SubmapStore, str]:
 
 
 def load_surfaces(source: Path) -> open3d.t.geometry.RaycastingScene:
-    """Return the true surfaces of a simulated recording, in the frame of its true poses."""
+    """Return the true surfaces of a simulated recording, in the frame of its first camera."""
     scene = open3d.t.geometry.RaycastingScene()
     if (source / SURFACES).exists():
-        scene.add_triangles(open3d.t.io.read_triangle_mesh(str(source / SURFACES)))
+        mesh, poses = open3d.t.io.read_triangle_mesh(str(source / SURFACES)), source / "groundtruth.txt"
+        # One camera's poses are those of the room, a pair's those of KITTI's layout.
+        T_surfaces_camera = read_trajectory(poses).poses[0] if poses.exists() else np.eye(4)
+        scene.add_triangles(mesh.transform(se3.inverse(T_surfaces_camera)))
         return scene
     corners = ground_truth_surfaces(read_town(source)).astype(np.float32)
     rows = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
