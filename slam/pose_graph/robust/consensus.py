@@ -71,6 +71,9 @@ _MAX_SUSPENSIONS = 2  # of one loop; without a bound two loops that contradict e
 # longer than the residuals of the fit do.
 _PRIOR_LOOPS_PREDICTION = 50.0
 _PRIOR_LOOPS_FIT = 10.0
+# Of the initial scale, on long drives. Where a place is passed hundreds of times loops can agree with one another far
+# better than their errors allow; a scale that follows them contradicts each stretch whose drift has not been tied yet.
+_MIN_LONG_SCALE_SHARE = 0.1
 
 
 class LoopState(IntEnum):
@@ -93,6 +96,7 @@ class Consensus:
         fitted_scale: covariance scale of the residuals at the fit.
         rejections: (L,) how often each loop was accepted and then did not fit, or was not significant.
         suspensions: (L,) how often each loop was put aside because the others contradict it.
+        min_scale: covariance scale below which that of the residuals does not fall.
     """
 
     poses: Array
@@ -102,6 +106,7 @@ class Consensus:
     fitted_scale: float
     rejections: Counts
     suspensions: Counts
+    min_scale: float = 0.0
 
     @property
     def states(self) -> Counts:
@@ -193,7 +198,10 @@ def _empty(screening: Screening) -> Consensus:
     problem = screening.condensed.problem
     count = len(problem.loops)
     none, never = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
-    return Consensus(problem.start, none, screening.likelihood, screening.scale, screening.scale, never, never)
+    min_scale = 0.0 if screening.condensed.is_exact else _MIN_LONG_SCALE_SHARE * screening.scale
+    return Consensus(
+        problem.start, none, screening.likelihood, screening.scale, screening.scale, never, never, min_scale
+    )
 
 
 def _converge(screening: Screening, state: Consensus) -> Consensus:
@@ -309,7 +317,7 @@ def _residual_scale(problem: LoopProblem, state: Consensus, poses: Array, kept: 
         loops = float(((student_dof + dof) / (student_dof + chi2 / factor) * chi2).sum())
         factor = max((loops + min(odometry, _MAX_ODOMETRY_SHARE * loops)) / (dof * len(chi2)), 1e-9 * initial)
     share = len(chi2) / (_PRIOR_LOOPS_FIT + len(chi2))
-    return float(factor**share * initial ** (1.0 - share))
+    return max(float(factor**share * initial ** (1.0 - share)), state.min_scale)
 
 
 def conflicting_loops(
