@@ -121,6 +121,18 @@ def test_a_small_error_that_hides_in_the_smaller_graph_is_found_in_the_whole_one
     assert np.delete(kept, 505).mean() > 0.995
 
 
+@pytest.mark.usefixtures("few_poses")
+def test_loops_that_agree_far_better_than_stated_do_not_forbid_the_drift_of_odometry() -> None:
+    """As on a drive whose later laps have the same images: loops without errors, odometry with the same ones."""
+    clean, group = long_drive(SE2()), SE2()
+    poses, loops = route(group), clean.loops
+    exact = replace(loops, motions=inverse(poses[loops.first]) @ poses[loops.second])
+    drift = group.exp(np.random.default_rng(7).normal(size=(LAP, group.dof)) * 3.0 * sigmas_of(group))
+    steps = inverse(poses[:-1]) @ poses[1:] @ drift[np.arange(COUNT - 1) % LAP]
+    drive = LoopProblem(replace(clean.trusted, motions=steps), exact, compose(np.eye(group.size), steps))
+    assert solve(drive).kept.mean() > 0.995
+
+
 @pytest.mark.parametrize("group", [SE2(), SE3()])
 @pytest.mark.usefixtures("few_poses")
 def test_a_loop_that_agrees_with_odometry_agrees_wherever_its_ends_are_moved(group: LieGroup) -> None:
