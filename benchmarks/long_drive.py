@@ -168,6 +168,10 @@ class RepeatedDataset:
     def __iter__(self):
         return (self[index] for index in range(len(self)))
 
+    def read_left(self, index: int) -> Array:
+        """Read the left image of a frame alone."""
+        return self._rounds.read_left(self._at[index])
+
     def read_color(self, index: int) -> None:
         """There is only grey."""
 

@@ -233,7 +233,7 @@ def _routes(places: Indices, junctions: Indices) -> tuple[Indices, Indices, Indi
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _gather(routes: Indices, shares: Array, weighted: Array, count: int, probabilities: Array) -> Array:
     """Sum (count, S) of the weights (M, S) of the places that each place may move to; probabilities (S, moves)."""
     out = np.zeros((count, weighted.shape[1]))

@@ -69,7 +69,7 @@ def _norm(vector: NDArray[np.int8]) -> float:
     return float(np.sqrt(whole @ whole))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def dot_products(query: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.int64]:
     """Compute the dot product (N,) of a query (D,) and each row of (N, D), exact for D up to 130,000."""
     # 127^2 x 130,000 is just below 2^31: sums fit into 32 bits, which SIMD adds twice as fast as 64.
@@ -82,7 +82,7 @@ def dot_products(query: NDArray[np.int8], rows: NDArray[np.int8]) -> NDArray[np.
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def absolute_differences(query: NDArray[np.uint8], rows: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Compute the sum (N,) of the absolute differences of a query (D,) and each row of (N, D)."""
     out = np.empty(len(rows), np.int64)

@@ -116,7 +116,7 @@ class InvertedIndex:
         self._next.restore(state["next_block"])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _accumulate(chains: Indices, weights: Floats, postings: Postings, sums: Floats) -> None:
     """Add the contributions of the words (K,) of a query to the sums (M,) of the first M sequences.
 

@@ -86,7 +86,7 @@ def select_guided(
     return _select(positions, descriptors, features.pixels, features.descriptors, limits)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _select(
     positions: Floats, descriptors: Floats, pixels: Floats, candidates: Floats, limits: tuple[float, float]
 ) -> NDArray[np.int64]:

@@ -48,7 +48,7 @@ class Nodes(NamedTuple):
     shape: Indices
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def insert_words(nodes: Nodes, words: Shorts, first: int) -> None:
     """Insert words (K, D) of two bytes a number, the first of which has number `first`; the pools must have room."""
     path, slots = np.empty(MAX_LEVELS, np.int64), np.empty(MAX_LEVELS, np.int64)

@@ -126,7 +126,7 @@ def read_run(run: Path, source: Path | None = None) -> MappedRun:
         ),
         "camera": dataset.camera != calibration.camera,
         "times": not _has_times(dataset, times),
-        "first image": not is_same_image(metrics.get("first_image"), dataset[0].left),
+        "first image": not is_same_image(metrics.get("first_image"), dataset.read_left(0)),
     }
     if any(differs.values()):
         names = " and ".join(name for name in differs if differs[name])

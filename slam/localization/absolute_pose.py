@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odometry import se3
 from odometry.camera import PinholeCamera
-from slam.loop_closing.relative_pose import MIN_LANDMARKS, pnp_ransac, skew
+from slam.loop_closing.relative_pose import MIN_LANDMARKS, pnp_ransac
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -148,7 +148,7 @@ class _ReprojectionSystem:
         whiten[~ahead] = 0.0
         self._error = (whiten @ (self._matches.pixels - pixels)[:, :, None])[:, :, 0]
         # T exp(xi) moves a point X of the camera's frame by X x w - v
-        motion = np.concatenate([skew(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
+        motion = np.concatenate([se3.skew(points), np.tile(-np.eye(3), (len(J), 1, 1))], axis=2)
         self._jacobian = whiten @ J @ motion
         return np.where(ahead, np.sum(self._error**2, axis=1), np.inf)
 

@@ -124,7 +124,7 @@ def check_dataset(stopped: ResumableRun, dataset: Dataset) -> None:
         times = store.timestamps(stopped.session.number)
     source = stopped.session.provenance.get("source")
     same_times = np.array_equal(dataset.timestamps[: stopped.frames], times)  # false, too, where there are fewer
-    same_images = same_times and is_same_image(stopped.session.provenance.get("first_image"), dataset[0].left)
+    same_images = same_times and is_same_image(stopped.session.provenance.get("first_image"), dataset.read_left(0))
     if dataset.camera != stopped.session.camera or not same_images:
         raise DataError(
             f"{stopped.map_file}: expected the dataset from which it was made ({source}, {stopped.frames} "

@@ -282,7 +282,7 @@ class Pipeline:
     def _provenance(self) -> dict[str, object]:
         recording = replace(self.options.recording, path=self.options.source.absolute())
         origin = provenance(recording.path, self.dataset.name, self.options.command)
-        return origin | {"recording": recording.as_metrics(), "first_image": thumbnail(self.dataset[0].left)}
+        return origin | {"recording": recording.as_metrics(), "first_image": thumbnail(self.dataset.read_left(0))}
 
 
 def check_motions(metrics: Mapping[str, object], options: RunOptions) -> None:

@@ -267,7 +267,7 @@ def _write_trajectory_in_map(path: Path, record: RunRecord, result: PipelineResu
 def _left_image(dataset: Dataset, index: int) -> NDArray[np.uint8] | None:
     """The left image of a frame; None where it can no longer be read: the run still keeps its other results."""
     try:
-        return dataset[index].left
+        return dataset.read_left(index)
     except DataError:
         return None
 

@@ -109,7 +109,7 @@ class RunVisualizer:
             query=belief.query,
             match=belief.match,
             image_query=self._query_image(belief.query, result.frame) if with_pair else None,
-            image_match=self._dataset[belief.match].left if with_pair else None,
+            image_match=self._dataset.read_left(belief.match) if with_pair else None,
             pixels_query=_NO_PIXELS if closure is None else closure.pixels_query.astype(np.float64),
             pixels_match=_NO_PIXELS if closure is None else closure.pixels_match.astype(np.float64),
             accepted=candidate.closed,
@@ -118,7 +118,7 @@ class RunVisualizer:
 
     def _query_image(self, query: int, frame: Frame) -> NDArray[np.uint8]:
         """Return the image of the query: the current one, unless the recogniser answers late."""
-        return frame.left if query == frame.index else self._dataset[query].left
+        return frame.left if query == frame.index else self._dataset.read_left(query)
 
 
 def _frame_view(result: FrameResult) -> FrameView:

@@ -81,15 +81,18 @@ class KittiDataset:
             IndexError: there is no such frame.
             DataError: an image cannot be read, or has another size than the first.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
-        left_images, right_images = self._images
-        left = self._image(left_images, index)
+        left, right_images = self.read_left(index), self._images[1]
         right = None if right_images is None else self._image(right_images, index)
         return Frame(index, float(self.timestamps[index]), left, right)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def read_left(self, index: int) -> NDArray[np.uint8]:
+        """Read the left image (H, W) of a frame alone; errors as for the frame."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
+        return self._image(self._images[0], index)
 
     def read_color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB; None where there is only grey."""

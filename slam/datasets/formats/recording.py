@@ -220,15 +220,19 @@ class RectifiedDataset:
             IndexError: there is no such frame.
             DataError: an image cannot be read, or has another size than the first.
         """
-        if not 0 <= index < len(self):
-            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
-        left = self._read(self.left, index, self.rectification.left)
+        left = self.read_left(index)
         right = None if self.right is None else self._read(self.right, index, self.rectification.right)
         depth = None if self.depth is None else self._read_depth(self.depth, index)
         return Frame(index, float(self.timestamps[index]), left, right, depth=depth)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
+
+    def read_left(self, index: int) -> Image:
+        """Read the left image (H, W) of a frame alone; errors as for the frame."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"expected a frame from 0 to {len(self) - 1}, got {index}")
+        return self._read(self.left, index, self.rectification.left)
 
     def read_color(self, index: int) -> Image | None:
         """Read the left image of a frame in colour: (H, W, 3), RGB, rectified; None where there is only grey."""
@@ -296,7 +300,7 @@ class LeftImages:
 
     def __getitem__(self, index: int) -> Image:
         """Read image (H, W) uint8, grey."""
-        return self.dataset[index].left
+        return self.dataset.read_left(index)
 
     def read_color(self, index: int) -> Image | None:
         """Read image (H, W, 3), RGB; None where there is only grey."""

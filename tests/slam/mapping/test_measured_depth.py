@@ -96,6 +96,9 @@ class Room:
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))
 
+    def read_left(self, index: int) -> NDArray[np.uint8]:
+        return self[index].left
+
     def read_color(self, index: int) -> NDArray[np.uint8] | None:
         return None if self.color is None else np.full((CAMERA.height, CAMERA.width, 3), self.color, np.uint8)
 

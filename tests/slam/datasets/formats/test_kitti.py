@@ -104,6 +104,7 @@ def test_colour_images_become_grey_with_their_own_calibration(tmp_path: Path, wr
     drive = open_kitti(tmp_path)
     assert drive.has_right
     assert drive[1].left.shape == (32, 64)
+    np.testing.assert_array_equal(drive.read_left(1), drive[1].left)
     assert drive.camera.baseline == pytest.approx(0.41)
 
 

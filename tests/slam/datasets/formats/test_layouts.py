@@ -93,6 +93,7 @@ def test_images_outside_the_ground_truth_are_left_out_with_a_remark(tmp_path: Pa
     drive = open_dataset(tmp_path / "MH")
     assert (len(drive), drive.remarks) == (4, ("1 images before or after the ground truth are left out",))
     np.testing.assert_array_equal(drive[0].left, rough.ideal.left(rough.pairs[1][0]))
+    np.testing.assert_array_equal(drive.read_left(0), drive[0].left)
 
 
 @pytest.mark.parametrize("name", ["rgbd_dataset_freiburg3_room", "my_room"])

@@ -7,7 +7,7 @@ import pytest
 
 from odometry import se3
 from odometry.camera import StereoCamera
-from slam.loop_closing.relative_pose import RelativePoseConfig, _pixel_jacobian, _stereo_pixels, _StereoAlignment, skew
+from slam.loop_closing.relative_pose import RelativePoseConfig, _pixel_jacobian, _stereo_pixels, _StereoAlignment
 from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel
 from slam.pose_graph.optimization.edges import Edges
 from slam.pose_graph.optimization.gauss_newton import jacobian_of_errors, whitened_jacobian
@@ -120,11 +120,6 @@ def points() -> np.ndarray:
 def test_the_jacobian_of_stereo_pixels(points: np.ndarray) -> None:
     numeric = differences(lambda d: _stereo_pixels(CAMERA, points + d), 3)
     np.testing.assert_allclose(_pixel_jacobian(CAMERA, points), numeric, rtol=1e-5, atol=1e-5)
-
-
-def test_skew_matrices_multiply_as_cross_products(points: np.ndarray) -> None:
-    v = np.array([0.3, -0.2, 0.9])
-    np.testing.assert_allclose(skew(points) @ v, np.cross(points, v), atol=1e-12)
 
 
 def point_of(pixels: np.ndarray) -> np.ndarray:
