@@ -20,6 +20,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
+from numba import njit
 from numpy.typing import NDArray
 
 from slam.errors import OutputError
@@ -190,26 +191,35 @@ def simplify_line(points: Array) -> Rows:
         return np.arange(len(points))
     tolerance = _LINE_SHARE * float(np.ptp(points, axis=0).max())
     while True:
-        rows = _simplify(points, tolerance)
+        rows = _simplify(np.ascontiguousarray(points, np.float64), tolerance)
         if len(rows) <= MAX_POINTS:
             return rows
         tolerance *= 1.5
 
 
+@njit(cache=True, nogil=True)
 def _simplify(points: Array, tolerance: float) -> Rows:
-    is_kept = np.zeros(len(points), bool)
+    """Rows of the points (N, d) from whose line no other one is further away than the tolerance."""
+    is_kept = np.zeros(len(points), np.bool_)
     waiting = [(0, len(points) - 1)]
-    while waiting:
+    while len(waiting) > 0:
         first, last = waiting.pop()
-        is_kept[[first, last]] = True
-        if last - first < 2:
-            continue
-        along, between = points[last] - points[first], points[first + 1 : last] - points[first]
-        share = np.clip(between @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
-        far = np.linalg.norm(between - share[:, None] * along, axis=1)
-        middle = int(far.argmax())
-        if far[middle] > tolerance:
-            waiting += [(first, first + 1 + middle), (first + 1 + middle, last)]
+        is_kept[first] = is_kept[last] = True
+        along = points[last] - points[first]
+        length = max(np.sum(along * along), 1e-12)
+        middle, farthest = first, 0.0
+        for k in range(first + 1, last):
+            share, squared = 0.0, 0.0
+            for i in range(points.shape[1]):
+                share += (points[k, i] - points[first, i]) * along[i]
+            share = min(max(share / length, 0.0), 1.0)
+            for i in range(points.shape[1]):
+                squared += (points[k, i] - points[first, i] - share * along[i]) ** 2
+            if squared > farthest:
+                middle, farthest = k, squared
+        if farthest > tolerance**2:
+            waiting.append((first, middle))
+            waiting.append((middle, last))
     return np.flatnonzero(is_kept)
 
 

@@ -6,6 +6,7 @@ false ones.
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -20,7 +21,7 @@ Rows = NDArray[np.int64]
 
 # Pairs grow with the square of the loops: every pair of the seeds is tested, the other loops against the seeds only.
 SEEDS = 150
-_MAX_PAIRS = 200_000  # of other loops and seeds: of many other loops each is tested against fewer seeds
+_MAX_PAIRS = 50_000  # of other loops and seeds: of many other loops each is tested against fewer seeds
 _MIN_TESTED_SEEDS = 16
 _LIMIT_FACTOR = 2.0  # on the chi-square limit of a cycle: the scale of single covariances is uncertain
 _MIN_AGREEING_SHARE = 0.8  # of the accepted seeds, with which another loop must agree
@@ -147,18 +148,54 @@ def _cycle(posterior: Posterior, loops: Edges, a: Rows, b: Rows) -> tuple[Array,
     T_second_second = inverse(poses[other.second]) @ poses[one.second]
     T_other_end = other.motions @ T_second_second
     T_back = inverse(T_second_second)
-    # Each pose's perturbation, moved by the adjoint to the end of the cycle
-    moved = (
-        samples[one.second]
-        - adjoint(T_back) @ samples[other.second]
-        + adjoint(inverse(T_other_end)) @ samples[other.first]
-        - adjoint(inverse(T_first_first @ T_other_end)) @ samples[one.first]
-    )
+    # Each pose's perturbation is moved by the adjoint to the end of the cycle.
     Ad = adjoint(T_back)
+    to_end = -Ad, adjoint(inverse(T_other_end)), -adjoint(inverse(T_first_first @ T_other_end))
+    ends = np.stack([one.second, other.second, other.first, one.first], axis=1)
     measured = loops.covariance[a] + Ad @ loops.covariance[b] @ np.swapaxes(Ad, 1, 2)
-    count, dof = moved.shape[2], moved.shape[1]
-    # count - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
-    covariance = moved @ np.swapaxes(moved, 1, 2) / (count - dof - 1) + measured
     error = one.group.log(inverse(one.motions) @ T_first_first @ T_other_end)
-    whitened: Array = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return (error * whitened).sum(axis=1), np.linalg.slogdet(covariance)[1]
+    return _chi2_and_log_det(samples, ends, np.stack(to_end, axis=1), measured, error)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _chi2_and_log_det(samples: Array, ends: Rows, to_end: Array, measured: Array, error: Array) -> tuple[Array, Array]:
+    """Chi-squares (P,) of errors, and log-determinants of their covariances.
+
+    Args:
+        samples: (N, d, S) perturbations of the poses.
+        ends: (P, 4) poses of each cycle; the first one is where it ends.
+        to_end: (P, 3, d, d) what moves the perturbations of the others there, with their signs.
+        measured: (P, d, d) covariances of the measurements.
+        error: (P, d) by which the cycles do not close.
+    """
+    count, dof, drawn = len(ends), samples.shape[1], samples.shape[2]
+    chi2, log_det = np.empty(count), np.empty(count)
+    moved, L, whitened = np.empty((dof, drawn)), np.zeros((dof, dof)), np.empty(dof)
+    for p in range(count):
+        for i in range(dof):
+            moved[i] = samples[ends[p, 0], i]
+            for n in range(3):
+                other = samples[ends[p, n + 1]]
+                for k in range(dof):
+                    factor = to_end[p, n, i, k]
+                    if factor != 0.0:
+                        for m in range(drawn):
+                            moved[i, m] += factor * other[k, m]
+        chi2[p], log_det[p] = 0.0, 0.0
+        for i in range(dof):  # Cholesky
+            for j in range(i + 1):
+                total = 0.0
+                for m in range(drawn):
+                    total += moved[i, m] * moved[j, m]
+                # drawn - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
+                total = total / (drawn - dof - 1) + measured[p, i, j]
+                for k in range(j):
+                    total -= L[i, k] * L[j, k]
+                L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+            rest = error[p, i]
+            for k in range(i):
+                rest -= L[i, k] * whitened[k]
+            whitened[i] = rest / L[i, i]
+            chi2[p] += whitened[i] ** 2
+            log_det[p] += 2.0 * np.log(L[i, i])
+    return chi2, log_det
