@@ -35,7 +35,8 @@ Image = NDArray[np.uint8]
 _NEW_MAP = "lost; a new map goes on at the speed before"
 _NEW_DEPTHS = "turned away from all known depths; the median depth of the scene stays as before"
 _TOO_FAR = "all that is followed is too far away to tell how far the camera moved"
-_STOPPING_S = 0.5  # seconds after a loss before which a camera that moved is not taken to stand
+_STOPPING_S = 0.5  # seconds in which a camera that moved may come to a stand
+_MIN_SPEEDS, _MAX_SPEEDS = 2, 30  # measured motions of which the slowest counts; the largest number serves 60 Hz
 # Points of known depth that measure a translation, and its distance from none: a step before a wall looks like a turn.
 _MIN_SURE, _TRANSLATION_SIGMAS = 50, 5.0
 # A rotation may leave this residual, in noise levels, to all but a few tracks: what is near shows a translation first.
@@ -61,7 +62,7 @@ class MonoOdometry:
         self._reference: Reference[MonoTracks] | None = None  # the last image whose pose in the map is known
         self._candidate: Reference[MonoTracks] | None = None  # what a new map could begin with
         self._velocity: Array | None = None  # tangent vector of the last measured motion, per image
-        self._speeds: deque[float] = deque(maxlen=2)  # of the last measured motions, metres per image
+        self._speeds: deque[float] = deque(maxlen=_MAX_SPEEDS)  # of the last measured motions, metres per image
         self._unmeasured = 0  # images since the last measurement
         self._has_begun = False
 
@@ -250,10 +251,18 @@ class MonoOdometry:
         if self._velocity is None:
             return None
         T_reference_current = reference.T_reference_previous @ motion
-        distance_m = reference.age_frames * min(self._speeds)
+        distance_m = reference.age_frames * self._lasting_speed()
         return MotionPrediction(
             T_reference_current, reference.age_frames, self._unmeasured, self._frame_counter.interval_s, distance_m
         )
+
+    def _lasting_speed(self) -> float:
+        """The lowest speed of the last half second, units per image; 0 before the first measurement.
+
+        Where few depths are left, as in a door, one speed may be far too high: what follows is no stop then.
+        """
+        count = max(_MIN_SPEEDS, round(_STOPPING_S / self._frame_counter.interval_s))
+        return min(list(self._speeds)[-count:], default=0.0)
 
     def _accept(
         self, reference: Reference[MonoTracks], followed: FollowedTracks, placed: PoseEstimate, adjust: bool = True
@@ -312,7 +321,7 @@ class MonoOdometry:
         expected = candidate.T_reference_previous @ motion
         predicted = MotionPrediction(
             expected, candidate.age_frames, self._unmeasured, self._frame_counter.interval_s,
-            candidate.age_frames * min(self._speeds, default=0.0),
+            candidate.age_frames * self._lasting_speed(),
         )  # fmt: skip
         turned = self._check_turn(found, predicted if self._velocity is not None else None)
         if turned is None:

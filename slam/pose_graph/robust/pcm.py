@@ -172,26 +172,10 @@ def _chi2_and_log_det(samples: Array, ends: Rows, to_end: Array, measured: Array
     chi2, log_det = np.empty(count), np.empty(count)
     moved, L, whitened = np.empty((dof, drawn)), np.zeros((dof, dof)), np.empty(dof)
     for p in range(count):
-        for i in range(dof):
-            moved[i] = samples[ends[p, 0], i]
-            for n in range(3):
-                other = samples[ends[p, n + 1]]
-                for k in range(dof):
-                    factor = to_end[p, n, i, k]
-                    if factor != 0.0:
-                        for m in range(drawn):
-                            moved[i, m] += factor * other[k, m]
+        _move_to_end(samples, ends[p], to_end[p], moved)
+        _factorize_covariance(moved, measured[p], L)
         chi2[p], log_det[p] = 0.0, 0.0
-        for i in range(dof):  # Cholesky
-            for j in range(i + 1):
-                total = 0.0
-                for m in range(drawn):
-                    total += moved[i, m] * moved[j, m]
-                # drawn - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
-                total = total / (drawn - dof - 1) + measured[p, i, j]
-                for k in range(j):
-                    total -= L[i, k] * L[j, k]
-                L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+        for i in range(dof):
             rest = error[p, i]
             for k in range(i):
                 rest -= L[i, k] * whitened[k]
@@ -199,3 +183,32 @@ def _chi2_and_log_det(samples: Array, ends: Rows, to_end: Array, measured: Array
             chi2[p] += whitened[i] ** 2
             log_det[p] += 2.0 * np.log(L[i, i])
     return chi2, log_det
+
+
+@njit(cache=True)
+def _move_to_end(samples: Array, ends: Rows, to_end: Array, out: Array) -> None:
+    """Set `out` (d, S) to the perturbations of a cycle's four poses, added up at its end."""
+    out[:] = samples[ends[0]]
+    for n in range(len(to_end)):
+        other = samples[ends[n + 1]]
+        for i in range(len(out)):
+            for k in range(len(out)):
+                if to_end[n, i, k] != 0.0:
+                    for m in range(out.shape[1]):
+                        out[i, m] += to_end[n, i, k] * other[k, m]
+
+
+@njit(cache=True, error_model="numpy")
+def _factorize_covariance(samples: Array, measured: Array, out: Array) -> None:
+    """Set `out` to the lower Cholesky factor of the covariance of samples (d, S) and that of measurements (d, d)."""
+    dof, drawn = samples.shape
+    for i in range(dof):
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(drawn):
+                total += samples[i, m] * samples[j, m]
+            # drawn - dof - 1 makes the inverse of the sample covariance unbiased (Hartlap et al., A&A 2007)
+            total = total / (drawn - dof - 1) + measured[i, j]
+            for k in range(j):
+                total -= out[i, k] * out[j, k]
+            out[i, j] = np.sqrt(total) if i == j else total / out[j, j]
