@@ -152,7 +152,7 @@ class OnlineLoopSelector:
             gate: test of the loop against odometry alone.
         """
         reason = self._assess(number, loop) if gate.passed else gate.reason
-        used = self._is_used(number)
+        used = self.is_used(number)
         self._log([number], used, reason)
         if used:
             self.step()
@@ -196,7 +196,7 @@ class OnlineLoopSelector:
         chi2 = self._predictive_chi2(number) if self._graph.has_loops else 0.0
         if chi2 > self._config.max_predictive_chi2:
             return self._challenge(number, chi2)
-        newcomers = [other for other in companions if not self._is_used(other)]
+        newcomers = [other for other in companions if not self.is_used(other)]
         self._use([number, *newcomers])
         self._log(newcomers, True, f"joined: loop {number} of this stretch agrees")
         found = f"{len(companions)} {'loops' if len(companions) > 1 else 'loop'} of this stretch"
@@ -308,7 +308,8 @@ class OnlineLoopSelector:
         start = max(path.values(), default=0.0) - self._config.clusters.max_distance_m
         return frozenset(k for k, length in path.items() if length >= start)
 
-    def _is_used(self, number: int) -> bool:
+    def is_used(self, number: int) -> bool:
+        """Whether the online map uses a loop: as an edge, or to locate the camera in a known place."""
         return self._graph.uses(number) or self._known_places.uses(number)
 
     def _chi2_of(self, numbers: Sequence[int]) -> Array:

@@ -15,7 +15,7 @@ from slam.errors import GraphError
 from slam.loop_closing.loop_closer import LoopClosure
 from slam.pose_graph.isam2 import IncrementalConfig, IncrementalPoseGraph
 from slam.pose_graph.node_chain import NodeChain, NodeSpacing
-from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, chain_motions
+from slam.pose_graph.odometry_chain import OdometryChain, OdometryDriftModel, RelativeMotion, chain_motions
 from slam.pose_graph.online_loop_selection import LoopDecision, LoopEvent, LoopSelectionConfig, OnlineLoopSelector
 from slam.pose_graph.optimization.edges import from_measurements
 from slam.pose_graph.optimization.marginals import marginal_covariances
@@ -77,6 +77,7 @@ class PoseGraph:
         self._edges: list[tuple[Array, Array]] = []
         self._loops: list[LoopClosure] = []
         self._gates: list[GateResult] = []
+        self._last_used: int | None = None  # number of the last loop that the online map has used at once
         self._nodes = NodeChain(self._chain, self.config.nodes)
         self._incremental = IncrementalPoseGraph(self.config.incremental)
         self._selector = OnlineLoopSelector(self._chain, self._nodes, self._incremental, self.config.loop_selection)
@@ -126,7 +127,10 @@ class PoseGraph:
         gate = self._gate(floored)
         self._loops.append(closure)
         self._gates.append(gate)
-        return self._selector.propose(len(self._loops) - 1, floored, gate)
+        decision = self._selector.propose(len(self._loops) - 1, floored, gate)
+        if decision.used:
+            self._last_used = len(self._loops) - 1
+        return decision
 
     def current_pose(self) -> Array:
         """T_world_camera (4, 4) of the newest frame, by odometry and the loops in use."""
@@ -232,8 +236,32 @@ class PoseGraph:
         _check_covariance(closure.covariance, f"loop {closure.query} -> {closure.match}")
 
     def _gate(self, closure: LoopClosure) -> GateResult:
-        """Test a loop against the relative pose that odometry gives, with the covariances of both."""
-        between = self._chain.between(closure.match, closure.query)
+        """Test a loop against odometry since its match; if that drifts too far, since the last loop in use.
+
+        A constant error of odometry, which many laps add up, is explained by no drift that grows from one lap to the
+        next. But the map knows where the camera was a moment ago.
+        """
+        gate = self._compare(closure, self._chain.between(closure.match, closure.query))
+        last = self._last_used
+        if gate.passed or last is None or not self._selector.is_used(last):
+            return gate
+        again = self._compare(closure, self._way_through(self.config.with_noise_floor(self._loops[last]), closure))
+        return again if again.passed else gate
+
+    def _way_through(self, used: LoopClosure, closure: LoopClosure) -> RelativeMotion:
+        """From a loop's match to its query by odometry to the match of a loop in use, that loop, and odometry again."""
+        before = self._chain.between(closure.match, used.match)
+        after = self._chain.between(used.query, closure.query)
+        T_match_used = before.T_first_second @ used.T_match_query
+        covariance = se3.compose_covariance(before.covariance, used.T_match_query, used.covariance)
+        return RelativeMotion(
+            T_match_used @ after.T_first_second,
+            se3.compose_covariance(covariance, after.T_first_second, after.covariance),
+            abs(before.path_length_m) + abs(after.path_length_m),
+        )
+
+    def _compare(self, closure: LoopClosure, between: RelativeMotion) -> GateResult:
+        """Test a loop against a relative pose that odometry gives, with the covariances of both."""
         difference = se3.inverse(closure.T_match_query) @ between.T_first_second
         error = se3.log(difference)
         residual = float(np.sqrt(error @ np.linalg.solve(between.covariance + closure.covariance, error)))

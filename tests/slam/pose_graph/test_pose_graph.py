@@ -1,5 +1,6 @@
 """The pose graph: what loops put right, what false ones must not spoil."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from slam.pose_graph.online_loop_selection import LoopSelectionConfig
 from slam.pose_graph.pose_graph import PoseGraph, PoseGraphConfig
 from slam.pose_graph.robust.backends import BACK_ENDS
 
-from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, settled
+from ..laps import LOOP_COVARIANCE, STEP_COVARIANCE, Drive, false_loops, laps, loop_between, settled
 
 CREDULOUS = LoopSelectionConfig(1e9, 1e9, LoopClusterConfig(max_agreement_chi2=1e9))
 PLAIN = PoseGraphConfig(
@@ -102,6 +103,26 @@ def test_where_all_loops_are_false_gnc_leaves_odometry(drive: Drive) -> None:
 def test_true_loops_pass_the_gate_after_drift(bias: tuple[float, float]) -> None:
     drive = laps(side=150, laps=1.1, bias=bias)
     assert all(drive.graph().gates[k].passed for k in range(len(drive.loops)))
+
+
+def test_errors_that_each_lap_repeats_do_not_shut_the_gate() -> None:
+    drive, lap = laps(laps=40.0), 100
+    rng = np.random.default_rng(0)
+    errors = [se3.exp(rng.normal(size=6) * np.repeat([1.5e-3, 0.01], 3)) for _ in range(lap)]
+    steps = se3.inverse(drive.poses[:-1]) @ drive.poses[1:]
+    graph = PoseGraph()
+    for query, step in enumerate(steps, start=1):
+        graph.add_odometry(step @ errors[query % lap], STEP_COVARIANCE)
+        if query > lap + 4:
+            graph.add_loop(loop_between(rng, drive.poses, query, query % lap))
+    late = graph.gates[-lap:]
+    assert all(gate.passed for gate in late)
+    assert drive.ate(graph.poses()) < 1.0
+    true = loop_between(rng, drive.poses, len(drive.poses) - 1, 0)
+    by_odometry = graph._chain.between(true.match, true.query)
+    assert not graph._compare(true, by_odometry).passed  # by odometry alone no drift explains it any more
+    wrong = replace(true, T_match_query=true.T_match_query @ se3.exp(np.array([0, 0, 0, 15.0, 0, 0])))
+    assert not graph._gate(wrong).passed
 
 
 def test_a_loop_from_the_wrong_street_fails_the_gate() -> None:
